@@ -22,7 +22,7 @@ from functools import cache
 from importlib import import_module
 from importlib.resources import files
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, TextIO
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import typer
@@ -147,10 +147,8 @@ def _whole(
 def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
-    _fill_closed()
-    _bear_any_text(sys.stdout)
-    if os.environ.get("COLUMNS") == "0":  # its width is unknown; Rich would print nothing at all
-        del os.environ["COLUMNS"]
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal of another alphabet
     install()
     try:
         require_compiler()
@@ -170,26 +168,7 @@ def _misused(error: typer.TyperException) -> str:
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
     context = getattr(error, "ctx", None)
     told = told.rstrip(".") or "no command given"
-    if "valid number" in told and any(map(_DECIMAL_COMMA.fullmatch, sys.argv)):
-        told += "; write numbers with a point, such as 0.5"
     return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
-
-
-_DECIMAL_COMMA = re.compile(r"(--[a-z-]+=)?-?\d+,\d+")
-
-
-def _fill_closed() -> None:
-    if sys.stdin is None:
-        os.open(os.devnull, os.O_RDONLY)
-    if sys.stdout is None:
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 - until the process ends
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
-
-
-def _bear_any_text(file: TextIO) -> None:
-    if isinstance(file, io.TextIOWrapper):
-        file.reconfigure(errors="backslashreplace")
 
 
 _HOME = re.compile(r"(?P<option>--[a-z-]+=)?(?P<path>~(/.*)?)", re.DOTALL)

@@ -50,36 +50,24 @@ class _OutputFile:
 
     def write(self, text: str) -> int:
         """Write ``text``."""
-        return self._done(lambda: self._file.write(text)) or len(text)
+        self._do(self._file.write, text)
+        return len(text)
 
     def flush(self) -> None:
         """Flush."""
-        self._done(self._file.flush)
+        self._do(self._file.flush)
 
-    def _done(self, act: Callable[[], T]) -> T | None:
+    def _do(self, act: Callable[..., object], *given: str) -> None:
         try:
-            with _left():
-                return act()
-        except BrokenPipeError:
-            raise
-        except OSError:
+            act(*given)
+        except OSError as error:
+            if error.errno in (errno.EPIPE, errno.EIO):  # so the system calls a terminal that was closed
+                raise BrokenPipeError(error.errno, error.strerror) from error
             if not self._lossy:
                 raise
-            return None
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever that file has
         return getattr(self._file, name)
-
-
-@contextmanager
-def _left() -> Iterator[None]:
-    """Raise BrokenPipeError where a terminal was closed, which is an input/output error to the system."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno == errno.EIO:
-            raise BrokenPipeError(error.errno, error.strerror) from error
-        raise
 
 
 class _Output(Console):
@@ -164,17 +152,21 @@ class Terminal:
             self.result(f"Next: {text}")
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
-        """Print a table with the row ``bold`` set off; a wide one is split, its first column in each part."""
+        """Print a table with the row ``bold`` set off.
+
+        A column without text is left out; a wide table is split, its first column in each part.
+        """
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
         page = _Output(file=_results(), width=width, highlight=False)
-        for part, widths in _parts(headers, rows, width):
+        columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
+        for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
-            for index, wide in zip(part, widths, strict=True):
+            for index, column in enumerate(part):
                 # as text: square brackets are units here, and no markup
-                justify: Literal["left", "right"] = "left" if index == 0 else "right"
-                table.add_column(Text(headers[index]), justify=justify, overflow="fold", width=wide)
-            for number, row in enumerate(rows):
-                table.add_row(*(Text(row[index]) for index in part), style="bold" if number == bold else None)
+                justify: Literal["left", "right"] = "right" if index else "left"
+                table.add_column(Text(column[0]), justify=justify, overflow="fold", min_width=_least(column))
+            for number, row in enumerate(zip(*(column[1:] for column in part), strict=True)):
+                table.add_row(*map(Text, row), style="bold" if number == bold else None)
             page.print(table)
             title = ""
 
@@ -183,9 +175,9 @@ class Terminal:
         if self.json:
             value = {**value, "dry_run": True} if self._dry and isinstance(value, dict) else value
             try:
-                with _left():
-                    sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
-                    sys.stdout.flush()
+                file = _results()
+                file.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
+                file.flush()
             except BrokenPipeError:
                 into_nothing(sys.stdout)
 
@@ -222,33 +214,21 @@ class Terminal:
             yield update
 
 
-def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[tuple[list[int], list[int]]]:
-    """Distribute columns to tables of at most ``most`` characters, the first to each; with the widths of columns."""
-    cells = [[header, *(row[index] for row in rows)] for index, header in enumerate(headers)]
-    natural = [max(map(cell_len, column)) for column in cells]
-    least = [_least(column) for column in cells]
-    parts: list[list[int]] = [[0]]
-    for index in range(1, len(headers)):
-        if len(parts[-1]) > 1 and _across([least[one] for one in [*parts[-1], index]]) > most:
-            parts.append([0])
-        parts[-1].append(index)
-    found = []
-    for part in parts:
-        widths = [least[index] for index in part]
-        for place, index in enumerate(part):  # what is left goes to those whose text would break
-            widths[place] += min(natural[index] - widths[place], max(most - _across(widths), 0))
-        found.append((part, widths))
-    return found
+def _parts(columns: Sequence[Sequence[str]], most: int) -> list[list[Sequence[str]]]:
+    """Distribute columns to tables of at most ``most`` characters, the first to each."""
+    parts = [list(columns[:1])]
+    for column in columns[1:]:
+        if len(parts[-1]) > 1 and sum(_least(one) + 3 for one in [*parts[-1], column]) >= most:
+            parts.append([columns[0]])
+        parts[-1].append(column)
+    return parts
 
 
-def _across(widths: Sequence[int]) -> int:
-    return sum(width + 3 for width in widths) + 1
-
-
-def _least(cells: Sequence[str]) -> int:
-    words = [cell_len(word) for cell in cells for word in cell.split()]
-    whole = [wide for wide in map(cell_len, cells[1:]) if wide <= _CELL]
-    return min(max([*words, *whole], default=1), WIDTH // 2)
+def _least(column: Sequence[str]) -> int:
+    """Width in which words, and short cells, stay on one line."""
+    words = [cell_len(word) for cell in column for word in cell.split()]
+    whole = [wide for wide in map(cell_len, column[1:]) if wide <= _CELL]
+    return min(max([*words, *whole]), WIDTH // 2)
 
 
 def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data of any kind

@@ -226,17 +226,12 @@ def _errors(comparison: Comparison, controller: str) -> MeanErrors:
     return MeanErrors(encoders=None if row.settled is None else row.settled.mean.value, tool=row.true_error)
 
 
-LEARNERS = ("sac", "td3", "ddpg")
-"""Other values of `--learner`"""
-
-
 def commands(contents: Contents) -> dict[str, str]:
-    """Command lines that repeat every stage."""
-    run, info, made = contents.folder.path, contents.info, contents.comparison
+    """Command lines of every stage."""
+    run, info = contents.folder.path, contents.info
     robot, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
-    built, preset = contents.folder.arm(contents.arm.name), contents.contract and contents.contract.preset
+    built = contents.folder.arm(contents.arm.name)
     arm = [] if info is None or info.arm == DEFAULT_ARM else ["--arm", built]
-    recipe = ["--preset", preset] if preset in ("paper", "scratch") else ["--learner", preset]
     seen = contents.calibration is not None and contents.calibration.source == "camera"
     gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
     diagnose: list[object] = [robot, "--run", run, *arm, "--seed", seed]
@@ -244,28 +239,13 @@ def commands(contents: Contents) -> dict[str, str]:
     if robot.startswith(LOGS):
         identify = diagnose = ["--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run]
         robot = "ROBOT"
-    lines = {
+    lines: dict[str, list[object]] = {
         "repair": [robot, *arm, "--seed", seed],
         "diagnose": diagnose,
         "identify": identify,
-        "train": [run, *(recipe if preset in ("paper", "scratch", *LEARNERS) else [])],
+        "train": [run],
         "calibrate": [robot, run, *gauge],
-        "compare": [robot, run] if made is None else [made.robot, run, *_options(contents, made)],
+        "compare": [robot, run],
         "report": [run],
     }
     return {name: command(name, *words) for name, words in lines.items()}
-
-
-def _options(contents: Contents, made: Comparison) -> list[object]:
-    info, known = contents.info, contents.calibration
-    targets = ["--targets", made.targets_file] if made.targets_file else ["--sets", len(made.targets)]
-    found = [*targets, "--repetitions", made.repetitions, "--controllers", ",".join(made.controllers)]
-    if made.period is not None:
-        found += ["--period", "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(made.period))]
-    if not (made.batched or made.block):
-        found.append("--full")
-    if known is not None and known.used and not made.calibration:
-        found += ["--calibration", "none"]
-    if made.directions is not None:
-        found.append("--directions")
-    return found if info is not None and made.seed == info.seed else [*found, "--seed", made.seed]

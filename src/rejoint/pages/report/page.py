@@ -22,10 +22,10 @@ from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents
 from rejoint.pages.report.figures import Gallery, in_base
-from rejoint.pages.words import UNKNOWN, interval, number, plural
+from rejoint.pages.words import UNKNOWN, plural
 from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, Spread, above_zero, spread
+from rejoint.system.statistics import Estimate, above_zero, spread
 from rejoint.twin import parameters
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.parameters import Parameter
@@ -118,40 +118,17 @@ def write_datasheet(folder: Path, out: Path) -> Path:
     """Write the data sheet of a run's arm; FileError."""
     it = read_contents(folder)
     best = None if it.comparison is None else it.comparison.row(advising.recommend(it.comparison).controller)
-    back: tuple[float, ...] = ()
-    left_out: tuple[Spread | None, ...] = ()
-    if it.calibration is not None and it.measurements is not None:
-        back = reversals(it.arm, it.measurements, it.calibration.frame)
-        if len(it.measurements) == len(it.calibration.left_out):  # each left out; intervals resample postures
-            posture = it.measurements.posture.astype(np.intp)
-            left_out = tuple(spread(column, posture) for column in it.calibration.left_out.T)
+    measured, back = it.measurements, np.zeros(0)
+    if it.calibration is not None and measured is not None:
+        back = np.array(reversals(it.arm, measured, it.calibration.frame))
     return write_page(
         out,
         "datasheet.html",
         it=it,
         best=best,
         found=found(it),
-        found_of=_found_of(it),
-        left_out=left_out,
-        period=_period(it),
+        period=None if it.diagnosis is None else it.diagnosis.measurement.period_s,
         reach=reach(it.arm),
         version=__version__,
-        reversal=spread(np.array(back), np.arange(len(back))) if back else None,
+        reversal=spread(back, np.arange(len(back))) if len(back) else None,
     )
-
-
-def _period(contents: Contents) -> str:
-    periods = np.concatenate([np.diff(log.time) for log in contents.hold.values()] or [np.zeros(0)])
-    if not len(periods):
-        return UNKNOWN
-    low, middle, high = 1e3 * np.quantile(periods, [0.025, 0.5, 0.975])
-    return f"{number(middle, 3, 'ms')} (95 % of {len(periods)}: {interval(low, high, 3)})"
-
-
-def _found_of(contents: Contents) -> tuple[str, str]:
-    made, value = contents.comparison, found(contents).encoders
-    open_loop = None if contents.diagnosis is None else contents.diagnosis.open_loop
-    if open_loop is not None and value == 1e-3 * open_loop.error_mm.value:
-        return interval(open_loop.error_mm.low, open_loop.error_mm.high, 3), str(len(open_loop.targets))
-    own: Spread | None = None if made is None or "default" not in made.controllers else made.row("default").settled
-    return ("", "") if own is None else (interval(own.mean.low, own.mean.high, 3, factor=1e3), str(own.count))
