@@ -117,7 +117,7 @@ def evaluate(
     settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("evaluate") as update:
         found = run(arm, _contestants(arm, names, policy, gains), chosen, settings, out.resolve(), update)
-    return _show(call, found, out)
+    return _show(call, found, out / "evaluation.json")
 
 
 @takes("arm")
@@ -143,7 +143,7 @@ def identification(
     settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("identification") as update:
         found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
-    return _show(call, found, out)
+    return _show(call, found, out / "evaluation.json")
 
 
 @takes("arm")
@@ -160,7 +160,7 @@ def calibrate(
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
     from rejoint.control.comparison.result import Protocol
-    from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations, tables
+    from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations
     from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
     from rejoint_lab.research.evaluation.trials import TrialSettings
 
@@ -170,8 +170,11 @@ def calibrate(
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed)
     settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("calibrate") as update:
-        found = evaluate_calibrations(arm, conditions, one, settings, out.resolve(), update)
-    return _keep(call, found, out / "calibrated.json", tables(found))
+        found, accused = evaluate_calibrations(arm, conditions, one, settings, out.resolve(), update)
+    shown = _show(call, found, out / "calibration.json")
+    rows = [(one.condition, f"{100 * one.wrong.value:.0f} %", f"{100 * one.right.value:.0f} %") for one in accused]
+    call.table("One wrong point among ten, 5 to 10 mm off", ["condition", "wrong one named", "right one named"], rows)
+    return shown | {"accused": accused}
 
 
 @takes("arm")
@@ -183,7 +186,10 @@ def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads:
 
     with call.progress("follow") as update:
         found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed), out, threads, update)
-    return _keep(call, found, out / "moving.json", [moving_table(found)])
+    write_json(out / "moving.json", found)
+    call.table(*moving_table(found))
+    call.result(f"All of it: {(out / 'moving.json').resolve()}")
+    return found
 
 
 @takes("arm")
@@ -197,18 +203,17 @@ def tune(
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.training.ranges import BroadRanges
-    from rejoint_lab.research.rivals.laws import find_rival
-    from rejoint_lab.research.rivals.tuning import TuningSettings
+    from rejoint_lab.research.rivals.laws import RIVALS, make_rival
     from rejoint_lab.research.rivals.tuning import tune as search
 
-    chosen, arm = {name: find_rival(name) for name in rivals}, load_arm(call.pick.arm or "mycobot280")
-    ranges = BroadRanges(arm=arm)
+    arm = load_arm(call.pick.arm or "mycobot280")
+    ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    how, tuned = TuningSettings(generations=generations, seed=seed), dict[str, dict[str, float]]()
+    tuned = dict[str, dict[str, float]]()
     with call.progress("tune") as update:
         for k, (name, rival) in enumerate(chosen.items()):
             ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")
-            tuned[name] = search(arm, ranges, rival.intervals, rival.make, how, ahead)
+            tuned[name] = search(arm, ranges, rival, ahead, generations=generations, seed=seed)
     write_json(out, known | tuned)
     rows = [
         {"rival": name, "gain": gain, "value": value} for name, gains in tuned.items() for gain, value in gains.items()
@@ -240,12 +245,15 @@ def reproduce(
         )
         found = run_experiments(bench, chosen, lambda one: call.say(one.title))
     for one, finished in zip(chosen, found, strict=True):
-        call.table(
-            one.title, ["", "ours", "paper"], [(row.what, row.ours, row.paper or "-") for row in finished.numbers]
-        )
+        call.table(one.title, ["", "ours", "paper"], finished.numbers)
     page = write_page(bench)
     call.result(str(page))
-    rows = [{"experiment": one.experiment, **row._asdict()} for one in found for row in one.numbers]
+    names = ("experiment", "what", "ours", "paper")
+    rows = [
+        dict(zip(names, (one.name, *row), strict=True))
+        for one, finished in zip(chosen, found, strict=True)
+        for row in finished.numbers
+    ]
     return {"page": page, "run": folder, "numbers": rows}
 
 
@@ -266,21 +274,10 @@ def _contestants(
     return found
 
 
-Tables = list[tuple[str, list[str], list[list[str]]]]
-
-
-def _keep(call: Call, found: object, file: Path, tables: Tables) -> object:
-    write_json(file, found)
-    for table in tables:
-        call.table(*table)
-    call.result(f"All of it: {file.resolve()}")
-    return found
-
-
-def _show(call: Call, found: Evaluation, out: Path) -> object:
+def _show(call: Call, found: Evaluation, file: Path) -> dict[str, object]:
     from rejoint_lab.research.evaluation.summary import terminal_tables
 
     for table in terminal_tables(found):
         call.table(*table)
-    call.result(f"Page: {(out / 'evaluation.html').resolve()}")
-    return {"out": out, "best": found.best, "rows": found.rows, "pairs": found.pairs}
+    call.result(f"All of it: {file.resolve()}")
+    return {"out": file.parent, "best": found.best, "rows": found.rows, "pairs": found.pairs}

@@ -61,13 +61,13 @@ def test_outcomes_survive_the_disk(tmp_path):
         return before
 
     for seed, count in ((1, 1), (1, 1), (2, 2), (2, 2), (1, 3)):
-        after = keep(file, {"seed": seed}, find)
+        after = keep(file, f"{seed}", find)
         assert len(made) == count
         assert after.keys() == before.keys()
         for name, values in before.items():
             np.testing.assert_array_equal(after[name], values)
     file.write_bytes(file.read_bytes()[:200])
-    keep(file, {"seed": 1}, find)
+    keep(file, "1", find)
     assert len(made) == 4, "a damaged file is made again"
 
 
@@ -91,7 +91,4 @@ def test_the_same_command_takes_over_what_is_done(tmp_path):
     assert outcome_path(tmp_path, "worn", one.name).exists()
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["rows"][0]["controller"] == "mine"
-    page = (tmp_path / "evaluation.html").read_text()
-    assert "mine" in page
-    assert "http" not in page.replace("http://www.w3.org", "")
     assert seen[0][0] == 0

@@ -28,6 +28,6 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint_lab.research.evaluation.trials.own_twin", lambda *_: a_twin())
     rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "2", "--variants", "worn")
-    error = {(row["where"], row["points"]): row["settled_true"]["mean"]["value"] for row in rows}
-    for where in ("target region", "anywhere"):
-        assert error[where, 20] < 0.5 * error[where, 0]
+    error = {(row["variant"], row["controller"]): row["settled_true"]["mean"]["value"] for row in rows}
+    for where in ("worn, target region", "worn, anywhere"):
+        assert error[where, "20 points"] < 0.5 * error[where, "not calibrated"]

@@ -1,16 +1,13 @@
-"""The page of an evaluation shows the numbers of its result, each in its own places, and draws the outcomes."""
+"""The result of an evaluation is what lies on disk."""
 
 import numpy as np
 import pytest
 from evaluation_samples import outcome
-from markupsafe import Markup
 
-from readpage import Page
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
 from rejoint.system.files import read_json
-from rejoint_lab.research.evaluation import summary
-from rejoint_lab.research.evaluation.evaluate import Contestant, conclude
+from rejoint_lab.research.evaluation.evaluate import Contestant, Trials, conclude
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint_lab.research.evaluation.trials import TrialSettings
@@ -42,32 +39,11 @@ def evaluation(outcomes):
     return summarise(ARM.name, SETTINGS, MEANINGS, pool(dict(NAMES), outcomes), {"p"})
 
 
-@pytest.fixture
-def show(outcomes, tmp_path, monkeypatch):
-    """Makes the page of an evaluation; figures are kept in ``show.figures`` instead of being drawn."""
-    pooled = pool(dict(NAMES), outcomes)
-
-    def keep(figure, key, alt):
-        make.figures[key] = figure
-        return Markup("<svg aria-label='a figure'></svg>")
-
-    def make(evaluation):
-        make.figures = {}
-        summary.write_page(tmp_path / "evaluation.html", evaluation, pooled)
-        return Page(tmp_path / "evaluation.html")
-
-    monkeypatch.setattr(summary, "inline_svg", keep)
-    return make
-
-
 def test_the_result_on_disk_is_the_result(outcomes, evaluation, tmp_path):
-    made = conclude(ARM, SETTINGS, CONTESTANTS, MEANINGS, outcomes, tmp_path)
+    trials = [
+        Trials(where=where, contestant=one, drive=lambda _, at=(where, one.name): outcomes[at], identity="")
+        for where in MEANINGS
+        for one in CONTESTANTS
+    ]
+    made = conclude(ARM, MEANINGS, trials, SETTINGS, tmp_path / "evaluation.json", lambda *_: None)
     assert made == evaluation == read_json(tmp_path / "evaluation.json", Evaluation)
-
-
-def test_the_page_shows_every_controller_its_pairs_and_the_best_rival(show, evaluation):
-    page = show(evaluation)
-    text = " ".join(map(str, page.places.values()))
-    for shown in ("slow", "fast", "2 training seeds", "best rival"):
-        assert shown in text
-    assert evaluation.best == {"worn": "fast", "payload": "fast"}

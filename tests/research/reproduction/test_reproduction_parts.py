@@ -12,7 +12,6 @@ from rejoint_lab.research.reproduction.campaign import (
     WORN,
     Bench,
     Experiment,
-    Printed,
     choose,
     finish_trainings,
 )
@@ -22,7 +21,7 @@ ARM = mycobot280()
 
 def test_the_command_line_runs_and_refuses(tmp_path, cli):
     found = cli("research", "reproduce", "table-1", "--run", tmp_path / "run", "--quick", "--json").last
-    assert found["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
+    assert float(found["numbers"][0]["ours"].removesuffix(" mm")) == pytest.approx(0.97, abs=0.02)
     assert {row["experiment"] for row in found["numbers"]} == {"table-1"}
     assert (tmp_path / "run" / "reproduction.md").exists()
     assert "table-4" in cli("research", "reproduce", "table-9", code=2).err
@@ -67,6 +66,6 @@ def test_text_and_numbers_are_formats_of_what_is_measured():
         numbers=(("one", "{a:.2f} s", "3 s"), ("two", "{b}"), ("three", "{c}")),
         readings=(),
     )
-    done = experiment.finish({"a": np.float64(1.234), "b": Printed(2.0, "2 ± 1 mm"), "c": "never"}, "1.0")
+    done = experiment.finish({"a": np.float64(1.234), "b": "2 ± 1 mm", "c": "never"})
     assert done.text == ("It is 1.2.",)
-    assert done.numbers == (("one", "1.23 s", "3 s", 1.234), ("two", "2 ± 1 mm", "", 2.0), ("three", "never", "", None))
+    assert done.numbers == (("one", "1.23 s", "3 s"), ("two", "2 ± 1 mm", "-"), ("three", "never", "-"))

@@ -6,32 +6,26 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
-from rejoint_lab.research.rivals.laws import (
-    AdaptiveController,
-    AdaptiveGains,
-    ScheduledController,
-    ScheduledGains,
-    make_rival,
-)
-from rejoint_lab.research.rivals.tuning import TuningSettings, tune
+from rejoint_lab.research.rivals.laws import AdaptiveController, Rival, ScheduledController, make_rival
+from rejoint_lab.research.rivals.tuning import tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
 RANGES = BroadRanges(arm=ARM)
 TARGET = np.array([[0.18, 0.02, 0.20], [0.2, -0.05, 0.18]])
 
-PLAIN = ScheduledGains(
-    far_rate=4.0,
-    near_rate=4.0,
-    schedule=1.0,
-    deadband=0.0,
-    proportional=0.0,
-    damping=0.0,
-    prediction=0.0,
-    moving=1e9,
-    speed=1e9,
-    lead=np.radians(15.0),
-)
+PLAIN = {
+    "far_rate": 4.0,
+    "near_rate": 4.0,
+    "schedule": 1.0,
+    "deadband": 0.0,
+    "proportional": 0.0,
+    "damping": 0.0,
+    "prediction": 0.0,
+    "moving": 1e9,
+    "speed": 1e9,
+    "lead": np.radians(15.0),
+}
 
 
 def inputs(position, sent, time=0.0):
@@ -43,7 +37,7 @@ def inputs(position, sent, time=0.0):
 def test_without_its_extras_the_schedule_is_the_integrator():
     # Inside the distance at which the plain one pulls to rest, and with its fade undone, both are the same law.
     posture = solve_position(ARM, TARGET + 0.004, np.tile(ARM.rest, (2, 1))).q
-    mine = ScheduledController(ARM, "mine", PLAIN, anchored=False)
+    mine = ScheduledController(ARM, PLAIN, anchored=False)
     mine.reset(inputs(posture, posture), np.ones(2, dtype=bool))
     sent = mine.command(inputs(posture, posture))
     plain = IntegratorController(ARM).command(inputs(posture, posture))
@@ -53,31 +47,30 @@ def test_without_its_extras_the_schedule_is_the_integrator():
 
 def test_gains_of_a_batch_act_arm_by_arm():
     posture = np.tile(ARM.rest, (2, 1))
-    both = {**PLAIN.__dict__, "far_rate": np.array([[2.0], [6.0]]), "near_rate": np.array([[2.0], [6.0]])}
-    together = ScheduledController(ARM, "both", ScheduledGains(**both), anchored=False)
+    both = {**PLAIN, "far_rate": np.array([[2.0], [6.0]]), "near_rate": np.array([[2.0], [6.0]])}
+    together = ScheduledController(ARM, both, anchored=False)
     together.reset(inputs(posture, posture), np.ones(2, dtype=bool))
     moved = together.command(inputs(posture, posture))
     for i, rate in enumerate((2.0, 6.0)):
-        gains = ScheduledGains(**{**PLAIN.__dict__, "far_rate": rate, "near_rate": rate})
-        alone = ScheduledController(ARM, "one", gains, anchored=False)
+        alone = ScheduledController(ARM, {**PLAIN, "far_rate": rate, "near_rate": rate}, anchored=False)
         alone.reset(inputs(posture, posture), np.ones(2, dtype=bool))
         np.testing.assert_array_equal(alone.command(inputs(posture, posture))[i], moved[i])
 
 
 def test_the_adaptive_law_learns_what_its_regressor_spans():
     # A joint that is softer than believed: at rest its error is what the compensation lacks.
-    gains = AdaptiveGains(
-        softness_rate=20.0,
-        load_rate=1e-3,
-        offset_rate=1e-3,
-        scale=1.0,
-        damping=0.0,
-        dead_zone=0.0,
-        proportional=0.0,
-        derivative=0.0,
-        prior=0.5,
-    )
-    law, start = AdaptiveController(ARM, "adaptive", gains), np.tile(ARM.rest, (2, 1))
+    gains = {
+        "softness_rate": 20.0,
+        "load_rate": 1e-3,
+        "offset_rate": 1e-3,
+        "scale": 1.0,
+        "damping": 0.0,
+        "dead_zone": 0.0,
+        "proportional": 0.0,
+        "derivative": 0.0,
+        "prior": 0.5,
+    }
+    law, start = AdaptiveController(ARM, gains), np.tile(ARM.rest, (2, 1))
     law.reset(inputs(start, start), np.ones(2, dtype=bool))
     goal = solve_position(ARM, TARGET, start).q
     load = gravity_torque(ARM, goal)
@@ -93,13 +86,12 @@ def test_the_adaptive_law_learns_what_its_regressor_spans():
 
 def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
     # The search itself, without arms: the cost is a bowl around one gain per decade.
-    def bowl(arm, ranges, gains, make, settings, draw_seed):
+    def bowl(arm, ranges, rival, gains, draw):
         return (np.log(gains["a"] / 0.5)) ** 2 + (np.log(gains["b"] / 20.0)) ** 2
 
     monkeypatch.setattr("rejoint_lab.research.rivals.tuning.candidate_costs", bowl)
     intervals, seen = {"a": (0.01, 10.0), "b": (1.0, 100.0)}, []
-    settings = TuningSettings(generations=30)
-    found = tune(ARM, RANGES, intervals, None, settings, lambda *report: seen.append(report))
+    found = tune(ARM, RANGES, Rival(None, intervals), lambda *report: seen.append(report), generations=30)
     assert found["a"] == pytest.approx(0.5, rel=0.03)
     assert found["b"] == pytest.approx(20.0, rel=0.03)
     assert [report[0] for report in seen] == [k / 30 for k in range(1, 31)]

@@ -380,7 +380,8 @@ class TrialRunner:
                 sent = None if batched else begin(robot, self.limits, self.stance).command[-1]
                 reference = TargetSequence(robot.arm, part, correction=self._aiming(robot) if corrected else None)
                 recording = self._run(robot, controller, reference, "hold", sent)
-                found.append(metrics_of(robot.arm, recording, part, self.settings.protocol, model=self.model))
+                models = [self.model] * len(part) if self.model else ()
+                found.append(metrics_of(robot.arm, recording, part, self.settings.protocol, models=models))
         return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
 
 

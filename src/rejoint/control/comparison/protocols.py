@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -83,9 +83,11 @@ def metrics_of(
     targets: Array,
     protocol: Protocol,
     kinds: Collection[str] = ("hold",),
-    model: ToolModel | None = None,
+    models: Sequence[ToolModel] = (),
 ) -> Columns:
     """Metrics (B, K) of ``kinds`` at ``targets`` (B, K, 3) [m]; of both kinds: the crossing within each hold.
+
+    ``models`` of each arm estimate true errors that are not known.
 
     A trip leaves NaN for the hold that it ended and all later targets. A crossing that it ended counts as missed.
     """
@@ -111,8 +113,9 @@ def metrics_of(
                 posture[b, k] = recording.position[rows, b][_last(visit, protocol)].mean(axis=0)
         for name, value in found.items():
             columns[name][b, k] = value
-    if model is not None and "hold" in kinds:
-        columns |= dict(zip(MODELLED, modelled(model, posture, targets), strict=True))
+    if models and "hold" in kinds:
+        each = [modelled(*one) for one in zip(models, posture, targets, strict=True)]
+        columns |= dict(zip(MODELLED, np.stack(each, axis=1), strict=True))
     return columns
 
 
@@ -215,6 +218,7 @@ def measure(
     ``both``: a hold also gives the crossing.
     """
     controller, kind, places, first = key
+    kinds = KINDS if both and kind == "hold" else (kind,)
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
     ended = tuple(
         Ended(
@@ -232,7 +236,7 @@ def measure(
         places=places,
         failed=failed,
         first=first,
-        columns=metrics_of(arm, recording, targets, protocol, KINDS if both and kind == "hold" else (kind,), model),
+        columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),
         cycles=int(recording.active.sum()),
         ended=ended,
         reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},

@@ -1,14 +1,14 @@
 """What outside measurements bring: fresh arms are measured, calibrated, and sent to fresh targets.
 
-All arms of a condition are one batch. Calibrations from the first 1, 3, ... measurements drive to the same targets:
-in the target region, and anywhere that the worn arms reach and hold by their twins.
+Calibrations from the first 1, 3, ... measurements take part like controllers, at the same targets: in the target
+region, and anywhere that the worn arms reach and hold by their twins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +22,13 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
-from rejoint.pages.words import MM, measured, number
-from rejoint.system.progress import Progress, part
-from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, Spread, clustered_share, spread, wilson
+from rejoint.system.progress import Progress
+from rejoint.system.statistics import Estimate, wilson
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.evaluate import Contestant
+from rejoint_lab.research.evaluation.evaluate import Contestant, Trials, conclude
 from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, open_family, targets_anywhere
-from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, own_twins, try_on
+from rejoint_lab.research.evaluation.summary import Evaluation
+from rejoint_lab.research.evaluation.trials import OnTargets, TrialArms, TrialSettings, own_twins, try_on
 
 POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
@@ -72,40 +71,14 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibratedRow:
-    """Arms of one condition, calibrated from so many points."""
+class Accused:
+    """Whether a wrong point among ten, 5 to 10 mm off, is found."""
 
     condition: str
-    where: str
-    """name of the part of the workspace"""
-    points: int
-    """0: not calibrated"""
-    settled_true: Spread | None
-    """[m] at fresh targets"""
-    expected: float | None = None
-    """[m] the same by the calibrations themselves"""
-    inside: Estimate | None = None
-    """share of targets whose true error was in the calibration's interval"""
-    used: float | None = None
-    """share of the arms that were corrected"""
-    harm: float | None = None
-    """[m] largest difference of an arm's mean error from that without calibration"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrationEvaluation:
-    """All conditions."""
-
-    arm: str
-    software: str
-    controller: str
-    family: ArmFamily
-    meanings: dict[str, str]
-    rows: tuple[CalibratedRow, ...]
-    named: dict[str, Estimate] = field(default_factory=dict)
-    """by condition: share of arms whose wrong point was named first"""
-    accused: dict[str, Estimate] = field(default_factory=dict)
-    """by condition: share of arms with a right point named"""
+    wrong: Estimate
+    """share of arms whose wrong point was named first"""
+    right: Estimate
+    """share of arms with a right point named"""
 
 
 def evaluate_calibrations(
@@ -115,69 +88,58 @@ def evaluate_calibrations(
     settings: TrialSettings,
     folder: Path,
     on_progress: Progress,
-) -> CalibrationEvaluation:
+) -> tuple[Evaluation, list[Accused]]:
     """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
     on_progress(0.0, "twins, for targets anywhere")
     family = settings.family
     box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
-    anywhere = targets_anywhere(arm, family, own_twins(arm, family.wear_seeds, folder, family.seed))
+    places = {
+        "target region": (box, None),
+        "anywhere": targets_anywhere(arm, family, own_twins(arm, family.wear_seeds, folder, family.seed)),
+    }
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
-    result = CalibrationEvaluation(
-        arm=arm.name,
-        software=__version__,
-        controller=contestant.name,
-        family=family,
-        meanings={one.name: one.meaning for one in conditions},
-        rows=(),
-    )
-    for i, condition in enumerate(conditions):
-        ahead = part(on_progress, i / len(conditions), (i + 1) / len(conditions), f"{condition.name}: ")
+    rivals = [
+        replace(contestant, name=name, group=name, learned=count > 0, identity=f"{contestant.identity} {name}")
+        for count in (0, *POINTS)
+        for name in [f"{count} points" if count else "not calibrated"]
+    ]
+
+    @cache
+    def measured(condition: Variant) -> Measured:
+        return measure(open_family(arm, condition, family, settings.threads), suggestion, family.seed)
+
+    @cache
+    def fitted(condition: Variant, count: int) -> list[Calibration]:
+        return measured(condition).fitted(arm, count)
+
+    def drive(condition: Variant, where: str, count: int, on_targets: OnTargets) -> Columns:
+        (targets, ways), found = places[where], fitted(condition, count)
         opened = partial(open_family, arm, condition, family, settings.threads)
-        ahead(0.0, "measuring")
-        points = measure(opened(), suggestion, family.seed)
-        calibrations = {count: points.fitted(arm, count) for count in (0, *POINTS)}
-        rows = []
-        for k, (where, (targets, ways)) in enumerate({"target region": (box, None), "anywhere": anywhere}.items()):
-            tried = dict[int, Columns]()
-            arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds)
-            for j, (count, found) in enumerate(calibrations.items()):
-                ahead((1 + j + k * len(calibrations)) / (1 + 2 * len(calibrations)), f"{where}, {count} points")
-                corrected = replace(arms, calibrations=found)
-                tried[count] = try_on(arm, corrected, contestant.on(()), settings)
-                rows.append(make_row(condition.name, where, count, found, tried))
-        named, accused = (
-            {condition.name: wilson(float(hits.sum()), family.arms)} for hits in find_wrong(arm, points, family)
+        arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds, calibrations=found)
+        return try_on(arm, arms, contestant.on(()), settings, on_targets)
+
+    trials = [
+        Trials(
+            where=f"{condition.name}, {where}",
+            contestant=one,
+            drive=partial(drive, condition, where, count),
+            identity=repr(condition),
         )
-        result = replace(
-            result, rows=(*result.rows, *rows), named=result.named | named, accused=result.accused | accused
+        for condition in conditions
+        for where in places
+        for one, count in zip(rivals, (0, *POINTS), strict=True)
+    ]
+    meanings = {f"{one.name}, {where}": f"{one.meaning}, {where}" for one in conditions for where in places}
+    result = conclude(arm, meanings, trials, settings, folder / "calibration.json", on_progress)
+    shares = [(one.name, *find_wrong(arm, measured(one), family)) for one in conditions]
+    return result, [
+        Accused(
+            condition=name,
+            wrong=wilson(float(named.sum()), family.arms),
+            right=wilson(float(accused.sum()), family.arms),
         )
-    return result
-
-
-def make_row(
-    condition: str, where: str, points: int, found: Sequence[Calibration], tried: dict[int, Columns]
-) -> CalibratedRow:
-    """Sum up trials with so many ``points``, of those by number of points; intervals resample arms."""
-    error, before = (tried[count]["settled_true"] for count in (points, 0))
-    arms = np.repeat(np.arange(len(error)), error.shape[1])
-    row = CalibratedRow(condition=condition, where=where, points=points, settled_true=spread(error.ravel(), arms))
-    if not points:
-        return row
-    modelled = tried[points]["modelled"][np.isfinite(tried[points]["modelled"])]  # no model, no expectation
-    return replace(
-        row,
-        expected=float(modelled.mean()) if len(modelled) else None,
-        inside=clustered_share(inside(tried[points]).ravel(), arms),
-        used=float(np.mean([one.used for one in found])),
-        harm=float(np.nanmax(np.nanmean(error, axis=1) - np.nanmean(before, axis=1))),
-    )
-
-
-def inside(found: Columns) -> Array:
-    """1 where a true error lies in the interval of the calibration, else 0; NaN where a hold was cut short."""
-    error = found["settled_true"]
-    hit = (error >= found["modelled_low"]) & (error <= found["modelled_high"])
-    return np.where(np.isfinite(error), hit, np.nan)
+        for name, named, accused in shares
+    ]
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured:
@@ -214,43 +176,3 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     duration = float(np.abs(way).max()) / SPEED
     recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
     return recording.command[-1]
-
-
-HEADERS = (
-    "where",
-    "points",
-    "true error, mm",
-    "95 % below, mm",
-    "expected, mm",
-    "in the interval, %",
-    "corrected arms, %",
-    "worst arm, mm farther off",
-)
-
-
-def tables(result: CalibrationEvaluation) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Title, headers and rows of each table."""
-    found = []
-    for name, meaning in result.meanings.items():
-        cells = [_cells(row) for row in result.rows if row.condition == name]
-        found.append((f"{meaning}: {result.family.arms}, {result.controller}", list(HEADERS), cells))
-    wrong = [
-        [name, *(str(measured(shares[name], 100, 3)) for shares in (result.named, result.accused))]
-        for name in result.meanings
-    ]
-    headers = ["condition", "wrong point named, % of arms", "right point named, % of arms"]
-    return [*found, ("One wrong point among ten, 5 to 10 mm off", headers, wrong)]
-
-
-def _cells(row: CalibratedRow) -> list[str]:
-    error = row.settled_true
-    cells = [
-        row.where,
-        str(row.points or "none"),
-        str(measured(error, MM, 3)),
-        number(None if error is None else error.p95 * MM, 3),
-    ]
-    if row.expected is None or row.used is None or row.harm is None:
-        return [*cells, "", "", "", ""]
-    shares = str(measured(row.inside, 100, 3)), number(100 * row.used, 3)
-    return [*cells, number(row.expected * MM, 3), *shares, f"{row.harm * MM:+.2f}"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -35,8 +35,9 @@ from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import Variant
-from rejoint_lab.research.evaluation.summary import Evaluation, Outcomes, pool, summarise, write_page
+from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint_lab.research.evaluation.trials import (
+    OnTargets,
     TrialArms,
     TrialSettings,
     keep,
@@ -45,8 +46,7 @@ from rejoint_lab.research.evaluation.trials import (
     try_controller,
     try_on,
 )
-from rejoint_lab.research.rivals.laws import RIVALS, make_rival
-from rejoint_lab.research.rivals.pid import PIDS
+from rejoint_lab.research.rivals.laws import GAINS, RIVALS, make_rival
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,19 +70,19 @@ class Contestant:
 
 def known_names() -> tuple[str, ...]:
     """Names that need neither file nor twins."""
-    return (*BASELINES, *PIDS, *RIVALS, SHELF)
+    return (*BASELINES, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
     identity, learns, on_twins = name, name == SHELF, {FeedforwardController.name: _raised, PREDICTIVE: planned}
-    made: Callable[[Arm], Controller] = PIDS.get(name) or partial(make_controller, name)
+    made: Callable[[Arm], Controller] = partial(make_controller, name)
     if learns:
         made, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
     elif name in RIVALS:
-        own = dict((gains or {}).get(name, RIVALS[name].gains))
+        own = dict((gains or {}).get(name, GAINS[name]))
         made, identity = partial(make_rival, name, gains=own), f"{name} {sorted(own.items())}"
-    elif name not in (*BASELINES, *PIDS, PREDICTIVE):
+    elif name not in (*BASELINES, PREDICTIVE):
         raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
 
     def make(arm: Arm, twins: Sequence[Twin]) -> Controller:
@@ -117,12 +117,24 @@ def learned(path: Path, arm: Arm) -> Contestant:
 
 def on_twin(one: Contestant, twin: Twin, name: str | None = None) -> Contestant:
     """Return a contestant for an arm that has this ``twin``, called so."""
-    name = f"{name or one.name} on its twin"
-    return replace(one, name=name, group=name, make=lambda arm, _: one.make(arm, [twin]))
+    name, identity = f"{name or one.name} on its twin", f"{one.identity} {twin.digest()}"
+    return replace(one, name=name, group=name, identity=identity, make=lambda arm, _: one.make(arm, [twin]))
 
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trials:
+    """The trials of a contestant under one condition."""
+
+    where: str
+    """the condition, as `conclude` names its meaning"""
+    contestant: Contestant
+    drive: Callable[[OnTargets], Columns]
+    identity: str
+    """changes with everything else that the results depend on"""
 
 
 def evaluate(
@@ -133,65 +145,67 @@ def evaluate(
     folder: Path,
     on_progress: Progress,
 ) -> Evaluation:
-    """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
-
-    An outcome of the same contestant, arms and settings is taken over. InputError for two contestants of one name.
-    """
+    """Evaluate on all variants; InputError for two contestants of one name."""
     names = [one.name for one in contestants]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
-    family, outcomes = settings.family, {}
-    cells = [(variant, one) for variant in variants for one in contestants]
-    for number, (variant, one) in enumerate(cells):
-        cell = part(on_progress, number / len(cells), (number + 1) / len(cells))
-        text, each = f"{variant.name}: {one.name}", family.arms * (family.targets + family.crossings)
-        cell(0.0, text)
+
+    def drive(variant: Variant, one: Contestant, on_targets: OnTargets) -> Columns:
+        family = settings.family
         twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.anywhere else []
-        identity = {
-            "arm": arm.name,
-            "variant": asdict(variant),
-            "controller": one.identity,
-            "family": asdict(family),
-            "protocol": asdict(settings.protocol),
-        }
+        return try_controller(arm, variant, one.on(twins), settings, on_targets, twins)
 
-        def report(done: int, cell: Progress = cell, each: int = each, text: str = text) -> None:
-            cell(done / each, text)
-
-        path = outcome_path(folder, variant.name, one.name)
-        drive = partial(try_controller, arm, variant, one.on(twins), settings, report, twins)
-        outcomes[variant.name, one.name] = keep(path, identity, drive)
-    return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
+    trials = [
+        Trials(where=variant.name, contestant=one, drive=partial(drive, variant, one), identity=repr(variant))
+        for variant in variants
+        for one in contestants
+    ]
+    meanings = {variant.name: variant.meaning for variant in variants}
+    return conclude(arm, meanings, trials, settings, folder / "evaluation.json", on_progress)
 
 
 def conclude(
     arm: Arm,
-    settings: TrialSettings,
-    contestants: Sequence[Contestant],
     meanings: dict[str, str],
-    outcomes: Outcomes,
-    folder: Path,
+    trials: Sequence[Trials],
+    settings: TrialSettings,
+    file: Path,
+    on_progress: Progress,
 ) -> Evaluation:
-    """Sum up and write ``evaluation.json`` and ``evaluation.html``."""
+    """Drive, sum up and write the JSON ``file``, and outcomes as Parquet in ``outcomes`` beside it.
+
+    An outcome of the same contestant, condition and settings is taken over. ``meanings`` say what conditions are.
+    """
+    family, outcomes = settings.family, {}
+    each = family.arms * (family.targets + family.crossings)
+    for number, one in enumerate(trials):
+        text, begun = f"{one.where}: {one.contestant.name}", number / len(trials)
+        identity = repr((arm.name, one.identity, one.contestant.identity, family, settings.protocol))
+
+        def report(done: int, text: str = text, begun: float = begun) -> None:
+            on_progress(begun + done / each / len(trials), text)
+
+        report(0)
+        path = outcome_path(file.parent, one.where, one.contestant.name)
+        outcomes[one.where, one.contestant.name] = keep(path, identity, partial(one.drive, report))
+    contestants = [one.contestant for one in trials]
     pooled = pool({one.name: one.group for one in contestants}, outcomes)
-    learned = {one.group for one in contestants if one.learned}
-    result = summarise(arm.name, settings, meanings, pooled, learned)
-    write_json(folder / "evaluation.json", result)
-    write_page(folder / "evaluation.html", result, pooled)
+    result = summarise(arm.name, settings, meanings, pooled, {one.group for one in contestants if one.learned})
+    write_json(file, result)
     return result
 
 
 def outcome_path(folder: Path, where: str, controller: str) -> Path:
     """Where the trials of a controller on some arms are kept."""
-    name = re.sub(r"[^\w.-]+", "-", controller)
-    return folder / "outcomes" / f"{where}--{name}.parquet"
+    name = re.sub(r"[^\w.-]+", "-", f"{where}--{controller}")
+    return folder / "outcomes" / f"{name}.parquet"
 
 
 # --- what identification brings ---------------------------------------------------------------
 
 IDENTIFIED = "identified"
-"""Name of the variant"""
+"""Name of the condition"""
 COPIES = 8
 """Trials of one arm side by side (chosen)"""
 
@@ -205,22 +219,27 @@ def evaluate_identification(
     on_progress: Progress,
 ) -> Evaluation:
     """Compare controllers with and without each arm's own twin; ``policies`` are generic."""
-    seeds, found = settings.family.wear_seeds, dict[str, list[Columns]]()
-    contestants: list[Contestant] = []
+    seeds, own = settings.family.wear_seeds, list[list[Contestant]]()
     for i, seed in enumerate(seeds):
-        ahead = part(on_progress, i / len(seeds), (i + 1) / len(seeds), f"arm {seed}: ")
-        contestants = _contestants(arm, seed, RunFolder(folder / "arms" / str(seed)), policies, iterations, ahead)
-        for one in contestants:
-            ahead(0.9, one.name)
-            outcome = try_on(arm, copies_of(arm, seed, settings), one.on(()), settings)
-            found.setdefault(one.name, []).append(outcome)
-    outcomes = {
-        (IDENTIFIED, name): {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
-        for name, parts in found.items()
-    }
-    return conclude(
-        arm, settings, contestants, {IDENTIFIED: "worn arms, each with a twin of its own"}, outcomes, folder
-    )
+        ahead = part(on_progress, 0.9 * i / len(seeds), 0.9 * (i + 1) / len(seeds), f"arm {seed}: ")
+        own.append(_contestants(arm, seed, RunFolder(folder / "arms" / str(seed)), policies, iterations, ahead))
+
+    def drive(ones: Sequence[Contestant], _: OnTargets) -> Columns:
+        copies = [copies_of(arm, seed, settings) for seed in seeds]
+        parts = [try_on(arm, arms, one.on(()), settings) for arms, one in zip(copies, ones, strict=True)]
+        return {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
+
+    trials = [
+        Trials(
+            where=IDENTIFIED,
+            contestant=ones[0],
+            drive=partial(drive, ones),
+            identity=" ".join(one.identity for one in ones),
+        )
+        for ones in zip(*own, strict=True)
+    ]
+    meanings = {IDENTIFIED: "worn arms, each with a twin of its own"}
+    return conclude(arm, meanings, trials, settings, folder / "evaluation.json", part(on_progress, 0.9, 1.0))
 
 
 def _contestants(
@@ -229,10 +248,10 @@ def _contestants(
     """Return controllers without the twin of ``worn?seed=``, and with it, identified and trained for in ``folder``."""
     from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
 
-    twin = own_twin(arm, seed, folder, seed, part(on_progress, 0.0, 0.4))
+    twin = own_twin(arm, seed, folder, seed, part(on_progress, 0.0, 0.5))
     if not folder.policy.exists():
         options = TrainingOptions(iterations=iterations, resume=True)
-        train(arm, twin, out=folder.path, options=options, on_progress=part(on_progress, 0.4, 0.8))
+        train(arm, twin, out=folder.path, options=options, on_progress=part(on_progress, 0.5, 1.0))
     return [
         *map(classical, ("feedforward", "tuned-feedforward")),
         *(on_twin(classical(name), twin) for name in ("feedforward", "predictive")),

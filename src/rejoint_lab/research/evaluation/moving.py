@@ -70,7 +70,7 @@ def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on
         seeds = family.wear_seeds[first : first + BLOCK]
         ahead = part(on_progress, first / family.arms, (first + len(seeds)) / family.arms)
         twins = partial(own_twins, arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
-        identity = {"arm": arm.name, "seeds": seeds, "cases": CASES}
+        identity = repr((arm.name, seeds, CASES))
         file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
         parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
     found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}

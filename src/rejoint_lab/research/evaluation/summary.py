@@ -1,14 +1,10 @@
-"""From outcomes to rows, pairs, tables and the page.
-
-Intervals resample whole arms. Times that may be infinite are compared by ratio.
-"""
+"""From outcomes to rows, pairs and tables; intervals resample whole arms."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -16,29 +12,18 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Columns, ControllerRow, Protocol, cycle_times
 from rejoint.control.comparison.result import summarise as summarise_trials
-from rejoint.pages import html
-from rejoint.pages.html import LOOKS
-from rejoint.pages.report.figures import HALF, Picture, canvas, inline_svg
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
-from rejoint.pages.words import MM, NEVER, Cell, measured, number
+from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import (
-    CONFIDENCE,
-    FEWEST_CLUSTERS,
     Estimate,
     Labels,
     Spread,
     clustered_share,
     paired_difference,
 )
-from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily
+from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.trials import TrialSettings
-
-NEVER_RATIO = 100.0
-"""Ratio where only one of two ever stays (chosen)"""
-
-RESAMPLES = 1000
-"""chosen: ends of the interval repeat within 3 % of its width"""
 
 
 def difference(first: Array, second: Array, *, seed: int = 0) -> Estimate | None:
@@ -47,27 +32,12 @@ def difference(first: Array, second: Array, *, seed: int = 0) -> Estimate | None
     return paired_difference(first.ravel(), second.ravel(), arms, seed=seed)
 
 
-def time_ratio(first: Array, second: Array, *, seed: int = 0) -> Estimate:
-    """Median of ``first / second`` (A, K) for times that may be infinite or NaN (stopped).
-
-    Without interval for few arms.
-    """
-    ratio = ratios(first, second)  # (A, K)
-    median = float(np.median(ratio))
-    if len(ratio) < FEWEST_CLUSTERS:
-        return Estimate(value=median, low=None, high=None)
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(0, len(ratio), (RESAMPLES, len(ratio)))
-    medians = np.median(ratio[picks].reshape(RESAMPLES, -1), axis=1)
-    low, high = np.quantile(medians, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], method="nearest")
-    return Estimate(value=median, low=min(float(low), median), high=max(float(high), median))
-
-
-def ratios(first: Array, second: Array) -> Array:
-    """``first / second`` for times; 1 for never over never."""
-    (first, late), (second, later) = ((np.maximum(times, 1e-3), ~np.isfinite(times)) for times in (first, second))
-    cases = (late & later, late, later)
-    return np.select(cases, (1.0, NEVER_RATIO, 1 / NEVER_RATIO), first / np.where(later, 1.0, second))
+def worst(first: Array, second: Array) -> float | None:
+    """Largest mean of ``first - second`` (A, K) of one arm."""
+    apart = first - second
+    known = np.isfinite(apart)
+    sums, counts = np.where(known, apart, 0.0).sum(axis=1), known.sum(axis=1)
+    return float((sums[counts > 0] / counts[counts > 0]).max()) if counts.any() else None
 
 
 FAR = 0.005
@@ -83,6 +53,10 @@ class VariantRow(ControllerRow):
     """trainings that are put together"""
     outside: Estimate | None
     """share of holds beyond 5 mm or stopped"""
+    inside: Estimate | None
+    """share of targets whose true error was in the calibration's interval"""
+    used: float | None
+    """share of arms that a calibration corrected"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +70,10 @@ class Pair:
     """[m] mean difference, negative where the controller is better"""
     settled_true: Estimate | None
     """[m]"""
-    stay_ratio: tuple[Estimate, ...]
-    """median ratio of the times to stay within each distance"""
+    worst_true: float | None
+    """[m] the same on the arm where it is largest"""
+    stays: tuple[Estimate | None, ...]
+    """[s] mean differences of the times to stay within each distance; never: the hold's length"""
     cycle_time: Estimate | None
     """[s] mean difference for ten targets of the crossing protocol"""
 
@@ -170,17 +146,29 @@ def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) 
     arms = np.repeat(_arms(found), found["settled"][0].size)
     row, held = summarise_trials(controller, found, arms, protocol), found["held"] == 1.0
     outside = np.where(held, ~(found["settled"] <= FAR), np.nan).ravel()
+    hit = inside(found).ravel()
     return VariantRow(
         **vars(row),
         variant=variant,
         seeds=held.shape[1],
         outside=clustered_share(outside, arms) if held.any() else None,
+        inside=clustered_share(hit, arms) if np.isfinite(hit).any() and row.settled_modelled is not None else None,
+        used=float(found["used"].mean()) if "used" in found else None,
     )
+
+
+def inside(found: Columns) -> Array:
+    """1 where a true error lies in the interval of the calibration, else 0; NaN where a hold was cut short."""
+    error = found["settled_true"]
+    hit = (error >= found["modelled_low"]) & (error <= found["modelled_high"])
+    return np.where(np.isfinite(error), hit, np.nan)
 
 
 def make_pair(variant: str, mine: tuple[str, Columns], other: tuple[str, Columns], protocol: Protocol) -> Pair:
     """Compare two groups: each seed with each, on the same arm and target."""
-    (controller, ours), (rival, theirs) = ((name, _comparable(found, protocol)) for name, found in (mine, other))
+    (controller, ours), (rival, theirs) = (
+        (name, found | {"cycle_time": cycle_times(found)[..., None]}) for name, found in (mine, other)
+    )
     count = len(np.unique(_arms(mine[1])))
 
     def matched(name: str) -> Iterator[Array]:
@@ -194,17 +182,10 @@ def make_pair(variant: str, mine: tuple[str, Columns], other: tuple[str, Columns
         rival=rival,
         settled=difference(*matched("settled")),
         settled_true=difference(*matched("settled_true")),
-        stay_ratio=tuple(time_ratio(*matched(name)) for name in protocol.stay_names),
+        worst_true=worst(*matched("settled_true")),
+        stays=tuple(difference(*matched(name)) for name in protocol.stay_names),
         cycle_time=difference(*matched("cycle_time")),
     )
-
-
-def _comparable(found: Columns, protocol: Protocol) -> Columns:
-    """Results at the targets that arms were held at, times that never came as infinity, and the cycle time."""
-    held = found["held"][0, 0] == 1.0
-    stays = {name: found[name][..., held] for name in protocol.stay_names}
-    times = {name: np.where(stay >= protocol.hold, np.inf, stay) for name, stay in stays.items()}
-    return found | times | {"cycle_time": cycle_times(found)[..., None]}
 
 
 def _arms(found: Columns) -> Labels:
@@ -222,25 +203,33 @@ def _late(row: VariantRow) -> tuple[float, float]:
 
 def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
     """Columns of the controllers on one variant."""
-    family = evaluation.family
+    family, shown = evaluation.family, list[ResultColumn]()
+    if any(row.inside is not None for row in evaluation.rows):
+        shown = [
+            ResultColumn("expected by the calibration [mm]", lambda row: Cell(_expected(row))),
+            ResultColumn("in its interval [%]", lambda row: measured(cast(VariantRow, row).inside, 100.0)),
+            ResultColumn("corrected arms [%]", lambda row: Cell(number(100 * (cast(VariantRow, row).used or 0.0), 3))),
+        ]
     return (
         *result_columns(evaluation.protocol, max(family.targets, family.crossings)),
         ResultColumn("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
         ResultColumn("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
         ResultColumn("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
+        *shown,
     )
 
 
 def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
     """Headers of `pair_cells`."""
-    within = (f"time to stay within {distance * MM:g} mm, ratio" for distance in evaluation.protocol.within)
-    return ("settled, encoders [mm]", "settled, true [mm]", *within, "ten targets [s]")
+    within = (f"time to stay within {distance * MM:g} mm [s]" for distance in evaluation.protocol.within)
+    return ("settled, encoders [mm]", "settled, true [mm]", "the worst arm's [mm]", *within, "ten targets [s]")
 
 
 def pair_cells(pair: Pair) -> list[Cell]:
     """Cells of one controller against one rival."""
-    ratios = map(_ratio, pair.stay_ratio)
-    return [_signed(pair.settled, MM), _signed(pair.settled_true, MM), *ratios, _signed(pair.cycle_time, 1.0)]
+    worst_true = Cell(number(pair.worst_true and MM * pair.worst_true, 2))
+    settled = _signed(pair.settled, MM), _signed(pair.settled_true, MM), worst_true
+    return [*settled, *(_signed(one, 1.0) for one in (*pair.stays, pair.cycle_time))]
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
@@ -264,6 +253,10 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
     return tables
 
 
+def _expected(row: ControllerRow) -> str:
+    return "" if row.settled_modelled is None else row.settled_modelled.millimetres
+
+
 def _p95(one: Spread | None, digits: int) -> str:
     return number(None if one is None else one.p95 * MM, digits)
 
@@ -271,60 +264,3 @@ def _p95(one: Spread | None, digits: int) -> str:
 def _signed(value: Estimate | None, factor: float) -> Cell:
     text, note = measured(value, factor)
     return Cell(f"{'+' if value is not None and value.value > 0 else ''}{text}", note)
-
-
-def _ratio(value: Estimate) -> Cell:
-    one, *ends = (
-        "" if end is None else NEVER if end >= NEVER_RATIO else number(end, 2)
-        for end in (value.value, value.low, value.high)
-    )
-    return Cell(one, " to ".join(filter(None, ends)))
-
-
-def write_page(path: Path, evaluation: Evaluation, pooled: Mapping[tuple[str, str], Columns]) -> None:
-    """Write the page; ``pooled`` results (T, seeds, K) are by variant and controller."""
-
-    def look(controller: str) -> int:
-        return evaluation.controllers.index(controller) % len(LOOKS)
-
-    def figures(variant: str) -> Iterator[Picture]:
-        """Draw the share of holds below each value."""
-        narrow, hold = evaluation.protocol.stay_names[-1], evaluation.protocol.hold
-        for key, label, factor, most in (
-            ("settled", "settled encoder error [mm]", MM, np.inf),
-            (narrow, "time to stay within the narrowest distance [s]", 1.0, hold),
-        ):
-            figure, grid = canvas((HALF, 3.4))
-            axes = grid[0, 0]
-            for controller in evaluation.controllers:
-                found, one = pooled[variant, controller], LOOKS[look(controller)]
-                values = np.nan_to_num(found[key][found["held"] == 1.0], nan=np.inf)
-                axes.ecdf(
-                    np.where(values >= most, np.inf, factor * values),
-                    color=one.colour,
-                    linestyle=one.dash,
-                    label=controller,
-                    linewidth=1.5,
-                )
-            axes.set_xscale("log")
-            axes.set(xlabel=label, ylabel="share of the holds", ylim=(0, 1))
-            axes.legend(frameon=False, fontsize=8)
-            yield Picture(
-                svg=inline_svg(figure, f"{variant}-{key}", f"Distribution of the {label} of every controller")
-            )
-
-    html.write_page(
-        path,
-        "evaluation.html",
-        title=f"{evaluation.family.arms} arms never met",
-        evaluation=evaluation,
-        subtitle=f"{evaluation.arm}, family {evaluation.family.seed}, rejoint {evaluation.software}",
-        look=look,
-        figures=figures,
-        parts=[*((variant, variant) for variant in evaluation.variants), ("method", "Method")],
-        columns=row_columns(evaluation),
-        pair_headers=pair_headers(evaluation),
-        pair_cells=pair_cells,
-        family_size=FAMILY_SIZE,
-        footer="Everything on this page is in evaluation.json; every trial is in outcomes/*.parquet.",
-    )

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -90,6 +89,10 @@ class TrialArms:
     """of each arm, where they are used: they correct the targets and model the true errors"""
 
 
+OnTargets = Callable[[int], object]
+"""Receives the number of targets that are done, now and then"""
+
+
 def nothing(done: int) -> None:
     """Ignore the number of targets that are done."""
 
@@ -99,7 +102,7 @@ def try_controller(
     variant: Variant,
     controller: Callable[[Arm], Controller],
     settings: TrialSettings,
-    on_targets: Callable[[int], object] = nothing,
+    on_targets: OnTargets = nothing,
     twins: Sequence[Twin] = (),
 ) -> Columns:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
@@ -117,12 +120,12 @@ def try_on(
     arms: TrialArms,
     controller: Callable[[Arm], Controller],
     settings: TrialSettings,
-    on_targets: Callable[[int], object] = nothing,
+    on_targets: OnTargets = nothing,
 ) -> Columns:
     """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
 
     Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
-    which the guard ``tripped``. ``on_targets`` receives the number of targets that are done now and then.
+    which the guard ``tripped``; with calibrations, whether they are ``used``.
     """
     family, protocol, shape = settings.family, settings.protocol, arms.targets.shape[:2]
     found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
@@ -130,6 +133,8 @@ def try_on(
     found["arm"] = np.repeat(np.array(arms.wear_seeds, dtype=float)[:, None], shape[1], axis=1)
     found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
     correction = OwnCorrections(arms.calibrations) if arms.calibrations else None
+    if arms.calibrations:
+        found["used"] = np.repeat([[float(one.used)] for one in arms.calibrations], shape[1], axis=1)
     counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
     for kind, count in counts.items():
         if not count:
@@ -138,15 +143,13 @@ def try_on(
         sequence = TargetSequence(arm, points, ways=ways, correction=correction)
         plan = schedule(kind, protocol, keep_going=True)
         recording = run(arms.open(), controller(arm), sequence, plan, on_cycle=count_targets(on_targets))
-        columns = metrics_of(arm, recording, points, protocol, (kind,))
         if kind == "hold":
             found["tripped"][:, :count] = recording.tripped[:, None]
-            for b, model in enumerate(arms.calibrations):
-                one = recording.of(slice(b, b + 1))
-                blind = replace(one, true_tcp=np.full_like(one.true_tcp, np.nan))  # what a calibration would say
-                modelled = metrics_of(arm, blind, points[b : b + 1], protocol, model=model)
-                for name in MODELLED:
-                    columns[name][b] = modelled[name][0]
+        columns = metrics_of(arm, recording, points, protocol, (kind,))
+        if arms.calibrations and kind == "hold":
+            blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
+            said = metrics_of(arm, blind, points, protocol, (kind,), arms.calibrations)
+            columns |= {name: said[name] for name in MODELLED}
         for name, values in columns.items():
             found[name][:, :count] = values
     return found
@@ -176,9 +179,9 @@ class OwnCorrections(Modelled):
         return None if (fresh == inputs.target).all() else fresh
 
 
-def keep(path: Path, identity: Mapping[str, Any], find: Callable[[], Columns]) -> Columns:
+def keep(path: Path, identity: str, find: Callable[[], Columns]) -> Columns:
     """Return the results of this ``identity`` in ``path``, a tidy table; else ``find`` and write them."""
-    wanted = json.dumps(dict(identity) | {"software": __version__})
+    wanted = f"rejoint {__version__}: {identity}"
     try:
         table = read_parquet(path, "delete it")
         found_identity, *shape = json.loads((table.schema.metadata or {})[_IDENTITY])

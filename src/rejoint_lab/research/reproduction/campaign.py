@@ -8,15 +8,11 @@ action.
 from __future__ import annotations
 
 import io
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from string import Formatter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -27,10 +23,9 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.pages.html import write_page as fill
-from rejoint.system.errors import InputError, RejointError
+from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json, write_whole
-from rejoint.system.progress import Progress, no_progress
-from rejoint.system.shell import __version__
+from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.tomltable import read_toml
 from rejoint.training.presets import PAPER, Preset
 from rejoint.training.train import TrainingOptions, train
@@ -87,7 +82,7 @@ class Bench:
     seed: int
     scale: Scale = FULL
     threads: int = 2
-    """of simulations, and parallel trainings"""
+    """of simulations"""
     on_progress: Progress = no_progress
 
     @property
@@ -104,6 +99,10 @@ class Bench:
         """Folder of a training (`recipe`)."""
         return RunFolder(self.folder / "trainings" / name)
 
+    def result(self, experiment: str) -> Path:
+        """File of what an experiment found."""
+        return self.folder / "results" / f"{experiment}.json"
+
     def draw(self, figure: Figure, key: str) -> None:
         """Save a figure of the page as a small PNG."""
         from PIL import Image
@@ -115,30 +114,8 @@ class Bench:
         write_whole(path, lambda temporary: small.save(temporary, format="png", optimize=True))
 
 
-class Printed(NamedTuple):
-    """A number with its spread, as it is printed."""
-
-    value: float
-    text: str
-
-    def __str__(self) -> str:
-        return self.text
-
-
-class Number(NamedTuple):
-    """One number of the paper beside ours."""
-
-    what: str
-    ours: str
-    """as printed, with unit and spread"""
-    paper: str = ""
-    """likewise; empty where the paper has none"""
-    value: float | None = None
-    """ours in that unit"""
-
-
 class Grid(NamedTuple):
-    """A further table of the page."""
+    """A table of the page."""
 
     title: str
     headers: tuple[str, ...]
@@ -147,18 +124,18 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Finished:
-    """What an experiment found."""
+    """What an experiment found, in words."""
 
-    experiment: str
-    software: str
     text: tuple[str, ...]
     """paragraphs"""
-    numbers: tuple[Number, ...]
+    numbers: tuple[tuple[str, str, str], ...]
+    """what, ours and the paper's, as printed with unit and spread"""
     grids: tuple[Grid, ...]
+    """further tables"""
 
 
 Found = dict[str, Any]
-"""Values by name: numbers, text or `Printed`; ``grids`` are further tables"""
+"""Numbers or text by name; ``grids`` are further tables"""
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -182,27 +159,18 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     alt: str = ""
     caption: str = ""
 
-    def run(self, bench: Bench) -> Found:
+    def run(self, bench: Bench) -> Finished:
         """Measure."""
         module, _, name = self.measure.partition(".")
-        found: Found = getattr(import_module(f"rejoint_lab.research.reproduction.{module}"), name)(bench)
-        return found
+        return self.finish(getattr(import_module(f"{__package__}.{module}"), name)(bench))
 
-    def finish(self, found: Found, software: str) -> Finished:
+    def finish(self, found: Found) -> Finished:
         """Put what was ``found`` into words."""
-
-        def number(what: str, ours: str, paper: str = "") -> Number:
-            value = found[next(name for _, name, _, _ in Formatter().parse(ours) if name)]
-            value = value.value if isinstance(value, Printed) else value
-            return Number(what, ours.format_map(found), paper, None if isinstance(value, str) else float(value))
-
-        return Finished(
-            experiment=self.name,
-            software=software,
-            text=tuple(paragraph.format_map(found) for paragraph in self.text),
-            numbers=tuple(number(*row) for row in self.numbers),
-            grids=tuple(found.get("grids", ())),
+        rows = (
+            (what, ours.format_map(found), paper) for what, ours, paper in ((*row, "-")[:3] for row in self.numbers)
         )
+        text = tuple(paragraph.format_map(found) for paragraph in self.text)
+        return Finished(text=text, numbers=tuple(rows), grids=tuple(found.get("grids", ())))
 
 
 SEEDS = 3
@@ -230,47 +198,21 @@ def recipe(name: str) -> tuple[Preset, int]:
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
-    """Run unfinished trainings in ``bench.threads`` processes."""
+    """Run unfinished trainings, each on one core."""
     missing = [name for name in names if not bench.training(name).policy.exists()]
-    if not missing:
-        return
-    quiet, count = replace(bench, on_progress=no_progress), len(missing)  # a callback cannot go to another process
-    context = multiprocessing.get_context("spawn")  # a fork would copy the state of torch and MuJoCo
-    with ProcessPoolExecutor(min(bench.threads, count), mp_context=context, initializer=_begin_worker) as pool:
-        waiting = [pool.submit(_train, quiet, name) for name in missing]
-        try:
-            for number, future in enumerate(as_completed(waiting), start=1):
-                if problem := future.result():
-                    raise RejointError(problem)
-                bench.on_progress(number / count, f"{number} of {count} trainings")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():  # their checkpoints are at most a few updates old
-                worker.terminate()
-            raise
-
-
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started this one
-
-
-def _train(bench: Bench, name: str) -> str:
-    """Train, and return the problem; errors with fields cannot go to another process."""
-    preset, offset = recipe(name)
-    options = TrainingOptions(
-        preset=preset,
-        seed=bench.seed + offset,
-        agents=bench.scale.agents,
-        threads=1,
-        iterations=bench.scale.updates,
-        snapshot_every=bench.scale.snapshot_every,
-        resume=True,
-    )
-    try:
-        train(bench.arm, None, out=bench.training(name).path, options=options)
-    except RejointError as error:
-        return str(error)
-    return ""
+    for done, name in enumerate(missing):
+        preset, offset = recipe(name)
+        options = TrainingOptions(
+            preset=preset,
+            seed=bench.seed + offset,
+            agents=bench.scale.agents,
+            threads=1,
+            iterations=bench.scale.updates,
+            snapshot_every=bench.scale.snapshot_every,
+            resume=True,
+        )
+        ahead = part(bench.on_progress, done / len(missing), (done + 1) / len(missing), f"training {name}: ")
+        train(bench.arm, None, out=bench.training(name).path, options=options, on_progress=ahead)
 
 
 PAGE = "reproduction.md"
@@ -303,31 +245,27 @@ def run_experiments(
     found = []
     for one in experiments:
         on_experiment(one)
-        found.append(one.finish(one.run(bench), __version__))
-        write_json(_file(bench, one), found[-1])
+        found.append(one.run(bench))
+        write_json(bench.result(one.name), found[-1])
     return found
-
-
-def _file(bench: Bench, experiment: Experiment) -> Path:
-    return bench.folder / "results" / f"{experiment.name}.json"
 
 
 def write_page(bench: Bench) -> Path:
     """Write all finished experiments to ``reproduction.md`` in the folder, beside the figures."""
-    files = {one.name: _file(bench, one) for one in EXPERIMENTS}
+    there = [one.name for one in EXPERIMENTS if bench.result(one.name).exists()]
     return fill(
         bench.folder / PAGE,
         "reproduction.md",
         bench=bench,
         recipe=PAPER,
         experiments=EXPERIMENTS,
-        found={name: read_json(file, Finished) for name, file in files.items() if file.exists()},
+        found={name: read_json(bench.result(name), Finished) for name in there},
         table=_table,
         anchor=lambda title: "".join(c for c in title.lower() if c.isalnum() or c in " -").replace(" ", "-"),
     )
 
 
-def _table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+def _table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Markdown table, with bars escaped."""
     lines = [headers, ["---"] * len(headers), *rows]
-    return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)

@@ -16,7 +16,7 @@ from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges, Ranges
 from rejoint.training.task import ReachTask
 from rejoint_lab.research.evaluation.trials import keep
-from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found, Printed
+from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found
 
 DRAWN = 12
 """paths on Fig. 11; chosen"""
@@ -145,8 +145,8 @@ def measure_course(bench: Bench) -> Found:
     }
 
 
-def _range(values: Array) -> Printed:
-    return Printed(values.mean(), f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})")
+def _range(values: Array) -> str:
+    return f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})"
 
 
 def course(bench: Bench, name: str, arms: str) -> Columns:
@@ -166,5 +166,5 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
         return means | {"updates": np.array(list(files), dtype=float)}
 
     count = bench.scale.judged
-    identity = {"training": name, "arms": arms, "count": count, "seed": bench.seed}
+    identity = repr((name, arms, count, bench.seed))
     return keep(folder.path / f"course-{arms}.parquet", identity, judge)

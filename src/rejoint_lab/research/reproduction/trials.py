@@ -10,7 +10,6 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.protocols import schedule
 from rejoint.control.comparison.result import Columns, Protocol
-from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.observation import layout_size
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.loop import run
@@ -23,11 +22,11 @@ from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint.training.presets import PAPER
+from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import VariantRow, make_row
 from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
-from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, Printed, recipe
-from rejoint_lab.research.rivals.pid import PIDS
+from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, recipe
 
 DWELL = 5.0
 """[s] per target of Fig. 9; chosen"""
@@ -57,14 +56,14 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
         protocol=protocol,
         threads=bench.threads,
     )
-    identity = {"seed": bench.seed, "settings": str(settings), "profile": profile}
+    identity = repr((bench.seed, settings, profile))
     path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
     return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings))
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return PIDS.get(name) or partial(make_controller, name)
+        return classical(name).on(())
     return partial(load_policy, bench.training(name).policy)
 
 
@@ -76,38 +75,38 @@ def _row(name: str, outcomes: list[Columns], protocol: Protocol) -> VariantRow:
     return make_row("", name, {key: np.stack([one[key] for one in outcomes], axis=1) for key in outcomes[0]}, protocol)
 
 
-def _mm(one: Spread | None, places: int = 2) -> Printed:
+def _mm(one: Spread | None, places: int = 2) -> str:
     if one is None:
-        return Printed(np.nan, "-")
+        return "-"
     std = "" if one.std is None else f" ± {1e3 * one.std:.{places}f}"
-    return Printed(1e3 * one.mean.value, f"{1e3 * one.mean.value:.2f}{std} mm")
+    return f"{1e3 * one.mean.value:.2f}{std} mm"
 
 
-def _ten(row: VariantRow) -> Printed:
+def _ten(row: VariantRow) -> str:
     """Time [s] for all targets of a set."""
-    time = np.nan if row.cycle_time is None else row.cycle_time.mean.value
-    return Printed(time, f"{time:.1f}")
+    return "-" if row.cycle_time is None else f"{row.cycle_time.mean.value:.1f}"
 
 
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
-    protocol, found, series = Protocol(hold=DWELL), Found(), list[Series]()
+    protocol, found, series, means = Protocol(hold=DWELL), Found(), list[Series](), list[Array]()
     for profile, look, paper in (("healthy", BLUE, 3.09), ("worn", RED, 22.7)):
         bench.on_progress(0.5 * len(series), f"{profile} arm")
         outcome = try_arm(bench, "default", protocol, profile, only="hold")
         row, sets = _row("default", [outcome], protocol), 1e3 * outcome["settled"]
         found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
+        means.append(sets.mean(axis=1))
         label = f"{profile}, mean {sets[0].mean():.1f} mm (paper {paper:g} mm)"
         series.append(Series(label=label, look=look, value=sets[0]))
     numbers = np.arange(1.0, bench.scale.targets + 1)
     bench.draw(curves({"error by the encoders [mm]": series}, numbers, "target", (WIDE, 3.2)), "fig-9")
-    means, scale = sets.mean(axis=1), bench.scale
+    healthy, worn = means
     return found | {
-        "ratio": found["worn"].value / found["healthy"].value,
-        "low": means.min(),
-        "high": means.max(),
-        "sets": scale.sets,
-        "targets": scale.targets,
+        "ratio": worn.mean() / healthy.mean(),
+        "low": worn.min(),
+        "high": worn.max(),
+        "sets": bench.scale.sets,
+        "targets": bench.scale.targets,
         "dwell": DWELL,
     }
 
@@ -128,8 +127,8 @@ def measure_trainings(bench: Bench) -> Found:
                 str(offset),
                 f"{100 * trained.success_rate[-LAST:].mean():.0f}",
                 f"{success[name]:.1f}",
-                str(_mm(row.crossing_error)).removesuffix(" mm"),
-                str(_ten(row)),
+                _mm(row.crossing_error).removesuffix(" mm"),
+                _ten(row),
             )
         )
     headers = (
@@ -150,9 +149,7 @@ def measure_trainings(bench: Bench) -> Found:
         "size": layout_size(PAPER.task.layout, bench.arm.joints),
         "transitions": trained.step[-1] / 1e6,
         "seconds": _seconds(bench),
-        "success": Printed(
-            100 * row.reached, f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)"
-        ),
+        "success": f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)",
         "error": _mm(row.crossing_error),
         **{name.partition("-")[0]: success[name] for name in LITERALLY},
         "grids": [Grid("What the policies do on the worn arm", headers, tuple(rows))],
@@ -173,7 +170,7 @@ def measure_control(bench: Bench) -> Found:
         outcomes = [try_arm(bench, one, protocol) for one in policies]
         row = _row(label, outcomes, protocol)
         found |= {
-            f"{name}_success": Printed(100 * row.reached, f"{measured(row.success, 100)} %"),
+            f"{name}_success": f"{measured(row.success, 100)} %",
             f"{name}_error": _mm(row.crossing_error),
             f"{name}_time": _ten(row),
         }

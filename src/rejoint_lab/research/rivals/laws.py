@@ -1,4 +1,7 @@
-"""Rivals of the policy: classical and adaptive laws with tuned gains.
+"""Rivals of the policy: the paper's PID, and classical and adaptive laws with tuned gains.
+
+PID of Park et al. 2024, equations 26 and 27: ``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) /
+dt``.
 
 Gain-scheduled integral control, alone or with gravity feed-forward: a rate by distance (Rugh and Shamma, Automatica 36,
 2000), and conditional integration (Astrom and Rundqwist, ACC 1989).
@@ -14,8 +17,10 @@ Gains are numbers or (B, 1); their bounds are chosen.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,52 +33,65 @@ from rejoint.control.robot import ControlInput, Controller, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 
-Gain = float | Array
+Gains = Mapping[str, float | Array]
 Interval = tuple[float, float]
 
 
-def bounds(low: float, high: float) -> dict[str, Interval]:
-    """Metadata of a gain that is searched between ``low`` and ``high``."""
-    return {"bounds": (low, high)}
+class PidController:
+    """Adds a PID correction to the measured position; gains of Park et al. 2024, below equation 27."""
+
+    heeds_turn = True
+    proportional, integral, derivative, period = 0.40, 0.01, 5e-3, 0.02
+    """[1], [1] per cycle or [1/s], [s], and dt of the equation [s]"""
+
+    def __init__(self, arm: Arm, *, literal: bool) -> None:
+        """``literal``: the sum is multiplied by dt, as printed; else a plain sum."""
+        self.name, self._weight = "pid-literal" if literal else "pid-sum", self.period if literal else 1.0
+        self._sum = self._last = np.zeros((0, arm.joints))
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Clear the integral of ``where`` (B,)."""
+        if len(self._sum) != len(inputs.sent):
+            self._sum, self._last = np.zeros_like(inputs.sent), np.zeros_like(inputs.sent)
+        self._sum[where] = 0.0
+        # The change of the error at a new target is the target's jump, not a motion of the arm.
+        self._last[where] = inputs.goal[where] - inputs.state.position[where]
+
+    def command(self, inputs: ControlInput) -> Array:
+        """See `Controller`."""
+        measured = inputs.state.position
+        error = inputs.goal - measured
+        self._sum += error * self._weight
+        change = (error - self._last) / self.period
+        self._last = error
+        return measured + self.proportional * error + self.integral * self._sum + self.derivative * change
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ScheduledGains:
-    """Gains; the last four are for the feed-forward."""
-
-    far_rate: Gain = field(metadata=bounds(0.5, 30.0))
-    """[1/s] integrated fraction of the joint step, far away"""
-    near_rate: Gain = field(metadata=bounds(0.3, 20.0))
-    """[1/s] the same at the target"""
-    schedule: Gain = field(metadata=bounds(0.5e-3, 20e-3))
-    """[m] distance of the mean rate"""
-    deadband: Gain = field(metadata=bounds(1e-5, 1e-3))
-    """[m]"""
-    proportional: Gain = field(metadata=bounds(1e-3, 1.0))
-    """fraction of the joint step, not integrated"""
-    damping: Gain = field(metadata=bounds(1e-4, 0.3))
-    """[s] of the measured joint speed"""
-    prediction: Gain = field(metadata=bounds(1e-3, 0.1))
-    """[s] of extrapolation"""
-    moving: Gain = field(metadata=bounds(0.01, 3.0))
-    """[rad/s] joints above it are not integrated"""
-    speed: Gain = field(metadata=bounds(0.05, 5.0))
-    """[rad/s] limit of the integration"""
-    lead: Gain = field(metadata=bounds(np.radians(4.0), np.radians(40.0)))
-    """[rad] anti-windup: largest correction"""
-    feedforward: Gain = field(default=0.0, metadata=bounds(0.2, 1.8))
-    """compensated share of nominal servos' sag"""
-    ramp: Gain = field(default=100.0, metadata=bounds(0.5, 20.0))
-    """[rad/s] to the raised posture"""
-    carry: Gain = field(default=1.0, metadata=bounds(0.2, 1.0))
-    """share of the correction kept at a new target"""
+SCHEDULED: dict[str, Interval] = {
+    "far_rate": (0.5, 30.0),  # [1/s] integrated fraction of the joint step, far away
+    "near_rate": (0.3, 20.0),  # [1/s] the same at the target
+    "schedule": (0.5e-3, 20e-3),  # [m] distance of the mean rate
+    "deadband": (1e-5, 1e-3),  # [m]
+    "proportional": (1e-3, 1.0),  # fraction of the joint step, not integrated
+    "damping": (1e-4, 0.3),  # [s] of the measured joint speed
+    "prediction": (1e-3, 0.1),  # [s] of extrapolation
+    "moving": (0.01, 3.0),  # [rad/s] joints above it are not integrated
+    "speed": (0.05, 5.0),  # [rad/s] limit of the integration
+    "lead": (np.radians(4.0), np.radians(40.0)),  # [rad] anti-windup: largest correction
+}
+ANCHORED = SCHEDULED | {
+    "feedforward": (0.2, 1.8),  # compensated share of nominal servos' sag
+    "ramp": (0.5, 20.0),  # [rad/s] to the raised posture
+    "carry": (0.2, 1.0),  # share of the correction kept at a new target
+}
 
 
 class ScheduledController:
     """The law; ``anchored`` to the goal posture (feed-forward) or not."""
 
-    def __init__(self, arm: Arm, name: str, gains: ScheduledGains, *, anchored: bool) -> None:
-        self._arm, self.name, self._gains, self._anchored = arm, name, gains, anchored
+    def __init__(self, arm: Arm, gains: Gains, *, anchored: bool) -> None:
+        self.name = "tuned-feedforward" if anchored else "tuned-integrator"
+        self._arm, self._gains, self._anchored = arm, SimpleNamespace(**gains), anchored
         self._pace, self._speed = Pace(), JointSpeed()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
         self._start = self._raised = self._integral = np.zeros((0, arm.joints))
@@ -138,36 +156,26 @@ class JointSpeed:
 
 _UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AdaptiveGains:
-    """Settings; each a number or (B, 1)."""
-
-    softness_rate: Gain = field(metadata=bounds(0.3, 100.0))
-    """[1/(s rad)] adaptation of the relative inverse stiffness"""
-    load_rate: Gain = field(metadata=bounds(0.3, 100.0))
-    """[1/(s rad)] adaptation of the load"""
-    offset_rate: Gain = field(metadata=bounds(0.1, 10.0))
-    """[1/s] adaptation of the offset"""
-    scale: Gain = field(metadata=bounds(np.radians(0.5), np.radians(30.0)))
-    """[rad] error of saturation"""
-    damping: Gain = field(metadata=bounds(1e-4, 1.0))
-    """[s] weight of the joint speed"""
-    dead_zone: Gain = field(metadata=bounds(np.radians(0.01), np.radians(1.0)))
-    """[rad]"""
-    proportional: Gain = field(metadata=bounds(1e-3, 1.0))
-    """beside the servo's own"""
-    derivative: Gain = field(metadata=bounds(1e-4, 0.1))
-    """[s] of the joint speed"""
-    prior: Gain = field(metadata=bounds(0.2, 1.8))
-    """[1] initial relative softness"""
+ADAPTIVE: dict[str, Interval] = {
+    "softness_rate": (0.3, 100.0),  # [1/(s rad)] adaptation of the relative inverse stiffness
+    "load_rate": (0.3, 100.0),  # [1/(s rad)] adaptation of the load
+    "offset_rate": (0.1, 10.0),  # [1/s] adaptation of the offset
+    "scale": (np.radians(0.5), np.radians(30.0)),  # [rad] error of saturation
+    "damping": (1e-4, 1.0),  # [s] weight of the joint speed
+    "dead_zone": (np.radians(0.01), np.radians(1.0)),  # [rad]
+    "proportional": (1e-3, 1.0),  # beside the servo's own
+    "derivative": (1e-4, 0.1),  # [s] of the joint speed
+    "prior": (0.2, 1.8),  # [1] initial relative softness
+}
 
 
 class AdaptiveController:
     """Tomei's law for position servos."""
 
-    def __init__(self, arm: Arm, name: str, gains: AdaptiveGains) -> None:
-        self._arm, self.name, self._gains = arm, name, gains
+    name = "adaptive"
+
+    def __init__(self, arm: Arm, gains: Gains) -> None:
+        self._arm, self._gains = arm, SimpleNamespace(**gains)
         self._pace, self._speed = Pace(), JointSpeed()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
         self._regressor = self._estimate = np.zeros((3, 0, arm.joints))
@@ -200,58 +208,33 @@ class AdaptiveController:
         return limit_position(self._arm, raised + gains.proportional * error - gains.derivative * speed)
 
 
-MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
-"""The controller of arms from gains by name, numbers or (B, 1)"""
+class Rival(NamedTuple):
+    """A law, and the bounds of the gains that are searched."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Rival:
-    """A controller with tunable gains."""
-
-    make: MakeController
+    make: Callable[[Arm, Gains], Controller]
     intervals: Mapping[str, Interval]
-    """bounds of the search"""
-    gains: Mapping[str, float]
-
-
-GAINS = read_json(Path(__file__).with_name("gains.json"), dict[str, dict[str, float]])
-"""By ``rejoint research tune`` on the broad ranges, seed 0"""
-
-
-def _bounds(kind: type[ScheduledGains | AdaptiveGains], *, optional: bool = True) -> dict[str, Interval]:
-    return {one.name: one.metadata["bounds"] for one in fields(kind) if optional or one.default is MISSING}
-
-
-def _scheduled(name: str, *, anchored: bool) -> Rival:
-    return Rival(
-        make=lambda arm, gains: ScheduledController(arm, name, ScheduledGains(**gains), anchored=anchored),
-        intervals=_bounds(ScheduledGains, optional=anchored),
-        gains=GAINS[name],
-    )
 
 
 RIVALS = {
-    "tuned-integrator": _scheduled("tuned-integrator", anchored=False),
-    "tuned-feedforward": _scheduled("tuned-feedforward", anchored=True),
-    "adaptive": Rival(
-        make=lambda arm, gains: AdaptiveController(arm, "adaptive", AdaptiveGains(**gains)),
-        intervals=_bounds(AdaptiveGains),
-        gains=GAINS["adaptive"],
-    ),
+    "pid-sum": Rival(lambda arm, _: PidController(arm, literal=False), {}),
+    "pid-literal": Rival(lambda arm, _: PidController(arm, literal=True), {}),
+    "tuned-integrator": Rival(partial(ScheduledController, anchored=False), SCHEDULED),
+    "tuned-feedforward": Rival(partial(ScheduledController, anchored=True), ANCHORED),
+    "adaptive": Rival(AdaptiveController, ADAPTIVE),
 }
 
+GAINS = {name: dict[str, float]() for name in RIVALS} | read_json(
+    Path(__file__).with_name("gains.json"), dict[str, dict[str, float]]
+)
+"""By ``rejoint research tune`` on the broad ranges, seed 0"""
 
-def find_rival(name: str) -> Rival:
-    """Look up a rival; InputError lists them."""
+
+def make_rival(name: str, arm: Arm, gains: Gains | None = None) -> Controller:
+    """Build a rival, default: with its own gains; InputError for other names or gains."""
     if name not in RIVALS:
         raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
-    return RIVALS[name]
-
-
-def make_rival(name: str, arm: Arm, gains: Mapping[str, float] | None = None) -> Controller:
-    """Build a rival, default: tuned; InputError for other names."""
-    rival = find_rival(name)
-    gains = rival.gains if gains is None else gains
+    rival: Rival = RIVALS[name]
+    gains = GAINS[name] if gains is None else gains
     if set(gains) != set(rival.intervals):
         raise InputError(f"{name}: gains {sorted(gains)}, expected {sorted(rival.intervals)}")
-    return rival.make(arm, {key: np.asarray(value) for key, value in gains.items()})
+    return rival.make(arm, gains)
