@@ -19,13 +19,17 @@ from benchmarks.predictive import ARM, TARGETS, know
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.control.controllers.policy import load_policy
+from rejoint.control.targets import draw_targets
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.evaluate import copies_of
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import TrialSettings, try_on
+from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
 
+COPIES = 8
+"""Trials of one arm side by side (chosen)"""
 PRESETS = {"shelf": DEFAULT, "random": SCRATCH}
 
 
@@ -45,7 +49,12 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
 def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
-    arms = copies_of(ARM, wear_seed, settings)
+    wear = load_wear(f"worn?seed={wear_seed}", ARM)
+    arms = TrialArms(
+        open=lambda: EmulatedRobot(ARM, [wear] * COPIES, seed=wear_seed),
+        targets=draw_targets(ARM, sets=COPIES, count=TARGETS, seed=wear_seed),
+        wear_seeds=[wear_seed] * COPIES,
+    )
     return held_columns(try_on(ARM, arms, lambda arm: load_policy(file, arm), settings), arms=1)
 
 

@@ -121,32 +121,6 @@ def evaluate(
 
 
 @takes("arm")
-def identification(
-    call: Call,
-    policy: list[Path] | None = None,
-    arms: int = 6,
-    targets: int = 5,
-    crossings: int = 10,
-    iterations: int | None = None,
-    out: Path = Path("runs") / "identified",
-    seed: int = 0,
-    threads: int = 2,
-) -> object:
-    """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
-    arm = _arm(call)
-    from rejoint.control.comparison.result import Protocol
-    from rejoint_lab.research.evaluation.evaluate import evaluate_identification
-    from rejoint_lab.research.evaluation.family import ArmFamily
-    from rejoint_lab.research.evaluation.trials import TrialSettings
-
-    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
-    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
-    with call.progress("identification") as update:
-        found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
-    return _show(call, found, out / "evaluation.json")
-
-
-@takes("arm")
 def calibrate(
     call: Call,
     controller: str = "shelf",

@@ -54,7 +54,7 @@ from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import beyond_reach, in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.statistics import Spread, spread
+from rejoint.system.statistics import spread
 from rejoint.system.stopping import pause
 
 PROGRESS_CYCLES = 40
@@ -432,15 +432,9 @@ def vary_directions(runner: TrialRunner, name: str, arm: Arm) -> DirectionVariat
     way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2)  # (3, P, 2, 3)
     ways = way.reshape(3 * len(poses) if runner.settings.batched else 1, -1, 3)
     held = runner.hold(runner.controllers[name], np.tile(ways, (cycles, 1, 1)))
-    away = (np.stack([held[f"{name}_{axis}"] for axis in "xyz"], axis=-1) for name in ("away", "away_true"))
-    encoders, tool = (_variation(one[:, 1::2].reshape(cycles, 3, len(poses), 3)) for one in away)
+    away = (np.stack([held[f"{name}_{axis}"] for axis in "xyz"], axis=-1)[:, 1::2] for name in ("away", "away_true"))
+    means = (one.reshape(cycles, 3, len(poses), 3).mean(axis=0).swapaxes(0, 1) for one in away)  # (P, D, 3)
+    encoders, tool = (spread(direction_variation(one), np.arange(len(poses))) for one in means)
     if encoders is None:
         return None
     return DirectionVariation(controller=name, poses=len(poses), cycles=cycles, encoders=encoders, tool=tool)
-
-
-def _variation(away: Array) -> Spread | None:
-    """VAP over poses, from errors (R, D, P, 3) [m]."""
-    means = np.moveaxis(away.mean(axis=0), 0, 1)  # (P, D, 3)
-    known = means[np.isfinite(means).all(axis=(1, 2))]
-    return spread(np.array([direction_variation(one) for one in known]), np.arange(len(known)))

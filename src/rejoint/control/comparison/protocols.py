@@ -55,10 +55,10 @@ def schedule(
 def encoder_tcp(arm: Arm, recording: Recording) -> Array:
     """TCP (T, B, 3) [m] by the encoders; NaN without a new reading."""
     tcp = np.full((*recording.active.shape, 3), np.nan)
-    t, b = np.nonzero(recording.active)
-    for start in range(0, len(t), _CHUNK):
-        rows = t[start : start + _CHUNK], b[start : start + _CHUNK]
-        tcp[rows] = tcp_position(arm, recording.position[rows])
+    rows = np.argwhere(recording.active)
+    for some in np.array_split(rows, 1 + len(rows) // _CHUNK):
+        at = tuple(some.T)
+        tcp[at] = tcp_position(arm, recording.position[at])
     return tcp
 
 
@@ -123,11 +123,12 @@ def _crossed(visit: _TargetVisit, protocol: Protocol, *, within_hold: bool) -> d
     error = np.linalg.norm(visit.away, axis=-1)
     askew = visit.turned > REACHED_TURN  # a pose is reached where the orientation is as well
     seen = np.where(askew, np.maximum(error, protocol.threshold), error)
-    end = crossing(visit.since, seen, protocol.threshold)
-    if not end.reached and end.time < (min(protocol.dwell, protocol.hold) if within_hold else protocol.dwell):
+    reached, row = crossing(seen, protocol.threshold)
+    time = visit.since[row]
+    if not reached and time < (min(protocol.dwell, protocol.hold) if within_hold else protocol.dwell):
         return {}
-    time = np.nan if within_hold and not end.reached else end.time
-    values = float(end.reached), error[end.row], np.linalg.norm(visit.away_true[end.row]), time
+    until = np.nan if within_hold and not reached else time
+    values = float(reached), error[row], np.linalg.norm(visit.away_true[row]), until
     return dict(zip(CROSSING, values, strict=True))
 
 
@@ -161,21 +162,10 @@ def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDAr
     return found
 
 
-class Crossing(NamedTuple):
-    """End of a target."""
-
-    reached: bool
-    error: float
-    time: float
-    """[s]"""
-    row: int
-
-
-def crossing(since: Array, error: Array, threshold: float) -> Crossing:
-    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], or the end."""
+def crossing(error: Array, threshold: float) -> tuple[bool, int]:
+    """Whether ``error`` (T,) [m] gets below ``threshold`` [m], and the first row where it is, or the last."""
     below = np.flatnonzero(error < threshold)
-    row = int(below[0]) if len(below) else len(error) - 1
-    return Crossing(bool(len(below)), float(error[row]), float(since[row]), row)
+    return bool(len(below)), int(below[0]) if len(below) else len(error) - 1
 
 
 def stay_time(since: Array, error: Array, within: float) -> float:
@@ -257,10 +247,10 @@ def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
     return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
 
 
-def direction_variation(means: Array) -> float:
-    """VAP [m]: largest distance between ``means`` (D, 3) from D directions."""
-    apart = np.linalg.norm(means[:, None] - means[None], axis=-1)
-    return float(apart.max())
+def direction_variation(means: Array) -> Array:
+    """VAP (...) [m]: largest distance between ``means`` (..., D, 3) from D directions."""
+    apart = means[..., :, None, :] - means[..., None, :, :]
+    return np.asarray(np.linalg.norm(apart, axis=-1).max(axis=(-1, -2)))
 
 
 def reversal(forwards: Array, backwards: Array) -> Array:

@@ -80,8 +80,9 @@ def recommend(comparison: Comparison) -> Recommendation:
     others = [row for row in left if row is not chosen]
     why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
+    why += [f"Error of the tool itself, with play and bending behind the encoders: {chosen.true_error}."]
     names = tuple(row.controller for row in others)
-    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen), *_geared(chosen)), tied=names)
+    return Recommendation(controller=chosen.controller, why=(*why, *_geared(chosen)), tied=names)
 
 
 def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
@@ -155,26 +156,11 @@ def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> s
 def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Comparison) -> list[str]:
     if not others:
         return []
-    name, names = chosen.controller, _listed([chosen.controller, *(row.controller for row in others)])
-    few = "too few trials to tell them apart" if _uncertain(comparison) else "no measurable difference"
-    lines, better = [f"A tie of {names}: {few}. {name} is recommended because it is simpler."], []
-    for criterion in _criteria(comparison):
-        best = min(others, key=criterion.mean)
-        ours, theirs = criterion.show(chosen, "holds cut short"), criterion.show(best, "")
-        if criterion.mean(best) < criterion.mean(chosen) and theirs != ours:
-            needed = _needed(criterion, chosen, best, comparison)
-            better.append(f"{best.controller} {theirs} {criterion.name}, against {ours} ({needed} would decide)")
-    return [*lines, f"Better in the mean, which may be chance: {'; '.join(better)}."] if better else lines
-
-
-def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow, comparison: Comparison) -> str:
-    ours, theirs = criterion.results[chosen.controller], criterion.results[better.controller]
-    found = paired_difference(ours, theirs, cluster(comparison.shape)[1])
-    if found is None or found.low is None or found.value <= 0.0:
-        return "more target sets or repetitions"
-    trials = comparison.shape[0] * comparison.shape[1]
-    needed = max(int(np.ceil(trials * ((found.value - found.low) / found.value) ** 2)), trials + 1)
-    return f"about {needed} trials of each instead of {trials}"
+    names = [chosen.controller, *(row.controller for row in others)]
+    few = len(np.unique(cluster(comparison.shape)[1])) < FEWEST_CLUSTERS
+    why = "too few trials to tell them apart" if few else "no measurable difference"
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    return [f"A tie of {listed}: {why}. {names[0]} is recommended because it is simpler."]
 
 
 def _achieves(row: ControllerRow, comparison: Comparison) -> str:
@@ -188,20 +174,6 @@ def _achieves(row: ControllerRow, comparison: Comparison) -> str:
             likely = f"{1e3 * mean.low:.2f} to {1e3 * mean.high:.2f}"
         text += f" and settles at {1e3 * mean.value:.2f} mm ({likely}) by its encoders"
     return text + "."
-
-
-def _uncertain(comparison: Comparison) -> bool:
-    _, labels = cluster(comparison.shape)
-    return len(comparison.rows) > 1 and len(np.unique(labels)) < FEWEST_CLUSTERS
-
-
-def _hidden(row: ControllerRow) -> tuple[str, ...]:
-    true = row.true_error
-    if true.value is None:
-        return (f"Error of the tool itself: {true}. Play and bending behind the encoders come on top.",)
-    if true.how == "known":
-        return (f"The tool itself is {1e3 * true.value:.1f} mm off: play and bending behind the encoders remain.",)
-    return (f"The tool itself is off by {true}: what is left of play and bending behind the encoders.",)
 
 
 def _geared(row: ControllerRow) -> tuple[str, ...]:
@@ -218,10 +190,6 @@ def _by_complexity(row: ControllerRow) -> tuple[float, str]:
     name = inner_name(row.controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
     return known + 0.5 * (name != row.controller), row.controller
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 MEANINGS = {

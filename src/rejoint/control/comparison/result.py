@@ -23,29 +23,14 @@ Values = tuple[float | None, ...]
 WAS_WORSE = "was worse than "
 
 MODELLED = ("modelled", "modelled_low", "modelled_high")
-CROSSING = {
-    "crossed": "1 where the threshold was crossed in time, else 0",
-    "crossing_error": "[m] encoder error at the crossing or the time-out",
-    "crossing_true": "[m] true error at that moment",
-    "crossing_time": "[s] until then",
-}
-HOLDING = {
-    "held": "1 where the target was held",
-    "settled": "[m] encoder error, mean of the last part of the hold; None where the guard ended it before",
-    "settled_true": "[m] true error over the same time",
-    "oscillation": "[m] root mean square distance of the encoder TCP from its mean over the same time",
-    "turned": "[rad] orientation error by the encoders over the same time; None where no orientation is asked for",
-    **{f"away_{axis}": "[m] mean place of the tool by the encoders less the corrected target" for axis in "xyz"},
-    **{f"away_true_{axis}": "[m] mean place of the tool itself less the target" for axis in "xyz"},
-    **dict(
-        zip(
-            MODELLED,
-            ("[m] true error by a calibration", "[m] lower end of its 95 % interval", "[m] upper"),
-            strict=True,
-        )
-    ),
-}
-METRICS = CROSSING | HOLDING
+CROSSING = ("crossed", "crossing_error", "crossing_true", "crossing_time")
+"""1 where the threshold was crossed in time, else 0; encoder and true error [m] then or at the time-out; [s] until"""
+PLACE = tuple(f"away{whose}_{axis}" for whose in ("", "_true") for axis in "xyz")
+"""[m] mean place of the tool, by the encoders less the corrected target, and itself less the target"""
+HOLDING = ("held", "settled", "settled_true", "oscillation", "turned", *PLACE, *MODELLED)
+"""1 where the target was held; at its end: encoder and true error [m], rms distance [m] of the encoder TCP from its
+mean, orientation error [rad], place, and true error by a calibration with its 95 % interval [m]; None: not held"""
+METRICS = CROSSING + HOLDING
 """Columns, besides `Protocol.stay_names` [s] (the hold's length: never)"""
 
 Columns = dict[str, Array]
@@ -270,8 +255,6 @@ class Comparison:
     targets: tuple[tuple[tuple[float, float, float], ...], ...]
     """(S, K, 3) [m]"""
     protocol: Protocol
-    clusters: str
-    """unit of resampling: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
     results: dict[str, Values] = field(repr=False)
     """columns (`METRICS`) of `table`"""
@@ -305,6 +288,11 @@ class Comparison:
     def shape(self) -> tuple[int, int, int]:
         """Sets S, repetitions R, targets K."""
         return len(self.targets), self.repetitions, len(self.targets[0])
+
+    @property
+    def clusters(self) -> str:
+        """Unit of resampling: ``target sets``, ``trials`` or ``targets``."""
+        return cluster(self.shape)[0]
 
     @property
     def true_known(self) -> bool:
@@ -389,7 +377,7 @@ def row_of(
         away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
         places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
         each = np.arange(places.shape[0] * places.shape[1])
-        poses[f"accuracy{whose}"] = spread(position_accuracy(places, np.zeros(3)).ravel(), each)
+        poses[f"accuracy{whose}"] = spread(np.linalg.norm(places.mean(axis=2), axis=-1).ravel(), each)
         poses[f"repeatability{whose}"] = spread(position_repeatability(places).ravel(), each)
     return replace(
         summarise(controller, found, cluster(found["crossed"].shape)[1], protocol),
@@ -399,11 +387,6 @@ def row_of(
         out=out,
         source=next((one.source for one in driven if one.source), ""),
     )
-
-
-def position_accuracy(places: Array, target: Array) -> Array:
-    """AP (...) [m]: from the mean of ``places`` (..., R, 3) to ``target`` (..., 3)."""
-    return np.asarray(np.linalg.norm(places.mean(axis=-2) - target, axis=-1))
 
 
 def position_repeatability(places: Array) -> Array:
@@ -421,7 +404,6 @@ def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) ->
     return Comparison(
         repetitions=shape[1],
         targets=tuple(tuple((float(x), float(y), float(z)) for x, y, z in points) for points in targets),
-        clusters=cluster(shape)[0],
         results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
         **facts,
     )

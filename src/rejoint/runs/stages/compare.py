@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from multiprocessing.connection import Connection, Pipe
@@ -23,7 +23,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import BLOCK, Helper, OpenRobot, Result, TrialRunner, vary_directions
+from rejoint.control.comparison.compare import BLOCK, OpenRobot, Result, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
@@ -212,7 +212,7 @@ class ComparisonJob:
         return self.runner(make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed))
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume and write. The caller closes ``helper``."""
+        """Compare; in a run, resume and write. Closes ``helper``."""
         run = self.run
         if run is None:
             return self._drive(Ledger(), [], on_progress, helper)
@@ -224,8 +224,6 @@ class ComparisonJob:
             if ledger.done:
                 kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
                 error.add_note(kept)
-            else:
-                ledger.close()
             raise
         with saving(found):
             set_aside(run.folder.comparison)
@@ -251,10 +249,11 @@ class ComparisonJob:
             if (driven.places[0], driven.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.label, recording.log(0, driven.label))
 
+        helper = ahead or self._help()
         with (
             noted(),
             metered(self.run.folder if self.run else None, "compare") as meter,
-            self._helped(ahead) as helper,
+            nullcontext() if helper is None else closing(helper),
             kept_if_stopped(None if self.settings.batched else self.run, "compare"),
         ):
 
@@ -300,15 +299,6 @@ class ComparisonJob:
             for name, kind in product(self.factories, KINDS):
                 helper((name, kind, self.places, 0))
         return helper
-
-    @contextmanager
-    def _helped(self, ahead: HelperProcess | None) -> Iterator[Helper | None]:
-        helper = ahead or self._help()
-        try:
-            yield helper
-        finally:
-            if helper is not None and ahead is None:
-                helper.close()
 
     def _help(self) -> HelperProcess | None:
         size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)

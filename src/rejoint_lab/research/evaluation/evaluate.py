@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -25,26 +25,19 @@ from rejoint.control.controllers.catalogue import (
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.robot import Controller
-from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
-from rejoint.system.progress import Progress, part
+from rejoint.system.progress import Progress
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import Variant
 from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint_lab.research.evaluation.trials import (
     OnTargets,
-    TrialArms,
     TrialSettings,
     keep,
-    own_twin,
     own_twins,
     try_controller,
-    try_on,
 )
 from rejoint_lab.research.rivals.laws import GAINS, RIVALS, make_rival
 
@@ -115,12 +108,6 @@ def learned(path: Path, arm: Arm) -> Contestant:
     )
 
 
-def on_twin(one: Contestant, twin: Twin, name: str | None = None) -> Contestant:
-    """Return a contestant for an arm that has this ``twin``, called so."""
-    name, identity = f"{name or one.name} on its twin", f"{one.identity} {twin.digest()}"
-    return replace(one, name=name, group=name, identity=identity, make=lambda arm, _: one.make(arm, [twin]))
-
-
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
@@ -153,7 +140,7 @@ def evaluate(
 
     def drive(variant: Variant, one: Contestant, on_targets: OnTargets) -> Columns:
         family = settings.family
-        twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.anywhere else []
+        twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.twins else []
         return try_controller(arm, variant, one.on(twins), settings, on_targets, twins)
 
     trials = [
@@ -200,71 +187,3 @@ def outcome_path(folder: Path, where: str, controller: str) -> Path:
     """Where the trials of a controller on some arms are kept."""
     name = re.sub(r"[^\w.-]+", "-", f"{where}--{controller}")
     return folder / "outcomes" / f"{name}.parquet"
-
-
-# --- what identification brings ---------------------------------------------------------------
-
-IDENTIFIED = "identified"
-"""Name of the condition"""
-COPIES = 8
-"""Trials of one arm side by side (chosen)"""
-
-
-def evaluate_identification(
-    arm: Arm,
-    policies: Sequence[Path],
-    settings: TrialSettings,
-    folder: Path,
-    iterations: int | None,
-    on_progress: Progress,
-) -> Evaluation:
-    """Compare controllers with and without each arm's own twin; ``policies`` are generic."""
-    seeds, own = settings.family.wear_seeds, list[list[Contestant]]()
-    for i, seed in enumerate(seeds):
-        ahead = part(on_progress, 0.9 * i / len(seeds), 0.9 * (i + 1) / len(seeds), f"arm {seed}: ")
-        own.append(_contestants(arm, seed, RunFolder(folder / "arms" / str(seed)), policies, iterations, ahead))
-
-    def drive(ones: Sequence[Contestant], _: OnTargets) -> Columns:
-        copies = [copies_of(arm, seed, settings) for seed in seeds]
-        parts = [try_on(arm, arms, one.on(()), settings) for arms, one in zip(copies, ones, strict=True)]
-        return {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
-
-    trials = [
-        Trials(
-            where=IDENTIFIED,
-            contestant=ones[0],
-            drive=partial(drive, ones),
-            identity=" ".join(one.identity for one in ones),
-        )
-        for ones in zip(*own, strict=True)
-    ]
-    meanings = {IDENTIFIED: "worn arms, each with a twin of its own"}
-    return conclude(arm, meanings, trials, settings, folder / "evaluation.json", part(on_progress, 0.9, 1.0))
-
-
-def _contestants(
-    arm: Arm, seed: int, folder: RunFolder, policies: Sequence[Path], iterations: int | None, on_progress: Progress
-) -> list[Contestant]:
-    """Return controllers without the twin of ``worn?seed=``, and with it, identified and trained for in ``folder``."""
-    from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
-
-    twin = own_twin(arm, seed, folder, seed, part(on_progress, 0.0, 0.5))
-    if not folder.policy.exists():
-        options = TrainingOptions(iterations=iterations, resume=True)
-        train(arm, twin, out=folder.path, options=options, on_progress=part(on_progress, 0.5, 1.0))
-    return [
-        *map(classical, ("feedforward", "tuned-feedforward")),
-        *(on_twin(classical(name), twin) for name in ("feedforward", "predictive")),
-        *(learned(path, arm) for path in policies),
-        on_twin(learned(folder.policy, arm), twin, "policy"),
-    ]
-
-
-def copies_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
-    """Return copies of the arm ``worn?seed=``, each with other noise and targets."""
-    family, wear = settings.family, load_wear(f"worn?seed={wear_seed}", arm)
-    return TrialArms(
-        open=lambda: EmulatedRobot(arm, [wear] * COPIES, seed=wear_seed, threads=settings.threads),
-        targets=draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed),
-        wear_seeds=[wear_seed] * COPIES,
-    )

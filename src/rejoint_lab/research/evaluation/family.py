@@ -47,6 +47,8 @@ class Variant:
     """[s] control period, redrawn every cycle"""
     latency: Interval = (0.008, 0.013)
     """[s] from sending a command to its arrival in the firmware"""
+    twins: bool = False
+    """whether controllers know each arm by a twin of its own"""
     anywhere: bool = False
     """whether targets are drawn wherever an arm can reach and hold, instead of its target region"""
     payload: float = 0.0
@@ -74,9 +76,11 @@ VARIANTS = (
     Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
     Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
     HEALTHY,
+    Variant(name="known", meaning="worn arms with a twin each", twins=True),
     Variant(
         name="anywhere",
         meaning="worn arms with a twin each, targets wherever they reach and hold the arm with 90 % of the torque",
+        twins=True,
         anywhere=True,
     ),
 )
