@@ -12,7 +12,6 @@ import numpy as np
 
 from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller, shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
@@ -22,7 +21,7 @@ from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import planned
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import TrialSettings, own_twin, try_controller
+from rejoint_lab.research.evaluation.trials import own_twin, try_controller
 from rejoint_lab.research.rivals.laws import make_rival
 
 TARGETS, STEPS = 3, 2000
@@ -66,7 +65,7 @@ def main(
     drawn, condition = ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family), find_variant(variant)
     own = know(drawn, twins, again)
     stiffness = float(np.mean([one.parameters.stiffness.mean() for one in own]))
-    settings, shelf = TrialSettings(family=drawn, protocol=Protocol()), None
+    shelf = None
     for name, make in {
         "shelf": shelf_controller,
         "predictive": lambda arm: planned(arm, own),
@@ -75,7 +74,7 @@ def main(
         "feedforward": lambda arm: make_controller("feedforward", arm),
         "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),
     }.items():
-        outcome = try_controller(ARM, condition, make, settings, lambda _: None)
+        outcome = try_controller(ARM, condition, make, drawn, lambda _: None)
         found = held_columns(outcome, arms)
         holds(name, *found, shelf)
         shelf = shelf or found

@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
@@ -25,7 +24,7 @@ from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
-from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
+from rejoint_lab.research.evaluation.trials import TrialArms, try_on
 
 FIRST, TARGETS = 10, 4
 WORN_ON, BUMPED = 1.3, np.radians(2.0)
@@ -50,7 +49,7 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
         [*map(int, points.split(","))],
     )
     begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
-    first, settings = begun.fitted(arm, FIRST), TrialSettings(family=family, protocol=Protocol())
+    first = begun.fitted(arm, FIRST)
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
     for change in changes.split(","):
         measured = measure(changed(change, family), suggest(arm, max(counts), visits=1, sigma=SIGMA, seed=1), 1)
@@ -70,4 +69,4 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
                 wear_seeds=family.wear_seeds,
                 calibrations=calibrations,
             )
-            corrected(name, try_on(arm, trial, drive, settings), calibrations)
+            corrected(name, try_on(arm, trial, drive, family), calibrations)

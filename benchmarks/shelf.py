@@ -17,7 +17,7 @@ from rejoint.control.controllers.catalogue import shelf_arms, shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.training.shelf import make_shelf_policy
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import TrialSettings, try_controller
+from rejoint_lab.research.evaluation.trials import try_controller
 
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2
@@ -27,10 +27,9 @@ trainings of three seeds differ by, docs/research.md)"""
 
 def tried(name: str, file: Path) -> Columns:
     """Hold the policy of ``file`` on worn arms of this build."""
-    family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0)
-    settings = TrialSettings(family=family, protocol=Protocol(), threads=2)
+    family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0, threads=2)
     worn = find_variant("worn")
-    return try_controller(load_arm(name), worn, lambda arm: load_policy(file, arm), settings, lambda *_: None)
+    return try_controller(load_arm(name), worn, lambda arm: load_policy(file, arm), family, lambda *_: None)
 
 
 def figures(outcome: Columns) -> tuple[float, float, float]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks.frame import held_columns, holds
 from benchmarks.predictive import ARM, TARGETS, know
-from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import draw_targets
@@ -26,7 +25,7 @@ from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
+from rejoint_lab.research.evaluation.trials import TrialArms, try_on
 
 COPIES = 8
 """Trials of one arm side by side (chosen)"""
@@ -48,14 +47,14 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
 
 def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
-    settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
+    family = ArmFamily(arms=1, targets=TARGETS, crossings=0)
     wear = load_wear(f"worn?seed={wear_seed}", ARM)
     arms = TrialArms(
         open=lambda: EmulatedRobot(ARM, [wear] * COPIES, seed=wear_seed),
         targets=draw_targets(ARM, sets=COPIES, count=TARGETS, seed=wear_seed),
         wear_seeds=[wear_seed] * COPIES,
     )
-    return held_columns(try_on(ARM, arms, lambda arm: load_policy(file, arm), settings), arms=1)
+    return held_columns(try_on(ARM, arms, lambda arm: load_policy(file, arm), family), arms=1)
 
 
 def main(

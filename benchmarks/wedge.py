@@ -15,13 +15,12 @@ import numpy as np
 
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
-from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
+from rejoint_lab.research.evaluation.trials import TrialArms, try_on
 
 POINTS, TARGETS = 10, 4
 
@@ -35,6 +34,5 @@ def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2") -> None:
         opened = partial(open_family, arm, replace(WORN, tilt=np.radians(slope)), drawn)
         found = measure(opened(), plan, family).fitted(arm, POINTS)
         fresh = TrialArms(open=opened, targets=targets, wear_seeds=drawn.wear_seeds, calibrations=found)
-        settings = TrialSettings(family=drawn, protocol=Protocol())
-        tried = try_on(arm, fresh, partial(make_controller, "feedforward"), settings)
+        tried = try_on(arm, fresh, partial(make_controller, "feedforward"), drawn)
         corrected(f"{slope:g} degrees", tried, found)

@@ -105,18 +105,15 @@ def evaluate(
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
-    from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
     from rejoint_lab.research.evaluation.evaluate import known_names
     from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
-    from rejoint_lab.research.evaluation.trials import TrialSettings
 
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
-    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
-    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
     with call.progress("evaluate") as update:
-        found = run(arm, _contestants(arm, names, policy, gains), chosen, settings, out.resolve(), update)
+        found = run(arm, _contestants(arm, names, policy, gains), chosen, family, out.resolve(), update)
     return _show(call, found, out / "evaluation.json")
 
 
@@ -133,18 +130,15 @@ def calibrate(
 ) -> object:
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
-    from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations
     from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
-    from rejoint_lab.research.evaluation.trials import TrialSettings
 
     (one,) = _contestants(arm, [] if is_file else [controller], [Path(controller)] if is_file else [])
     names = [] if variants == "all" else controller_names(variants)
     conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
-    family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed)
-    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
+    family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
     with call.progress("calibrate") as update:
-        found, accused = evaluate_calibrations(arm, conditions, one, settings, out.resolve(), update)
+        found, accused = evaluate_calibrations(arm, conditions, one, family, out.resolve(), update)
     shown = _show(call, found, out / "calibration.json")
     rows = [(one.condition, f"{100 * one.wrong.value:.0f} %", f"{100 * one.right.value:.0f} %") for one in accused]
     call.table("One wrong point among ten, 5 to 10 mm off", ["condition", "wrong one named", "right one named"], rows)

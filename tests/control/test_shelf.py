@@ -14,7 +14,7 @@ from rejoint.session.context import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import TrialSettings, try_controller
+from rejoint_lab.research.evaluation.trials import try_controller
 
 
 def test_there_is_one_for_each_arm_of_the_catalogue():
@@ -44,12 +44,12 @@ def test_it_takes_part_wherever_it_suits():
 @pytest.mark.parametrize(("name", "near", "farthest"), [("mycobot280", 1e-3, 5e-3), ("so101", 1.5e-3, 5e-3)])
 def test_it_repairs_worn_arms_that_it_never_met(name, near, farthest):
     arm = load_arm(name)
-    settings = TrialSettings(family=ArmFamily(arms=6, targets=2, crossings=0, seed=7), protocol=Protocol(hold=4.0))
+    family = ArmFamily(arms=6, targets=2, crossings=0, seed=7, protocol=Protocol(hold=4.0))
     worn = find_variant("worn")
     as_found, repaired = (
-        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), settings, lambda *_: None)[
+        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), family, lambda *_: None)[
             "settled"
-        ][:, : settings.family.targets]
+        ][:, : family.targets]
         for name in ("default", SHELF)
     )
     assert np.median(as_found) > 10e-3

@@ -16,10 +16,10 @@ from rejoint_lab.research.evaluation.family import (
     find_variant,
 )
 from rejoint_lab.research.evaluation.summary import pool, summarise, terminal_tables
-from rejoint_lab.research.evaluation.trials import TrialSettings, keep
+from rejoint_lab.research.evaluation.trials import keep
 
 ARM = mycobot280()
-SETTINGS = TrialSettings(family=ArmFamily(arms=3, targets=2), protocol=Protocol())
+FAMILY = ArmFamily(arms=3, targets=2)
 
 
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
@@ -43,7 +43,7 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
     groups = {"slow": "slow", "fast": "fast", "p #0": "p"}
     stays = {"slow": 2.0, "fast": 1.5, "p #0": 1.0}
     outcomes = {("worn", n): outcome(np.full((3, 2), 0.3), np.full((3, 2), s)) for n, s in stays.items()}
-    result = summarise("an arm", SETTINGS, {"worn": "worn arms"}, pool(groups, outcomes), {"p"})
+    result = summarise("an arm", FAMILY, {"worn": "worn arms"}, pool(groups, outcomes), {"p"})
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
     assert result.on("worn")[2].seeds == 1
@@ -79,14 +79,14 @@ def test_the_same_command_takes_over_what_is_done(tmp_path):
         return IntegratorController(arm)
 
     one = Contestant(name="mine", group="mine", make=make, identity="1")
-    settings = TrialSettings(family=ArmFamily(arms=2, targets=1, crossings=1), protocol=Protocol(hold=1.5, dwell=2.0))
+    family = ArmFamily(arms=2, targets=1, crossings=1, protocol=Protocol(hold=1.5, dwell=2.0))
     variants, seen = [find_variant("worn")], []
-    first = evaluate(ARM, [one], variants, settings, tmp_path, lambda *report: seen.append(report))
+    first = evaluate(ARM, [one], variants, family, tmp_path, lambda *report: seen.append(report))
     assert len(made) == 2  # holds and crossings
-    again = evaluate(ARM, [one], variants, settings, tmp_path, lambda *_: None)
+    again = evaluate(ARM, [one], variants, family, tmp_path, lambda *_: None)
     assert len(made) == 2
     assert again == first
-    evaluate(ARM, [dataclasses.replace(one, identity="2")], variants, settings, tmp_path, lambda *_: None)
+    evaluate(ARM, [dataclasses.replace(one, identity="2")], variants, family, tmp_path, lambda *_: None)
     assert len(made) == 4
     assert outcome_path(tmp_path, "worn", one.name).exists()
     stored = json.loads((tmp_path / "evaluation.json").read_text())

@@ -5,15 +5,13 @@ import pytest
 from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.result import Protocol
 from rejoint.system.files import read_json
 from rejoint_lab.research.evaluation.evaluate import Contestant, Trials, conclude
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
-from rejoint_lab.research.evaluation.trials import TrialSettings
 
 ARM = mycobot280()
-SETTINGS = TrialSettings(family=ArmFamily(arms=8, targets=3), protocol=Protocol())
+FAMILY = ArmFamily(arms=8, targets=3)
 MEANINGS = {"worn": "worn arms", "payload": "worn arms with a load"}
 NAMES = (("slow", "slow"), ("fast", "fast"), ("p #0", "p"), ("p #1", "p"))
 CONTESTANTS = [
@@ -36,7 +34,7 @@ def outcomes():
 
 @pytest.fixture(scope="module")
 def evaluation(outcomes):
-    return summarise(ARM.name, SETTINGS, MEANINGS, pool(dict(NAMES), outcomes), {"p"})
+    return summarise(ARM.name, FAMILY, MEANINGS, pool(dict(NAMES), outcomes), {"p"})
 
 
 def test_the_result_on_disk_is_the_result(outcomes, evaluation, tmp_path):
@@ -45,5 +43,5 @@ def test_the_result_on_disk_is_the_result(outcomes, evaluation, tmp_path):
         for where in MEANINGS
         for one in CONTESTANTS
     ]
-    made = conclude(ARM, MEANINGS, trials, SETTINGS, tmp_path / "evaluation.json", lambda *_: None)
+    made = conclude(ARM, MEANINGS, trials, FAMILY, tmp_path / "evaluation.json", lambda *_: None)
     assert made == evaluation == read_json(tmp_path / "evaluation.json", Evaluation)

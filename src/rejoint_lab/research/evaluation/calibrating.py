@@ -28,7 +28,7 @@ from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.research.evaluation.evaluate import Contestant, Trials, conclude
 from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, open_family, targets_anywhere
 from rejoint_lab.research.evaluation.summary import Evaluation
-from rejoint_lab.research.evaluation.trials import OnTargets, TrialArms, TrialSettings, own_twins, try_on
+from rejoint_lab.research.evaluation.trials import OnTargets, TrialArms, own_twins, try_on
 
 POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
@@ -85,13 +85,12 @@ def evaluate_calibrations(
     arm: Arm,
     conditions: Sequence[Variant],
     contestant: Contestant,
-    settings: TrialSettings,
+    family: ArmFamily,
     folder: Path,
     on_progress: Progress,
 ) -> tuple[Evaluation, list[Accused]]:
     """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
     on_progress(0.0, "twins, for targets anywhere")
-    family = settings.family
     box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
     places = {
         "target region": (box, None),
@@ -106,7 +105,7 @@ def evaluate_calibrations(
 
     @cache
     def measured(condition: Variant) -> Measured:
-        return measure(open_family(arm, condition, family, settings.threads), suggestion, family.seed)
+        return measure(open_family(arm, condition, family), suggestion, family.seed)
 
     @cache
     def fitted(condition: Variant, count: int) -> list[Calibration]:
@@ -114,9 +113,9 @@ def evaluate_calibrations(
 
     def drive(condition: Variant, where: str, count: int, on_targets: OnTargets) -> Columns:
         (targets, ways), found = places[where], fitted(condition, count)
-        opened = partial(open_family, arm, condition, family, settings.threads)
+        opened = partial(open_family, arm, condition, family)
         arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds, calibrations=found)
-        return try_on(arm, arms, contestant.on(()), settings, on_targets)
+        return try_on(arm, arms, contestant.on(()), family, on_targets)
 
     trials = [
         Trials(
@@ -130,7 +129,7 @@ def evaluate_calibrations(
         for one, count in zip(rivals, (0, *POINTS), strict=True)
     ]
     meanings = {f"{one.name}, {where}": f"{one.meaning}, {where}" for one in conditions for where in places}
-    result = conclude(arm, meanings, trials, settings, folder / "calibration.json", on_progress)
+    result = conclude(arm, meanings, trials, family, folder / "calibration.json", on_progress)
     shares = [(one.name, *find_wrong(arm, measured(one), family)) for one in conditions]
     return result, [
         Accused(

@@ -30,11 +30,10 @@ from rejoint.system.files import write_json
 from rejoint.system.progress import Progress
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.family import Variant
+from rejoint_lab.research.evaluation.family import ArmFamily, Variant
 from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint_lab.research.evaluation.trials import (
     OnTargets,
-    TrialSettings,
     keep,
     own_twins,
     try_controller,
@@ -128,7 +127,7 @@ def evaluate(
     arm: Arm,
     contestants: Sequence[Contestant],
     variants: Sequence[Variant],
-    settings: TrialSettings,
+    family: ArmFamily,
     folder: Path,
     on_progress: Progress,
 ) -> Evaluation:
@@ -139,9 +138,8 @@ def evaluate(
         raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
 
     def drive(variant: Variant, one: Contestant, on_targets: OnTargets) -> Columns:
-        family = settings.family
         twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.twins else []
-        return try_controller(arm, variant, one.on(twins), settings, on_targets, twins)
+        return try_controller(arm, variant, one.on(twins), family, on_targets, twins)
 
     trials = [
         Trials(where=variant.name, contestant=one, drive=partial(drive, variant, one), identity=repr(variant))
@@ -149,14 +147,14 @@ def evaluate(
         for one in contestants
     ]
     meanings = {variant.name: variant.meaning for variant in variants}
-    return conclude(arm, meanings, trials, settings, folder / "evaluation.json", on_progress)
+    return conclude(arm, meanings, trials, family, folder / "evaluation.json", on_progress)
 
 
 def conclude(
     arm: Arm,
     meanings: dict[str, str],
     trials: Sequence[Trials],
-    settings: TrialSettings,
+    family: ArmFamily,
     file: Path,
     on_progress: Progress,
 ) -> Evaluation:
@@ -164,11 +162,10 @@ def conclude(
 
     An outcome of the same contestant, condition and settings is taken over. ``meanings`` say what conditions are.
     """
-    family, outcomes = settings.family, {}
-    each = family.arms * (family.targets + family.crossings)
+    outcomes, each = {}, family.arms * (family.targets + family.crossings)
     for number, one in enumerate(trials):
         text, begun = f"{one.where}: {one.contestant.name}", number / len(trials)
-        identity = repr((arm.name, one.identity, one.contestant.identity, family, settings.protocol))
+        identity = repr((arm.name, one.identity, one.contestant.identity, family))
 
         def report(done: int, text: str = text, begun: float = begun) -> None:
             on_progress(begun + done / each / len(trials), text)
@@ -178,7 +175,7 @@ def conclude(
         outcomes[one.where, one.contestant.name] = keep(path, identity, partial(one.drive, report))
     contestants = [one.contestant for one in trials]
     pooled = pool({one.name: one.group for one in contestants}, outcomes)
-    result = summarise(arm.name, settings, meanings, pooled, {one.group for one in contestants if one.learned})
+    result = summarise(arm.name, family, meanings, pooled, {one.group for one in contestants if one.learned})
     write_json(file, result)
     return result
 

@@ -7,7 +7,7 @@ and gains are chosen on others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.goal import Ways, with_ways
 from rejoint.control.targets import draw_targets
 from rejoint.session.context import believed_motors
@@ -114,6 +115,9 @@ class ArmFamily:
     """in the protocol of Park et al. 2024, per arm; 0: it is not run"""
     seed: int = 0
     """number of the family"""
+    protocol: Protocol = field(default_factory=Protocol)
+    threads: int = field(default=1, repr=False, compare=False)
+    """of the simulation; no effect on results"""
 
     def __post_init__(self) -> None:
         if not 1 <= self.arms <= FAMILY_SIZE or min(self.targets, self.crossings, self.seed) < 0:
@@ -187,7 +191,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
     return targets, ways
 
 
-def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1) -> EmulatedRobot:
+def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
     """All arms as one batch, at rest."""
     described = not (variant.mass or variant.shift or variant.turn)
     return EmulatedRobot(
@@ -197,7 +201,7 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1)
         seed=family.seed,
         period=variant.period,
         command_latency=variant.latency,
-        threads=threads,
+        threads=family.threads,
         payload=family_payloads(variant, family),
         bodies=None if described else [misdescribed(arm, variant, seed) for seed in family.wear_seeds],
         gravity=rotation_about(np.array([1.0, 0.0, 0.0]), variant.tilt) @ GRAVITY,

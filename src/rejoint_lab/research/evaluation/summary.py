@@ -23,7 +23,6 @@ from rejoint.system.statistics import (
     paired_difference,
 )
 from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import TrialSettings
 
 
 def difference(first: Array, second: Array, *, seed: int = 0) -> Estimate | None:
@@ -85,7 +84,6 @@ class Evaluation:
     arm: str
     software: str
     family: ArmFamily
-    protocol: Protocol
     variants: tuple[str, ...]
     meanings: dict[str, str]
     """of the variants, in words"""
@@ -115,10 +113,10 @@ def pool(groups: Mapping[str, str], outcomes: Outcomes) -> dict[tuple[str, str],
 
 
 def summarise(
-    arm: str, settings: TrialSettings, meanings: dict[str, str], pooled: Outcomes, learned: Collection[str]
+    arm: str, family: ArmFamily, meanings: dict[str, str], pooled: Outcomes, learned: Collection[str]
 ) -> Evaluation:
     """Compute every number of an evaluation; ``meanings`` says what its variants are, ``learned`` are no rivals."""
-    protocol, variants = settings.protocol, tuple(meanings)
+    protocol, variants = family.protocol, tuple(meanings)
     groups = tuple(dict.fromkeys(group for _, group in pooled))
     rows = tuple(make_row(*key, found, protocol) for key, found in pooled.items())
     rivals = {v: [row for row in rows if row.variant == v and row.controller not in learned] for v in variants}
@@ -130,8 +128,7 @@ def summarise(
     return Evaluation(
         arm=arm,
         software=__version__,
-        family=settings.family,
-        protocol=protocol,
+        family=family,
         variants=variants,
         meanings=meanings,
         controllers=groups,
@@ -211,7 +208,7 @@ def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
             ResultColumn("corrected arms [%]", lambda row: Cell(number(100 * (cast(VariantRow, row).used or 0.0), 3))),
         ]
     return (
-        *result_columns(evaluation.protocol, max(family.targets, family.crossings)),
+        *result_columns(family.protocol, max(family.targets, family.crossings)),
         ResultColumn("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
         ResultColumn("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
         ResultColumn("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
@@ -221,7 +218,7 @@ def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
 
 def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
     """Headers of `pair_cells`."""
-    within = (f"time to stay within {distance * MM:g} mm [s]" for distance in evaluation.protocol.within)
+    within = (f"time to stay within {distance * MM:g} mm [s]" for distance in evaluation.family.protocol.within)
     return ("settled, encoders [mm]", "settled, true [mm]", "the worst arm's [mm]", *within, "ten targets [s]")
 
 

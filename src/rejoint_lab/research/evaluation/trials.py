@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.compare import count_targets
 from rejoint.control.comparison.protocols import metrics_of, schedule
-from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
+from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways
 from rejoint.control.loop import run
@@ -64,15 +64,6 @@ def own_twins(
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrialSettings:
-    """How arms are tried."""
-
-    family: ArmFamily
-    protocol: Protocol
-    threads: int = 1
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialArms:
     """Arms and their targets."""
@@ -101,25 +92,24 @@ def try_controller(
     arm: Arm,
     variant: Variant,
     controller: Callable[[Arm], Controller],
-    settings: TrialSettings,
+    family: ArmFamily,
     on_targets: OnTargets = nothing,
     twins: Sequence[Twin] = (),
 ) -> Columns:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
-    family, ways = settings.family, None
-    targets = family_targets(arm, family, max(family.targets, family.crossings))
+    targets, ways = family_targets(arm, family, max(family.targets, family.crossings)), None
     if variant.anywhere:
         targets[:, : family.targets], ways = targets_anywhere(arm, family, twins)
-    opened = partial(open_family, arm, variant, family, settings.threads)
+    opened = partial(open_family, arm, variant, family)
     arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds)
-    return try_on(arm, arms, controller, settings, on_targets)
+    return try_on(arm, arms, controller, family, on_targets)
 
 
 def try_on(
     arm: Arm,
     arms: TrialArms,
     controller: Callable[[Arm], Controller],
-    settings: TrialSettings,
+    family: ArmFamily,
     on_targets: OnTargets = nothing,
 ) -> Columns:
     """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
@@ -127,7 +117,7 @@ def try_on(
     Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
     which the guard ``tripped``; with calibrations, whether they are ``used``.
     """
-    family, protocol, shape = settings.family, settings.protocol, arms.targets.shape[:2]
+    protocol, shape = family.protocol, arms.targets.shape[:2]
     found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
     found |= dict(zip("xyz", np.moveaxis(arms.targets, -1, 0), strict=True))
     found["arm"] = np.repeat(np.array(arms.wear_seeds, dtype=float)[:, None], shape[1], axis=1)

@@ -25,7 +25,7 @@ from rejoint.training.presets import PAPER
 from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import VariantRow, make_row
-from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
+from rejoint_lab.research.evaluation.trials import TrialArms, keep, try_on
 from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, recipe
 
 DWELL = 5.0
@@ -51,14 +51,10 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     targets = np.repeat(bench.targets, repetitions, axis=0)
     labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
     arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seeds=labels.tolist())
-    settings = TrialSettings(
-        family=ArmFamily(arms=len(targets), targets=holds, crossings=crossings),
-        protocol=protocol,
-        threads=bench.threads,
-    )
-    identity = repr((bench.seed, settings, profile))
+    family = ArmFamily(arms=len(targets), targets=holds, crossings=crossings, protocol=protocol, threads=bench.threads)
+    identity = repr((bench.seed, family, profile))
     path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
-    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings))
+    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), family))
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
