@@ -11,16 +11,13 @@ from rejoint.arms import CATALOGUE, Arm, link_inertia
 from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.metrics import INERTIA, LAG, OFFSET, SOFTNESS, WIDTH, Law, arm_delay, fit_law, torque_given
-from rejoint.diagnosis.regression import product, reciprocal
+from rejoint.diagnosis.regression import product, reciprocal, scaled, shifted, within
 from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
 
 LOADED = 0.05
 """[N m] gravity range on a myCobot 280 that a stiffness needs; chosen"""
-
-GRAVITY_SHARE = 0.35
-"""Relative half width of stiffness from gravity that outranks inertia; chosen"""
 
 FOLLOWS = 0.8
 """Share of the sag (`Law.follows`) from which it tells a stiffness. Measured: at least 0.86 for emulated arms of known
@@ -30,8 +27,8 @@ stiffness, at most 0.74 with gravity fed forward
 MASSES = 0.05
 """Relative sigma of a joint's gravity torque by a stranger's model; chosen"""
 
-KNOWN_WITHIN = 4.0
-"""Ratio of the ends of an interval that is used alone; chosen"""
+KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
+"""Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
 
 FEWEST_STEPS, FEWEST_RESTS = 3, 4
 """Steps that overshoot needs, and rests that noise needs; chosen"""
@@ -114,26 +111,21 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     delay = arm_delay(data)
     slow, fast = ([fit_law(data, joint, delay, fast=fast) for joint in range(arm.joints)] for fast in (False, True))
     ratios = [None if law is None else _inertia_ratio(law) for law in fast]
-    stiffness = _stiffness(arm, slow, ratios, motors)
     joints = []
-    for joint, (law, k, dynamics) in enumerate(zip(slow, stiffness, fast, strict=True)):
+    for joint, k in enumerate(_stiffness(arm, slow, ratios, motors)):
+        law, dynamics = slow[joint], fast[joint]
         row = _row(data, joint, law, k)
         data.require(row.hunting_rad is not None, "holds", joint)
         data.require(row.noise_rad is not None, "readings at rest", joint)
-        row = replace(row, damping_ratio=None if dynamics is None else _damping_ratio(dynamics))
-        if law is not None and k.value is not None:
-            torque = torque_given(data, joint, law, k.value.value, delay)
-            row = replace(
-                row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
-            )
-        joints.append(row)
+        torque = {} if law is None or k.value is None else torque_given(data, joint, law, k.value.value, delay)
+        joints.append(replace(row, damping_ratio=None if dynamics is None else _damping_ratio(dynamics), **torque))
     return Measurement(joints=tuple(joints), delay_s=delay, period_s=float(np.median(np.diff(log.time))))
 
 
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
     """Measure one joint from joined logs."""
     law = fit_law(data, joint)
-    k = _by_sag(data.arm, law)
+    k = _by_sag(data.arm, law, KNOWN_WITHIN)
     row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "gravity"))
     load = float(np.quantile(np.abs(data.gravity[:, joint]), 0.995))
     return replace(row, torque_seen_nm=load + (0.0 if row.coulomb_nm is None else row.coulomb_nm.value))
@@ -175,15 +167,13 @@ def _stiffness(
     found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
     known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
     if motors is not None and any(motor is not None for motor in motors):
-        known = {joint: _within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
-    if not known:
-        return found
+        known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
     for joint, (row, ratio) in enumerate(zip(found, ratios, strict=True)):
-        if row.value is not None or ratio is None or ratio.value <= 0:
+        if not known or row.value is not None or ratio is None or ratio.value <= 0:
             continue
         near = min(known, key=lambda other: abs(other - joint))
-        motor = known[near] if near == joint else product(known[near], _within(1.0, SAME_SERVO))
-        total = _shifted(motor, float(links[joint]))
+        motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
+        total = shifted(motor, float(links[joint]))
         if total is not None:
             found[joint] = _Stiffness(value=product(total, reciprocal(ratio)), source="inertia")
     return found
@@ -197,7 +187,7 @@ def sag(data: ExcitationLog, joint: int) -> tuple[float, float | None]:
     law = fit_law(data, joint)
     if law is None:
         return np.inf, None
-    known = _by_sag(data.arm, law) is not None
+    known = _by_sag(data.arm, law, KNOWN_WITHIN) is not None
     return float(law.fit.coefficients[SOFTNESS]), _doubt(data.arm, law) if known else None
 
 
@@ -206,28 +196,24 @@ def _doubt(arm: Arm, law: Law) -> float:
     return 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
 
 
-def _by_sag(arm: Arm, law: Law | None) -> Estimate | None:
-    """Stiffness by gravity; None if too wide, or if the sag does not follow the model."""
-    found = None if law is None or law.follows < FOLLOWS else _from_gravity(arm, law)
-    if law is None or found is None:
+def _by_sag(arm: Arm, law: Law | None, ratio: float) -> Estimate | None:
+    """Stiffness by gravity; None if its ends are ``ratio`` apart, or if the sag does not follow the model."""
+    if law is None or law.follows < FOLLOWS or law.torque_range < LOADED * torque_size(arm):
         return None
-    k = product(found, _within(1.0, min(2.0 * _doubt(arm, law), 1.0)))
-    return None if not k.low or k.high is None or k.high > KNOWN_WITHIN * k.low else k
-
-
-def _from_gravity(arm: Arm, law: Law) -> Estimate | None:
-    if law.torque_range < LOADED * torque_size(arm) or law.fit.coefficients[SOFTNESS] <= 0:
+    if law.fit.coefficients[SOFTNESS] <= 0:
         return None
-    return reciprocal(law.fit.estimate(SOFTNESS))
+    doubt = within(1.0, min(2.0 * _doubt(arm, law), 1.0))
+    k = product(reciprocal(law.fit.estimate(SOFTNESS)), doubt)
+    return None if not k.low or k.high is None or k.high > ratio * k.low else k
 
 
 def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _Stiffness:
-    k = None if law is None else _from_gravity(arm, law)
-    if k is None or k.low is None or k.high is None or k.high - k.low > 2 * GRAVITY_SHARE * k.value:
+    k = _by_sag(arm, law, SURE_WITHIN)
+    if k is None:
         return _Stiffness()
-    motor = _shifted(product(k, ratio), -link) if ratio is not None and ratio.value > 0 else None
+    motor = shifted(product(k, ratio), -link) if ratio is not None and ratio.value > 0 else None
     if motor is None or motor.high is None or motor.high - motor.value > MOTOR_SHARE * motor.value:
-        return _Stiffness(value=k, source="gravity")
+        motor = None
     return _Stiffness(value=k, source="gravity", motor=motor)
 
 
@@ -236,10 +222,6 @@ def _inertia_ratio(law: Law) -> Estimate:
     ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
-
-
-def _within(value: float, share: float) -> Estimate:
-    return Estimate(value, value * (1 - share), value * (1 + share))
 
 
 def _damping_ratio(law: Law) -> Estimate | None:
@@ -254,17 +236,3 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
         return product(stiffness, half_width)
     high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
     return Estimate(0.0, 0.0, high)
-
-
-def scaled(estimate: Estimate, factor: float) -> Estimate:
-    """Multiply a number and its interval."""
-    low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))
-    return Estimate(factor * estimate.value, *((high, low) if factor < 0.0 else (low, high)))
-
-
-def _shifted(estimate: Estimate, offset: float) -> Estimate | None:
-    value = estimate.value + offset
-    if value <= 0:
-        return None
-    low = None if estimate.low is None else max(estimate.low + offset, 0.05 * value)
-    return Estimate(value, low, None if estimate.high is None else estimate.high + offset)

@@ -59,9 +59,26 @@ class Averages:
     effort: Array
     """(N,) torque or current, in the log's unit; else zero"""
     cluster: NDArray[np.intp]
-    """(N,) number of the motion"""
+    """(N,) number of the motion; of independent observations"""
     time: Array
     """(N,) [s] middle of the window"""
+
+    def at(self, rows: NDArray[np.bool_]) -> Averages:
+        """Only the windows ``rows`` (N,)."""
+        return Averages(**{part.name: getattr(self, part.name)[..., rows] for part in fields(self)})
+
+    @property
+    def design(self) -> Array:
+        """(N, 5) in the order of the coefficients."""
+        columns = (self.speed, np.sign(self.direction), self.acceleration, self.gravity, np.ones(len(self.time)))
+        return np.stack(columns, axis=1)
+
+    @property
+    def enough(self) -> bool:
+        """Whether a law can be fitted."""
+        forward = self.direction > 0.0
+        ways = [len(np.unique(self.cluster[way])) for way in (forward, ~forward)]
+        return min(ways) >= _FEWEST and bool(_BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS)
 
 
 def window_averages(
@@ -101,16 +118,16 @@ def _averages(
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
     read = sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1)
     return Averages(
-        error=average(data.commanded(joint, time - delays[:, None]) - position, window)[:, read],
-        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first)[read],
-        speed=speed[read],
-        acceleration=average(position, second)[read],
-        direction=average(np.tanh(smooth / _STILL_SPEED), window)[read],
-        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window)[read],
-        effort=average(np.interp(time, log.time, data.effort[:, joint]), window)[read],
-        cluster=first_cluster + (begins / duration).astype(np.intp)[read],
-        time=(time[0] + begins + 0.5 * length)[read],
-    )
+        error=average(data.commanded(joint, time - delays[:, None]) - position, window),
+        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),
+        speed=speed,
+        acceleration=average(position, second),
+        direction=average(np.tanh(smooth / _STILL_SPEED), window),
+        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window),
+        effort=average(np.interp(time, log.time, data.effort[:, joint]), window),
+        cluster=first_cluster + (begins / duration).astype(np.intp),
+        time=time[0] + begins + 0.5 * length,
+    ).at(read)
 
 
 def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
@@ -187,52 +204,19 @@ class Law:
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _LogMotion:
-    design: Array
-    """(N, 5) in the order of the coefficients"""
-    error: Array
-    """(D, N) [rad] for each delay"""
-    effort: Array
-    cluster: NDArray[np.intp]
-    """(N,) independent observation"""
-    position: Array
-    """(N, n) [rad]"""
-
-    @property
-    def enough(self) -> bool:
-        forward = self.design[:, WIDTH] > 0.0
-        ways = [len(np.unique(self.cluster[way])) for way in (forward, ~forward)]
-        return min(ways) >= _FEWEST and bool(_BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS)
-
-    @property
-    def torque_range(self) -> float:
-        return float(np.ptp(self.design[:, SOFTNESS])) if len(self.design) else 0.0
-
-
-def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _LogMotion:
+def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Averages:
     segments = data.of_kind(FREE)
-    averages = window_averages(data, segments, joint, length=_WINDOW, delays=delays, cut=_SETTLING)
-    chosen = np.abs(averages.direction) > _MOVING
+    found = window_averages(data, segments, joint, length=_WINDOW, delays=delays, cut=_SETTLING)
+    chosen = np.abs(found.direction) > _MOVING
     if not fast:
-        chosen &= (np.abs(averages.speed) < _SLOW) & (np.abs(averages.acceleration) < _GENTLE)
+        chosen &= (np.abs(found.speed) < _SLOW) & (np.abs(found.acceleration) < _GENTLE)
     logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
-    segment, piece = np.divmod(averages.cluster, 1000)  # pieces of 2 s, see `rejoint.diagnosis.metrics`
+    segment, piece = np.divmod(found.cluster, 1000)  # pieces of 2 s, see `rejoint.diagnosis.metrics`
     cluster = 1000 * segment + piece // (1 if fast else 4)
     if len(np.unique(logs)) >= _MANY_LOGS:
         cluster = logs[segment]
-    gravity = averages.gravity
-    loaded = len(gravity) > 0 and np.ptp(gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
-    columns = (averages.speed, np.sign(averages.direction), averages.acceleration, gravity * loaded)
-    design = np.stack([*columns, np.ones(len(gravity))], axis=1)
-    time, log = averages.time[chosen], data.log
-    return _LogMotion(
-        design=design[chosen],
-        error=averages.error[:, chosen],
-        effort=averages.effort[chosen],
-        cluster=cluster[chosen],
-        position=np.stack([np.interp(time, log.time, column) for column in log.position.T], axis=1),
-    )
+    loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
+    return replace(found, cluster=cluster, gravity=found.gravity * loaded).at(chosen)
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
@@ -245,21 +229,22 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     motion = _motion(data, joint, np.array([delay]), fast=fast)
     if not motion.enough:
         return None
-    load = np.abs(motion.design[:, SOFTNESS])
+    load = np.abs(motion.gravity)
     light = load <= np.quantile(load, _LIGHT)  # at its torque limit a joint yields more than its law says
     fit = fit_trimmed(motion.design, motion.error[0], motion.cluster, light)
-    follows = 1.0 if data.arm.name in CATALOGUE else _follows(data.arm, motion, joint)
-    return Law(fit=fit, torque_range=motion.torque_range, follows=follows)
+    follows = 1.0 if data.arm.name in CATALOGUE else _follows(data, motion, joint)
+    return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows)
 
 
-def _follows(arm: Arm, motion: _LogMotion, joint: int) -> float:
+def _follows(data: ExcitationLog, motion: Averages, joint: int) -> float:
     """Share of the sag by any masses that the arm's own explain.
 
     It is low where a controller compensates gravity, or masses are wrong.
     """
-    model, error = motion.design, motion.error[0]
+    model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
-    columns = gravity_terms(arm, motion.position)[:, joint]
+    position = np.stack([np.interp(motion.time, log.time, column) for column in log.position.T], axis=1)
+    columns = gravity_terms(data.arm, position)[:, joint]
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
 
@@ -330,38 +315,35 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     spans = [rows for rows in spans if len(rows) >= 4]
     if len(spans) < 4:
         return None
-    rest = [_without_drift(data.log.time[rows], data.log.position[rows, joint]) for rows in spans]
+    free = [_without_line(data.log.time[rows]) for rows in spans]
+    rest = [left @ data.log.position[rows, joint] for left, rows in zip(free, spans, strict=True)]
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
-    motion = worst * _repeating_share(rest) ** 0.5
+    motion = worst * _repeating_share(rest, free) ** 0.5
     return Estimate(float(motion.mean()), float(motion[0]), float(motion[-1]))
 
 
-def _repeating_share(pieces: list[Array]) -> float:
-    """Largest autocorrelation, 0 to 1, over one to five readings; 0 for noise."""
-    power = sum(float((piece**2).sum()) for piece in pieces)
-    if power <= 0.0:
-        return 0.0
-    shares = []
+def _without_line(time: Array) -> Array:
+    """Matrix (K, K) that takes its line from a signal at ``time`` (K,): the covariance of white noise without line."""
+    line = np.linalg.qr(np.stack([np.ones(len(time)), time - time[0]], axis=1))[0]
+    return np.asarray(np.eye(len(time)) - line @ line.T)
+
+
+def _repeating_share(pieces: list[Array], noise: list[Array]) -> float:
+    """Largest autocorrelation, 0 to 1, over one to five readings; 0 for noise of covariances ``noise``."""
+    products, share = [np.outer(piece, piece) for piece in pieces], 0.0
     for shift in range(1, 6):
-        longer = [piece for piece in pieces if len(piece) > shift]
-        both = sum(float((piece[shift:] * piece[:-shift]).sum()) for piece in longer)
-        base = sum(float((piece[shift:] ** 2).sum() + (piece[:-shift] ** 2).sum()) / 2 for piece in longer)
-        pairs = sum(len(piece) - shift for piece in longer)
-        if base > 0.0:
-            off = abs(both / base - _share_of_noise([len(piece) for piece in longer], shift))
-            shares.append(abs(both) / base if off * pairs**0.5 > CHANCE else 0.0)
-    return min(max(shares, default=0.0), 1.0)
+        pairs = sum(max(len(piece) - shift, 0) for piece in pieces)
+        both, chance = _correlation(products, shift), _correlation(noise, shift)
+        if abs(both - chance) * pairs**0.5 > CHANCE:
+            share = max(share, abs(both))
+    return min(share, 1.0)
 
 
-def _share_of_noise(lengths: list[int], shift: int) -> float:
-    """Return the same for white noise less its line."""
-    both = base = 0.0
-    for length in lengths:
-        line = np.linalg.qr(np.stack([np.ones(length), np.arange(length)], axis=1))[0]
-        left = np.eye(length) - line @ line.T
-        both += float(np.trace(left, -shift))
-        base += float(np.trace(left)) - float(np.diag(left)[:shift].sum() + np.diag(left)[-shift:].sum()) / 2
-    return both / base
+def _correlation(covariances: list[Array], shift: int) -> float:
+    """Correlation of readings ``shift`` apart by covariances (K, K); 0 for a signal of zeros."""
+    longer = [part for part in covariances if len(part) > shift]
+    power = sum(np.trace(part[shift:, shift:]) + np.trace(part[:-shift, :-shift]) for part in longer) / 2
+    return float(sum(np.trace(part, -shift) for part in longer) / max(power, 1e-300))
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
@@ -374,10 +356,6 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
     low, high = max(power.low or 0.0, 0.0), max(power.high or 0.0, 0.0)
     return Estimate(power.value**0.5, low**0.5, high**0.5)
-
-
-def _without_drift(time: Array, value: Array) -> Array:
-    return value - np.polyval(np.polyfit(time - time[0], value, 1), time - time[0])
 
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
@@ -419,7 +397,7 @@ def arm_delay(data: ExcitationLog) -> float:
     found = []
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, DELAYS, fast=True)
-        if len(motion.design) < _MIN_WINDOWS:  # a joint that does not move has no time of its own
+        if len(motion.time) < _MIN_WINDOWS:  # a joint that does not move has no time of its own
             continue
         fits: Array = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T, dtype=np.float64)
         found.append(_lowest(_onset_costs(data, joint, fits)))
@@ -464,48 +442,28 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
     return np.where(fits[:, INERTIA] > _MIN_RATIO, cost, np.inf)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Torque:
-    """Torque demanded and given."""
-
-    limit: Estimate | None
-    """[N m] at the load: motor limit less friction; None: not reached"""
-    seen: float
-    """[N m] largest given"""
-    saturated_share: float
-    """of the time, at the limit"""
-
-
-def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> Torque:
-    """Compare the torque that a joint's law asks for with that of its load, in steady motion.
+def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> dict[str, Any]:
+    """Compare the torque that a joint's law asks for with that of its load, in steady motion; see `JointMetrics`.
 
     A joint is behind where it hardly turns and the demand is over twice the torque, beyond friction, `_EXCESS` and
     10 ms. It is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
-    averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
-    steady = np.abs(averages.acceleration) < _STEADY / length_size(data.arm)
-    data.require(int(steady.sum()) >= _MIN_WINDOWS, "steady moments", joint)
+    found = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
+    found = found.at(np.abs(found.acceleration) < _STEADY / length_size(data.arm))
+    data.require(len(found.time) >= _MIN_WINDOWS, "steady moments", joint)
     lag, half_width, _, _, offset = law.fit.coefficients
-    half_width = max(half_width, 0.0)
-    demand = (stiffness * (averages.error[0] - offset - lag * averages.speed))[steady]
-    given = (averages.gravity + stiffness * half_width * averages.direction)[steady]
-    margin = 2 * half_width + 0.010 * np.abs(averages.command_speed[steady])
+    friction = stiffness * max(half_width, 0.0)
+    demand = stiffness * (found.error[0] - offset - lag * found.speed)
+    given = found.gravity + friction * found.direction
+    margin = 2 * friction + 0.010 * stiffness * np.abs(found.command_speed)
     excess = np.abs(demand) - np.abs(given)
-    behind = (
-        (excess > np.abs(given))
-        & (demand * given > 0)
-        & (excess > stiffness * margin + _EXCESS * torque_size(data.arm))
-        & (np.abs(averages.speed[steady]) < _STANDING)
-    )
-    cluster = averages.cluster[steady]
-    seen = float(np.quantile(np.abs(given), 0.995))
-    share = float(behind.mean())
-    if share < _MIN_SHARE:
-        return Torque(limit=None, seen=seen, saturated_share=0.0)
-    clusters = np.unique(cluster[behind])
-    limits = [float(np.median(np.abs(given[behind & (cluster == c)]))) for c in clusters]
-    limit = mean_of(np.array(limits))
-    if limit.value < 0.5 * seen:  # it could give more than this, and something else held it back
-        return Torque(limit=None, seen=seen, saturated_share=0.0)
-    return Torque(limit=limit, seen=seen, saturated_share=share)
+    behind = (excess > np.abs(given)) & (demand * given > 0) & (np.abs(found.speed) < _STANDING)
+    behind &= excess > margin + _EXCESS * torque_size(data.arm)
+    seen, share = float(np.quantile(np.abs(given), 0.995)), float(behind.mean())
+    groups = [np.abs(given[behind & (found.cluster == c)]) for c in np.unique(found.cluster[behind])]
+    limit = mean_of(np.array([float(np.median(group)) for group in groups])) if share >= _MIN_SHARE else None
+    if limit is not None and limit.value < 0.5 * seen:  # it could give more, and something else held it back
+        limit = None
+    share = 0.0 if limit is None else share
+    return {"torque_limit_nm": limit, "torque_seen_nm": seen, "saturated_share": share}

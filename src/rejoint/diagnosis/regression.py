@@ -86,24 +86,39 @@ def mean_of(values: Array) -> Estimate:
     return Estimate(value, value - half, value + half)
 
 
+def scaled(estimate: Estimate, factor: float) -> Estimate:
+    """Multiply a number and its interval."""
+    low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))
+    return Estimate(factor * estimate.value, *((high, low) if factor < 0.0 else (low, high)))
+
+
+def within(value: float, share: float) -> Estimate:
+    """``value`` with relative half width ``share``."""
+    return Estimate(value, value * (1 - share), value * (1 + share))
+
+
+def shifted(estimate: Estimate, offset: float) -> Estimate | None:
+    """Sum of a quantity and ``offset``; None unless it is positive."""
+    value = estimate.value + offset
+    if value <= 0:
+        return None
+    low = None if estimate.low is None else max(estimate.low + offset, 0.05 * value)
+    return Estimate(value, low, None if estimate.high is None else estimate.high + offset)
+
+
 def reciprocal(estimate: Estimate) -> Estimate:
     """1/x of a positive quantity; bounds that would cross zero are open."""
-    low = None if estimate.high is None or estimate.high <= 0 else 1 / estimate.high
-    high = None if estimate.low is None or estimate.low <= 0 else 1 / estimate.low
-    return Estimate(1 / estimate.value if estimate.value else float("inf"), low, high)
+    low, high = (1 / end if end is not None and end > 0 else None for end in (estimate.high, estimate.low))
+    return Estimate(1 / estimate.value, low, high)
 
 
 def product(one: Estimate, other: Estimate) -> Estimate:
     """Product of two positive independent quantities: relative half widths added in squares."""
+    below, above = (np.hypot(_share(one, side), _share(other, side)) for side in ("low", "high"))
     value = one.value * other.value
-    below = np.hypot(_share(one, "low"), _share(other, "low"))
-    above = np.hypot(_share(one, "high"), _share(other, "high"))
-    high = None if not np.isfinite(above) else value * (1 + above)
-    return Estimate(value, value * max(1 - below, 0.0), None if high is None else float(high))
+    return Estimate(value, value * max(1 - below, 0.0), value * (1 + above) if np.isfinite(above) else None)
 
 
 def _share(estimate: Estimate, side: str) -> float:
-    bound = estimate.low if side == "low" else estimate.high
-    if bound is None:
-        return 1.0 if side == "low" else float("inf")
-    return abs(bound - estimate.value) / max(abs(estimate.value), 1e-300)
+    end = getattr(estimate, side)
+    return np.inf if end is None else abs(end - estimate.value) / max(abs(estimate.value), 1e-300)
