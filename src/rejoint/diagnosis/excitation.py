@@ -8,7 +8,7 @@ Postures respect joint limits, floor, column and the largest load.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -40,82 +40,72 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress, part
 
 
-def swept(arm: Arm, joints: tuple[int, ...]) -> Array:
-    """Signs (n,) of a group's motion, neighbours opposed; zero for the others."""
-    sign = np.zeros(arm.joints)
-    sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
-    return sign
+class Excitation:
+    """A joint trajectory in named segments, from a posture (n,) [rad] at time 0."""
 
-
-class CommandPath:
-    """Knots of a trajectory from a posture (n,) [rad] at time 0."""
-
-    def __init__(self, start: Array) -> None:
-        self._time = [0.0]
-        self._position = [np.array(start, dtype=float)]
-        self._segments: list[Segment] = []
+    def __init__(self, arm: Arm, start: Array) -> None:
+        self.arm = arm
+        self.time: Array = np.zeros(1)
+        """(K,) [s] of the knots"""
+        self.position: Array = np.array(start, dtype=float)[None]
+        """(K, n) [rad] of the knots, linear between"""
+        self.segments: list[Segment] = []
 
     @property
-    def segments(self) -> tuple[Segment, ...]:
-        """Segments so far."""
-        return tuple(self._segments)
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.time[-1])
 
-    @property
-    def end(self) -> Array:
-        """(n,) [rad] last knot."""
-        return self._position[-1]
+    def command(self, time: float | Array) -> Array:
+        """Joint positions (..., n) [rad] at ``time`` (...) [s]; held before and after."""
+        t = np.asarray(time, dtype=float)
+        return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
 
     @contextmanager
     def segment(self, name: str, kind: str, joints: tuple[int, ...] = ()) -> Iterator[None]:
         """Name what the ``with`` block adds."""
-        start = self._time[-1]
+        start = self.duration
         yield
-        self._segments.append(Segment(name=name, kind=kind, start=start, stop=self._time[-1], joints=joints))
+        self.segments.append(Segment(name=name, kind=kind, start=start, stop=self.duration, joints=joints))
 
     def wait(self, duration: float) -> None:
         """Stay for ``duration`` [s]."""
-        self._add(duration, self._position[-1])
+        self._add(duration, self.position[-1])
 
     def travel(self, goal: Array, speed: float) -> None:
         """Go straight to ``goal`` (n,) [rad], the farthest joint at ``speed`` [rad/s]."""
-        self._add(float(np.abs(goal - self._position[-1]).max()) / speed, goal)
+        self._add(float(np.abs(goal - self.position[-1]).max()) / speed, goal)
 
-    def sweep(self, arm: Arm, amplitude: float, travel: float, speeds: Sequence[tuple[float, int]]) -> None:
-        """Sweep every other joint about rest by ``amplitude`` [rad].
-
-        ``speeds``: [rad/s] and cycles; ``travel`` [rad/s] in between.
-        """
-        for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
-            joints = tuple(group)
-            way = amplitude * swept(arm, joints)
-            for index, (speed, cycles) in enumerate(speeds):
-                self.travel(arm.rest - way, travel)
-                self.wait(_SETTLE)
+    def sweep(self, plan: Plan, travel: float) -> None:
+        """Sweep every other joint about rest, as planned; ``travel`` [rad/s] in between."""
+        rest = self.arm.rest
+        for first in (0, 1):
+            joints = tuple(range(first, self.arm.joints, 2))
+            way = np.zeros(self.arm.joints)
+            way[list(joints)] = plan.sweep_amplitude * (-1.0) ** np.arange(len(joints))  # neighbours opposed
+            for index, (speed, cycles) in enumerate(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True)):
+                self.travel(rest - way, travel)
+                self.wait(SETTLE)
                 for half in range(2 * cycles):
                     with self.segment(f"sweep/{'-'.join(map(str, joints))}/{index}/{half}", "sweep", joints):
-                        self.travel(arm.rest + (way if half % 2 == 0 else -way), speed)
-            self.travel(arm.rest, travel)
-            self.wait(_SETTLE)
+                        self.travel(rest + (way if half % 2 == 0 else -way), speed)
+            self.travel(rest, travel)
+            self.wait(SETTLE)
+
+    def approach(self, begin: Array, posture: Array, plan: Plan) -> None:
+        """Come slowly to a ``posture`` (n,) [rad], from ``begin`` (n,) [rad]."""
+        self.travel(begin, plan.travel_speed)
+        self.wait(SETTLE)
+        self.travel(posture, plan.hold_speed)
 
     def follow(self, time: Array, position: Array) -> None:
         """Append samples (K,) [s] from 0 and (K, n) [rad] from here."""
-        begin = self._time[-1]
-        self._time.extend((begin + time[1:]).tolist())
-        self._position.extend(position[1:])
-
-    def knots(self) -> tuple[Array, Array]:
-        """Return times (K,) [s] and positions (K, n) [rad]."""
-        return np.array(self._time), np.array(self._position)
+        self.time = np.append(self.time, self.duration + time[1:])
+        self.position = np.vstack([self.position, position[1:]])
 
     def _add(self, duration: float, goal: Array) -> None:
         if duration > 0.0:
-            self._time.append(self._time[-1] + duration)
-            self._position.append(np.array(goal, dtype=float))
-
-
-def smooth_ramp(time: Array) -> Array:
-    """Rise smoothly from 0 to 1 within a second."""
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip(time, 0.0, 1.0))
+            self.follow(np.array([0.0, duration]), np.stack([goal, goal]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +145,8 @@ class Plan:
     """[rad/s] between postures"""
     posture_spread: float = HOLD_SPREAD
     """[rad] largest distance of hold postures from rest"""
+    region: float = 1.0
+    """share of the region of a check's poses"""
 
 
 FULL = Plan()
@@ -163,7 +155,7 @@ FULL = Plan()
 SHORT = Plan(sweep_cycles=(1, 2), multisine_periods=1, postures=5, step_dwell=0.8, still=2.0)
 """About 75 s, with wider intervals"""
 
-_SETTLE = 0.3
+SETTLE = 0.3
 """[s] pause between segments; chosen"""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
@@ -173,35 +165,13 @@ _LEAST_SPREAD = 0.2
 """[rad] least spread of hold postures; chosen"""
 
 _AMPLITUDES = {
-    "sweep": "sweep_amplitude",
-    "step": "step_size",
-    "multisine": "multisine_amplitude",
-    "hold": "posture_spread",
+    "sweep": ("sweep_amplitude",),
+    "step": ("step_size",),
+    "multisine": ("multisine_amplitude",),
+    "hold": ("posture_spread",),
+    "pose": ("region", "hold_offset"),
 }
-"""Field of `Plan` to reduce if unsafe"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Excitation:
-    """A joint trajectory in named segments."""
-
-    arm: Arm
-    segments: tuple[Segment, ...]
-    time: Array
-    """(K,) [s] from 0"""
-    position: Array
-    """(K, n) [rad], linear between"""
-
-    @property
-    def duration(self) -> float:
-        """[s]."""
-        return float(self.time[-1])
-
-    def command(self, time: float | Array) -> Array:
-        """Joint positions (..., n) [rad] at ``time`` (...) [s]; held before and after."""
-        t = np.asarray(time, dtype=float)
-        return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
-
+"""Fields of `Plan` to reduce if unsafe"""
 
 _REMEDY = (
     "give another rest_deg in the arm's TOML file, farther from the floor, from the joint limits and from postures "
@@ -215,96 +185,93 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
 
     Slows and shrinks motion; InputError if that does not suffice.
     """
+
+    def build(plan: Plan) -> Excitation:
+        rng, path = np.random.default_rng(seed), Excitation(arm, arm.rest if start is None else start)
+        with path.segment("approach", "approach"):
+            path.travel(arm.rest, plan.travel_speed / 2)
+            path.wait(0.5)
+        with path.segment("still", "still"):
+            path.wait(plan.still)
+        path.sweep(plan, plan.travel_speed / 2)
+        _add_steps(path, plan)
+        _add_multisine(path, plan, rng)
+        _add_holds(path, plan, rng)
+        with path.segment("return", "approach"):
+            path.travel(arm.rest, plan.travel_speed / 2)
+        return path
+
+    return fitted(arm, plan, build)
+
+
+def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitation:
+    """Motion that ``build`` makes of the plan, slowed for the arm, and with amplitudes that are safe."""
     why = unsafe(arm, arm.rest)
     if why:
         raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):
-        excitation = _plan_once(arm, seed, arm.rest if start is None else np.asarray(start, dtype=float), plan)
-        leaves = _first_leaving(excitation)
+        leaves = _first_leaving(excitation := build(plan))
         if leaves is None:
             return excitation
         segment, posture = leaves
         where = f"{segment.name!r} ({unsafe(arm, posture)})"
         if segment.kind not in _AMPLITUDES:
             break
-        name = _AMPLITUDES[segment.kind]
-        plan = replace(plan, **{name: _SMALLER * getattr(plan, name)})
-    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_REMEDY}")
+        plan = replace(plan, **{name: _SMALLER * getattr(plan, name) for name in _AMPLITUDES[segment.kind]})
+    raise InputError(f"arm {arm.name}: its motion is not safe in {where}; {_REMEDY}")
 
 
-def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
-    rng = np.random.default_rng(seed)
-    path = CommandPath(start)
-    with path.segment("approach", "approach"):
-        path.travel(arm.rest, plan.travel_speed / 2)
-        path.wait(0.5)
-    with path.segment("still", "still"):
-        path.wait(plan.still)
-    speeds = list(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True))
-    path.sweep(arm, plan.sweep_amplitude, plan.travel_speed / 2, speeds)
-    _add_steps(path, arm, plan)
-    _add_multisine(path, arm, plan, rng)
-    _add_holds(path, arm, plan, rng)
-    with path.segment("return", "approach"):
-        path.travel(arm.rest, plan.travel_speed / 2)
-    time, position = path.knots()
-    return Excitation(arm=arm, segments=path.segments, time=time, position=position)
-
-
-def _add_steps(path: CommandPath, arm: Arm, plan: Plan) -> None:
-    for joint in range(arm.joints):
+def _add_steps(path: Excitation, plan: Plan) -> None:
+    for joint in range(path.arm.joints):
         for index, side in enumerate((1.0, 0.0, -1.0, 0.0)):
-            goal = arm.rest.copy()
+            goal = path.arm.rest.copy()
             goal[joint] += side * plan.step_size
             with path.segment(f"step/{joint}/{index}", "step", (joint,)):
                 path.travel(goal, plan.step_speed)
                 path.wait(plan.step_dwell)
 
 
-def _add_multisine(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
-    duration = plan.multisine_period * plan.multisine_periods
+def _add_multisine(path: Excitation, plan: Plan, rng: np.random.Generator) -> None:
+    joints, duration = path.arm.joints, plan.multisine_period * plan.multisine_periods
     time = np.arange(0.0, duration + 1e-9, 0.01)
     lines = np.arange(1, int(plan.multisine_band * plan.multisine_period) + 1)
-    motion = np.zeros((len(time), arm.joints))
-    for joint in range(arm.joints):
-        own = lines[lines % arm.joints == joint % arm.joints]
+    motion = np.zeros((len(time), joints))
+    for joint in range(joints):
+        own = lines[lines % joints == joint % joints]
         phase = rng.uniform(0.0, 2 * np.pi, len(own))
         angle = 2 * np.pi * np.outer(time, own) / plan.multisine_period + phase
         wave = (np.cos(angle) / np.sqrt(own)).sum(axis=1)  # 1/sqrt(f): between equal position and equal speed
         speed = np.abs(np.gradient(wave, time)).max()
         motion[:, joint] = wave * min(plan.multisine_amplitude / np.abs(wave).max(), plan.multisine_speed / speed)
-    fade = smooth_ramp(time) * smooth_ramp(duration - time)
-    with path.segment("multisine", "multisine", tuple(range(arm.joints))):
-        path.follow(time, arm.rest + fade[:, None] * motion)
-        path.wait(_SETTLE)
+    rise, fall = (0.5 - 0.5 * np.cos(np.pi * np.clip(t, 0.0, 1.0)) for t in (time, duration - time))
+    with path.segment("multisine", "multisine", tuple(range(joints))):
+        path.follow(time, path.arm.rest + (rise * fall)[:, None] * motion)
+        path.wait(SETTLE)
 
 
-def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
-    for index, posture in enumerate(hold_postures(arm, plan, rng)):
+def _add_holds(path: Excitation, plan: Plan, rng: np.random.Generator) -> None:
+    arm = path.arm
+    for index, posture in enumerate(_hold_postures(arm, plan, rng)):
         for side, name in ((-1.0, "below"), (1.0, "above")):
             begin = posture + side * plan.hold_offset
-            if not line_is_safe(arm, path.end, begin):
+            if not line_is_safe(arm, path.position[-1], begin):
                 path.travel(arm.rest, plan.travel_speed)
-            path.travel(begin, plan.travel_speed)
-            path.wait(_SETTLE)
-            path.travel(posture, plan.hold_speed)
+            path.approach(begin, posture, plan)
             with path.segment(f"hold/{index}/{name}", "hold", tuple(range(arm.joints))):
                 path.wait(plan.hold_dwell)
 
 
-def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
+def _hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     """Postures (P, n) [rad] of most different scaled gravity torques (farthest-point sampling)."""
     spread = plan.posture_spread
-    q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
-    while len(q) < plan.postures and spread > _LEAST_SPREAD:
+    while len(q := postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)) < plan.postures:
+        if spread <= _LEAST_SPREAD:
+            raise InputError(
+                f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
+                f"{plan.postures} to hold; {_REMEDY}"
+            )
         spread *= _SMALLER
-        q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
-    if len(q) < plan.postures:
-        raise InputError(
-            f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
-            f"{plan.postures} to hold; {_REMEDY}"
-        )
     torque = gravity_torque(arm, q)
     torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))
     chosen = [int(np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1)))]
@@ -331,7 +298,7 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
 def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
     arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
-    q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
+    q = excitation.command(fine)
     approach = fine <= time[np.argmax((position == arm.rest).all(axis=1))]  # where the arm came from is not ours
     good = is_safe(arm, q) | approach
     if good.all():

@@ -116,7 +116,7 @@ def _averages(
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
-    read = sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1)
+    read = np.asarray(sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1))
     return Averages(
         error=average(data.commanded(joint, time - delays[:, None]) - position, window),
         command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),

@@ -39,7 +39,7 @@ class Segment:
     """that it judges"""
 
 
-def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
+def attach_segments(log: RunLog, segments: Sequence[Segment], waits: Array | None = None) -> RunLog:
     """Log with its excitation's segments, which waited ``waits`` (k, 2) [s]."""
     begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
 
