@@ -13,6 +13,7 @@ from test_logs_checks import motion
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.columns import read_motion
 from rejoint.logs.consistency import forced_reasons
 from rejoint.logs.importing import READERS, to_log
 from rejoint.system.errors import FileError
@@ -56,8 +57,8 @@ def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: boo
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 @pytest.mark.parametrize("name", ["multisine", "circular_motion", "step_response", "single_joint_wrist_pitch"])
 def test_a_real_arm_answers_in_time_and_not_before(name: str):
-    ((_, read),) = READERS["sage"].motions([FOLDER / name], ARM, ImportOptions())
-    found = read()
+    (recorded,) = READERS["sage"].read(FOLDER / name, ImportOptions())
+    found = read_motion(recorded, ARM, ImportOptions(), source=FOLDER / name, kind="sage")
     to_log(found, ARM)
     for shift in (0.3, 0.5, -0.5):
         later = np.stack([np.interp(found.time - shift, found.time, one) for one in found.position.T], axis=1)

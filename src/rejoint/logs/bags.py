@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, begun, read_motion
-from rejoint.logs.joints import ImportOptions, match_joints, meanings
-from rejoint.logs.readers import Reader
+from rejoint.logs.columns import ColumnFrame, Motion, RecordedMotion, begun
+from rejoint.logs.joints import ImportOptions, match_joints
 from rejoint.logs.runlog import LOG_MOST
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, begins_with, reading, require_file
 from rejoint.system.textfile import ANGLES, shown
@@ -37,9 +36,8 @@ _CHUNK_MOST = 1000 * MEGABYTE
 
 @dataclass(frozen=True, kw_only=True)
 class Store:
-    """A kind of file with messages."""
+    """A kind of file with messages; a `Reader` of bags, each with one motion."""
 
-    name: str
     magic: dict[str, bytes]
     """first bytes by ending; empty: any"""
     topics: Callable[[Path], dict[str, str]]
@@ -47,21 +45,15 @@ class Store:
     messages: Callable[[Path, set[str]], Iterator[tuple[str, int, Any]]]
     """decoded messages of some topics, with topic and time of recording [ns]"""
 
-    def files(self, source: Path, _: ImportOptions) -> list[Path]:
+    def found(self, source: Path, _: ImportOptions) -> list[Path]:
         """Files of this kind, sorted by name."""
-        found = sorted(source.iterdir()) if source.is_dir() else [source]
-        return [
-            file
-            for file in found
-            if any(
-                begins_with(file, magic) and (file.suffix == ending or (not ending and file is source))
-                for ending, magic in self.magic.items()
-            )
-        ]
+        files = sorted(source.iterdir()) if source.is_dir() else [source]
+        magics = [(file, self.magic.get(file.suffix) or (file is source and self.magic.get(""))) for file in files]
+        return [file for file, magic in magics if magic and begins_with(file, magic)]
 
-    def motions(self, paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
-        """One motion of each bag."""
-        return [(file.stem, partial(_read, self, file, arm, options)) for file in paths]
+    def read(self, file: Path, options: ImportOptions) -> list[Motion]:
+        """Read a bag; FileError."""
+        return [_read(self, file, options)]
 
 
 @contextmanager
@@ -123,19 +115,11 @@ def _bag_messages(file: Path, topics: set[str]) -> Iterator[tuple[str, int, Any]
             yield connection.topic, time, bag.deserialize(data, connection.msgtype)
 
 
-_MCAP = Store(
-    name="mcap",
-    magic={"": b"\x89MCAP0\r\n", ".mcap": b"\x89MCAP0\r\n"},
-    topics=_mcap_topics,
-    messages=_mcap_messages,
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+MCAP = Store(magic={"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}, topics=_mcap_topics, messages=_mcap_messages)
+ROSBAG = Store(
+    magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, topics=_bag_topics, messages=_bag_messages
 )
-_ROSBAG = Store(
-    name="rosbag",
-    magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"},
-    topics=_bag_topics,
-    messages=_bag_messages,
-)
-MCAP, ROSBAG = (Reader(store.files, store.motions) for store in (_MCAP, _ROSBAG))
 
 STATES = ("JointState", "JointStates")
 """Message types with joint positions and names"""
@@ -166,21 +150,26 @@ class Message:
     """(K, n) positions, velocities and accelerations of the points, as far as all have them"""
 
 
-def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
-    require(f"{file}: reading {store.name}", "logs")
+def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
+    require(f"{file}: reading bags", "logs")
     notes: list[str] = []
-    with _reporting(store, file):
+    found: dict[str, list[Message]] = {}
+    try:
         held = store.topics(file)
         groups = _topics(held, options, file, notes)
-        found: dict[str, list[Message]] = {topic: [] for topic in groups}
         for topic, time, content in store.messages(file, {*groups}):
-            number, kind = len(found[topic]) + 1, _kind(held[topic])
+            messages, kind = found.setdefault(topic, []), _kind(held[topic])
+            number = len(messages) + 1
             said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
             with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                found[topic].append(_message(content, kind, groups[topic], number=number, logged=time))
-            if number > MESSAGES_MOST:
-                raise FileError(file, f"more than {MESSAGES_MOST} messages on {topic}", "cut it in parts")
-    if silent := [topic for topic, messages in found.items() if not messages]:
+                messages.append(_message(content, kind, groups[topic], number=number, logged=time))
+    except FileError:
+        raise
+    # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
+    except Exception as error:
+        said = f"damaged or not readable ({type(error).__name__}: {first_line(error)[:200]})"
+        raise FileError(file, said, REMEDY) from error
+    if silent := [topic for topic in groups if topic not in found]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
     # an empty stamp of a trajectory asks for a start at once
     bare = [topic for topic, messages in found.items() if any(not (one.stamp or one.groups) for one in messages)]
@@ -195,36 +184,15 @@ def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> Recorde
     }
     origin = min(begin.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    frames, plan = [], None
+    motion = Motion(file.stem, [], {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
     for topic, messages in found.items():
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         times = np.array([(begin[one] - origin) / NANOSECONDS for one in messages])
         if len(messages[0].after):
-            plan = messages, times, f"command topic {topic}"
+            motion = motion._replace(complete=partial(_planned, messages, times, f"command topic {topic}"))
         else:
-            frames.append(_frame(messages, times, (file, topic), arm, options))
-    extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
-    motion = read_motion(file.stem, frames, arm, options, source=file, kind=store.name, extra=extra)
-    motion = replace(motion, notes=(*notes, *motion.notes))
-    return motion if plan is None else _planned(*plan, motion, arm, options)
-
-
-@contextmanager
-def _reporting(store: Store, file: Path) -> Iterator[None]:
-    """Turn a decoder's errors into FileError."""
-    try:
-        yield
-    except FileError:
-        raise
-    except ImportError as error:  # of what those bring themselves, such as decompressors
-        said = f"{file}: {store.name} needs {error.name}; install it with: pip install 'rejoint[logs]'"
-        raise InputError(said) from error
-    except FileNotFoundError as error:
-        raise FileError(file, "no such file", "check the path") from error
-    # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
-    except Exception as error:
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise FileError(file, f"damaged or not readable ({type(error).__name__}: {reason})", REMEDY) from error
+            motion.frames.append(_frame(messages, times, file, topic, options, notes))
+    return motion
 
 
 def _kind(schema: str) -> str:
@@ -330,17 +298,11 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 
 
 def _frame(
-    messages: list[Message], times: Array, where: tuple[Path, str], arm: Arm, options: ImportOptions
+    messages: list[Message], times: Array, file: Path, topic: str, options: ImportOptions, notes: list[str]
 ) -> ColumnFrame:
-    """Columns of messages at ``times`` (T,) [s]; messages about other joints are dropped with a note."""
-    file, topic = where
-    own = {names: not names or any(meanings(names, arm, options)) for names in {one.names for one in messages}}
-    ours = np.array([own[one.names] for one in messages])
-    if not ours.any():  # an error shows their names
-        ours[:] = True
+    """Columns of messages at ``times`` (T,) [s]."""
     rows: list[dict[str, float]] = []
-    kept = [one for one, mine in zip(messages, ours, strict=True) if mine]
-    for one in kept:
+    for one in messages:
         names = one.names or options.names or ()
         row: dict[str, float] = {}
         for group, given in one.groups.items():
@@ -349,19 +311,10 @@ def _frame(
                 raise FileError(file, said, REMEDY if one.names else "set --order if the messages hold no names")
             row |= {f"{group}.{name}": value for name, value in zip(names, given, strict=True)}
         rows.append(row)
-    titles = tuple(dict.fromkeys(title for row in rows for title in row))
-    values = np.array([[row.get(title, np.nan) for title in titles] for row in rows])
-    return ColumnFrame(
-        path=file,
-        titles=titles,
-        values=lambda chosen: values[:, chosen],
-        place=f"topic {topic}, message",
-        number=np.array([one.number for one in kept]),
-        angle_unit="rad",
-        found=f"topic {topic}",
-        time=times[ours],
-        notes=[f"topic {topic}: {int((~ours).sum())} messages about other joints left out"] * (not ours.all()),
-    )
+    titles = dict.fromkeys(title for row in rows for title in row)
+    columns = {title: np.array([row.get(title, np.nan) for row in rows]) for title in titles}
+    about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
+    return ColumnFrame.of(file, columns, time=times, notes=notes, **about)
 
 
 def _planned(

@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,42 +62,37 @@ def unit_by_steps(raw: Array) -> tuple[str | None, str]:
     LeRobot counts 4095 steps per turn, others 4096.
     """
     turn = [360.0 / (COUNTS_PER_TURN - less) for less in (0, 1)]
-    joints = [(on_grid(values, *turn), *_best_grid(values)) for values in readings(raw, 4)]
-    degrees = sum(share > ON for share, *_ in joints)
-    steps = [step for share, step, fit in joints if fit > ON and share < OFF]
+    joints = [(on_grid(values, *turn), _normalised_step(values)) for values in readings(raw, 4)]
+    degrees = sum(share > ON for share, _ in joints)
+    steps = [f"{step:.4f}" for share, step in joints if step and share < OFF]
     if degrees > len(joints) / 2:
         return "deg", f"they come in steps of {turn[0]:.4f} on {degrees} joints, those of an encoder"
-    if len(steps) > len(joints) / 2 and len({round(step, 4) for step in steps}) > 1:  # joints differ in their ranges
-        return "normalised", f"they come in steps of {', '.join(f'{step:.4f}' for step in steps)}, no degrees do"
+    if len(steps) > len(joints) / 2 and len({*steps}) > 1:  # joints differ in their ranges
+        return "normalised", f"they come in steps of {', '.join(steps)}, no degrees do"
     return None, ""
 
 
-def _best_grid(values: Array) -> tuple[float, float]:
-    """Step of normalised values and their share on it; 0 for round numbers."""
+def _normalised_step(values: Array) -> float | None:
+    """Step of normalised values; None for others, and for round numbers."""
     chosen = values[:: max(len(values) // 300, 1)]
     fit = np.abs(np.mean(np.exp(2j * np.pi * chosen[:, None] * SPANS / 200.0), axis=0))
     best = int(np.argmax(fit))
     rounded = on_grid(values, 0.05, 0.1, 0.2, 0.25, 0.5, 1.0) > ON
-    return 200.0 / float(SPANS[best]), 0.0 if rounded else float(fit[best])
+    return 200.0 / float(SPANS[best]) if fit[best] > ON and not rounded else None
 
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
     """Calibrated range (n,) [counts] of joints from normalised readings (T, n); FileError without enough motion."""
     kind, why = unit_by_steps(raw)
     if kind == "deg":
-        raise FileError(
-            path, f"the states are degrees, but --angle-unit says normalised: {why}", "set --angle-unit deg"
-        )
+        said = f"the states are degrees, but --angle-unit says normalised: {why}"
+        raise FileError(path, said, "set --angle-unit deg")
     counts = []
     for joint, name in zip(raw.T, arm.joint_names, strict=True):
-        found = readings(joint[:, None], 4)
-        step, fit = _best_grid(found[0]) if found else (0.0, 0.0)
-        if fit < ON:
-            raise FileError(
-                path,
-                f"the readings of {name} do not show the steps of its encoder: its range is not known",
-                "give --calibration, or a recording in which it moves more",
-            )
+        step = next((_normalised_step(one) for one in readings(joint[:, None], 4)), None)
+        if step is None:
+            said = f"the readings of {name} do not show the steps of its encoder: its range is not known"
+            raise FileError(path, said, "give --calibration, or a recording in which it moves more")
         counts.append(200.0 / step)
     return np.array(counts)
 
@@ -120,6 +116,14 @@ class ColumnFrame:
     found: str = "a table"
     """kind of the file"""
     notes: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, path: Path, columns: Mapping[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
+        """Make a frame of columns (T,) in memory; ``about``: its other fields."""
+        values = list(columns.values())
+        about = {"number": np.arange(1, len(values[0]) + 1 if values else 1)} | about
+        picked = lambda chosen: np.stack([values[i] for i in chosen], axis=1)  # noqa: E731
+        return cls(path=path, titles=tuple(columns), values=picked, **about)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,8 +171,16 @@ class RecordedMotion:
         return replace(self, **arrays, command=command, more={name: one[rows] for name, one in self.more.items()})
 
 
-Pending = tuple[str, Callable[[], RecordedMotion]]
-"""Name of a motion, and its reader"""
+class Motion(NamedTuple):
+    """A motion in a file."""
+
+    name: str
+    frames: list[ColumnFrame]
+    """of states and commands; or both in one"""
+    extra: Mapping[str, str] = MappingProxyType({})
+    complete: Callable[[RecordedMotion, Arm, ImportOptions], RecordedMotion] | None = None
+    """adds commands that follow from the states"""
+
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
@@ -192,20 +204,21 @@ FEWEST = 2
 RECORD_AGAIN = "record it again"
 _MEASURED = ("torque", "current", "gain", "powered", *POINTS)
 _TIMES = ("time", "t", "timestamp")
-_PREFIXES = {
-    "position": "position", "pos": "position", "q": "position", "actual": "position", "act": "position",
-    "present_position": "position", "actual_q": "position", "state.q": "position",
-    "command": "command", "cmd": "command", "goal": "command", "goal_position": "command", "tgt": "command",
-    "q_cmd": "command", "positioncmptd": "command", "target_q": "command", "state.q_d": "command",
-    "torque": "torque", "effort": "torque", "tau": "torque", "tau_measured": "torque", "state.tau_j": "torque",
-    "current": "current", "cur": "current", "actual_current": "current", "gain": "gain", "kp": "gain",
-    "torque_enable": "powered", "target": "target", "true_tcp": "true_tcp",
-}  # fmt: skip
+_TITLES = {
+    "position": ("position", "pos", "q", "actual", "act", "present_position", "actual_q", "state.q"),
+    "command": ("command", "cmd", "goal", "goal_position", "tgt", "q_cmd", "positioncmptd", "target_q", "state.q_d"),
+    "torque": ("torque", "effort", "tau", "tau_measured", "state.tau_j"),
+    "current": ("current", "cur", "actual_current"),
+    "gain": ("gain", "kp"),
+    "powered": ("torque_enable",),
+    "target": ("target",),
+    "true_tcp": ("true_tcp",),
+}
 """Beginnings of titles"""
 _RECORDERS = {"actual_q": ("rad", "s"), "state.q": ("rad", "ms"), "positioncmptd": ("rad", "ms")}
 """Implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic- identification (Kinova
 Gen3)"""
-_ORDER = sorted(_PREFIXES, key=len, reverse=True)
+_PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -225,21 +238,13 @@ class Column(NamedTuple):
     """in the column's unit"""
 
 
-def read_motion(
-    name: str,
-    frames: Sequence[ColumnFrame],
-    arm: Arm,
-    options: ImportOptions,
-    *,
-    source: Path,
-    kind: str,
-    extra: Mapping[str, str] | None = None,
-) -> RecordedMotion:
+def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Path, kind: str) -> RecordedMotion:
     """Make a motion of columns on one clock, or of states and commands on their own.
 
     ``source`` and ``kind`` are its file and format. FileError for missing or double columns, no unit, or two clocks
     without common time; InputError for a wrong map.
     """
+    frames = motion.frames
     tables = [_Table(frame, arm, options) for frame in frames]
     first = frames[0]
     for ours, theirs in (options.columns or {}).items():
@@ -256,30 +261,34 @@ def read_motion(
             "command.JOINT are expected",
         )
     raw, columns = state.joints("position")
-    half = state.half_ranges(raw)
+    seen = np.isfinite(raw).any(axis=1)
+    half = state.half_ranges(raw[seen])
     position, units = state.radians(raw, columns, half)
     more, measured = state.measured()
-    motion = RecordedMotion(
-        name=name,
+    found = RecordedMotion(
+        name=motion.name,
         path=state.frame.path,
         place=state.frame.place,
         number=state.frame.number,
         time=state.clock(),
         position=position,
-        command=None,
+        command=sent.radians(*sent.joints("command"), half)[0] if sent is state else None,
         columns=tuple(column.title for column in columns),
         angle_unit="/".join(sorted(units)),
         half=half,
         more=more,
         units=measured,
         robot=f"{kind}:{source.stem}",
-        extra={"source": source.name, "format": kind, **(extra or {})},
+        extra={"source": source.name, "format": kind, **motion.extra},
     )
-    if sent is not None:
-        command = sent.radians(*sent.joints("command"), half)[0]
-        motion = replace(motion, command=command) if sent is state else sent.held(command, motion)
+    if seen.any() and not seen.all():
+        state.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
+        found = found.take(seen)
+    if sent is not None and sent is not state:
+        found = sent.held(found, half)
     notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
-    return replace(motion, notes=(*notes, *motion.notes))
+    found = replace(found, notes=(*notes, *found.notes))
+    return found if motion.complete is None else motion.complete(found, arm, options)
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
@@ -442,16 +451,18 @@ class _Table:
             raise FileError(self.frame.path, said, "set another --angle-unit")
         return raw * factor, {*units}
 
-    def held(self, command: Array, motion: RecordedMotion) -> RecordedMotion:
-        """Add ``command`` of this table's clock to a motion: of each state the last before it; FileError."""
-        times, path = self.clock(), self.frame.path
+    def held(self, motion: RecordedMotion, half: Array | None) -> RecordedMotion:
+        """Add the commands of this table's clock to a motion: for each state the last before it; FileError."""
+        command = self.radians(*self.joints("command"), half)[0]
+        known = np.isfinite(command).any(axis=1)
+        times, command, path = self.clock()[known], command[known], self.frame.path
         for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
             if len(clock) < FEWEST:
                 raise FileError(file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", RECORD_AGAIN)
         steps = np.diff(times)
         if not (steps >= 0).all():
             row = int(np.argmin(steps >= 0)) + 1
-            where = f"command, {self.frame.place} {self.frame.number[row]}"
+            where = f"command, {self.frame.place} {self.frame.number[known][row]}"
             raise FileError(path, f"{where}: the clock goes back, or is no number", "cut the file there")
         common = min(motion.time[-1], times[-1]) - max(motion.time[0], times[0])
         if common < 0.5 * min(np.ptp(motion.time), np.ptp(times)):
@@ -501,14 +512,13 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
     stem, unit = split_unit(title, TIME_UNITS)
     if stem.casefold() in _TIMES:
         return stem.casefold(), "time", "", unit
-    for prefix in _ORDER:
+    for prefix, group in _PREFIXES:
         if not title.casefold().startswith(prefix):
             continue
-        group = _PREFIXES[prefix]
-        spelled = {unit.casefold(): unit for unit in UNITS[group]} | {unit: unit for unit in UNITS[group]}
+        spelled = {spelling: unit for unit in UNITS[group] for spelling in (unit, unit.casefold())}
         rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
         found = _JOINT.fullmatch(rest[1:])
-        name = "" if found is None else found["number"] or found["name"] or ""
-        if found is not None and (group not in POINTS or name in AXES):
+        name = found and (found["number"] or found["name"] or "")
+        if name is not None and (group not in POINTS or name in AXES):
             return prefix, group, name, spelled.get(unit or "")
     return None

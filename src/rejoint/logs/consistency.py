@@ -48,8 +48,6 @@ _EXACT = 1e-3
 """Unexplained part of a lag that explains all (a real cobot: 0.00008 at 0 s, 0.00005 at -0.04 s)"""
 _JUMP = np.radians(2.0)
 """[rad] of a command's step in one row"""
-_STEPPING = 0.8
-"""Stepped share of travel"""
 _REST = 1.0
 """[s] without commands around a step"""
 _BEGUN = 0.05
@@ -80,10 +78,7 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
     even = np.arange(time[0], time[-1], step)[:_ROWS_MOST]
     held = command[np.searchsorted(time, even, side="right") - 1]
     moved = np.stack([np.interp(even, time, one) for one in position.T], axis=1)
-    stepping = [_is_stepping(one, step) for one in held.T if np.ptp(one) > _JUMP]
-    if stepping and all(stepping):
-        return _of_steps(moved, held, step)
-    return _of_velocities(moved, held, step, period)
+    return _of_steps(moved, held, step) or _of_velocities(moved, held, step, period)
 
 
 def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag | None:
@@ -119,18 +114,8 @@ def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
     return Lag(float(lags[best]), sure=alike and ratio > _SURE[inside not in (near[0], near[-1])])
 
 
-def _is_stepping(command: Array, step: float) -> bool:
-    """Whether a command (T,) mostly steps and rests."""
-    change = np.abs(np.diff(command))
-    jumps = np.flatnonzero(change > _JUMP)
-    if not len(jumps):
-        return False
-    near = np.concatenate([[False], np.diff(jumps) * step < 0.1, [False]])
-    alone = jumps[~(near[1:] | near[:-1])]
-    return bool(change[alone].sum() > _STEPPING * change.sum())
-
-
 def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
+    """Lag by lone steps of commands; None where there are few."""
     reach, rest = round(SEARCHED / step), round(_REST / step)
     shares = []
     for way, asked in zip(moved.T, held.T, strict=True):

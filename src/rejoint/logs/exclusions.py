@@ -211,8 +211,6 @@ def _lasting(rows: Rows, time: Array, seconds: float) -> Rows:
 
 
 def _recovering(time: Array, rows: Rows) -> Rows:
-    if not rows.any():
-        return rows
     latest = np.maximum.accumulate(np.where(rows, time, -np.inf))
     return np.asarray(time - latest <= RECOVERY)
 

@@ -212,20 +212,16 @@ _INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
     """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
-    paths = _files(folder)
-    if arm is not None:
-        paths = {key: path for key, path in paths.items() if _is_of(path.relative_to(folder), arm)}
+    paths = {key: path for key, path in _files(folder).items() if _is_of(path.relative_to(folder), arm)}
     known = _cached(folder)
     known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
-    seen = set(known[_FILE].to_pylist())
     tables, problems = [known], list[str]()
-    for key, path in sorted(paths.items()):
-        if key not in seen:
-            try:
-                table = read_table(path)
-                tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
-            except FileError as error:
-                problems.append(_plain(str(error)))
+    for key in sorted(paths.keys() - {*known[_FILE].to_pylist()}):
+        try:
+            table = read_table(paths[key])
+            tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
+        except FileError as error:
+            problems.append(_plain(str(error)))
     table = pa.concat_tables(tables).combine_chunks()
     if len(tables) > 1 and arm is None:
         with suppress(FileError):  # a folder that may only be read is read again the next time
@@ -236,9 +232,7 @@ def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], t
 
 def _cached(folder: Path) -> pa.Table:
     with suppress(FileError), reading(folder / INDEX, "damaged", "delete it"):
-        table = read_parquet(folder / INDEX, "delete it")
-        if table.schema.equals(_INDEXED):
-            return table
+        return read_parquet(folder / INDEX, "delete it").cast(_INDEXED)
     return _INDEXED.empty_table()
 
 
@@ -262,6 +256,6 @@ def _plain(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _is_of(path: Path, arm: str) -> bool:
+def _is_of(path: Path, arm: str | None) -> bool:
     parts = path.parts
-    return CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm
+    return arm is None or CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

@@ -6,19 +6,21 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.logs.bags import MCAP, ROSBAG
-from rejoint.logs.columns import FEWEST, RecordedMotion
+from rejoint.logs.bags import MCAP, ROSBAG, Store
+from rejoint.logs.columns import FEWEST, Motion, RecordedMotion, read_motion
 from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
-from rejoint.logs.readers import LEROBOT, SAGE, TABLE
+from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
 from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
@@ -132,7 +134,7 @@ class Imported:
     """failed logs with reasons"""
 
 
-READERS = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
+READERS: dict[str, Reader | Store] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 FORMATS = tuple(READERS)
 """Importable formats"""
 
@@ -186,29 +188,31 @@ def import_logs(
     paths = READERS[chosen].found(source, options) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
-    pending = READERS[chosen].motions(paths, arm, options)
+    beside = [file.name for file in sorted(source.glob("*.csv")) if file not in paths] if chosen == "table" else []
+    notes = (
+        {f"files without columns of a log left out: {', '.join(beside)}": [_file_name(source.name)]} if beside else {}
+    )
     logs: dict[str, RunLog] = {}
-    notes: dict[str, list[str]] = {}
     refused: list[tuple[str, FileError]] = []
-    for done, (motion, read) in enumerate(pending, start=1):
-        parts: list[RecordedMotion] = []
-        try:
-            parts = list(parted(read()))
-        except FileError as error:
-            refused.append((_file_name(motion), error))
-        for part in parts:
-            name = _file_name(part.name)
-            try:
-                log, remarks = to_log(part, arm, options)
-                if name in logs:
-                    raise FileError(source, f"a second log with the name {name}", "import it into another folder")
-            except FileError as error:
-                refused.append((name, error))
-                continue
-            logs[name] = log
-            for remark in remarks:
-                notes.setdefault(remark, []).append(name)
-        on_progress(done / len(pending), _file_name(motion))
+    refusing = partial(_refusing, refused)
+    for done, path in enumerate(paths, start=1):
+        motions: list[Motion] = []
+        with refusing(path.stem):
+            motions += READERS[chosen].read(path, options)
+        for motion in motions:
+            parts: list[RecordedMotion] = []
+            with refusing(motion.name):
+                parts += parted(read_motion(motion, arm, options, source=path.resolve(), kind=chosen))
+            for part in parts:
+                name = _file_name(part.name)
+                with refusing(name):
+                    log, remarks = to_log(part, arm, options)
+                    if name in logs:
+                        raise FileError(source, f"a second log with the name {name}", "import it into another folder")
+                    logs[name] = log
+                    for remark in remarks:
+                        notes.setdefault(remark, []).append(name)
+        on_progress(done / len(paths), _file_name(path.stem))
     for name, original in copies(logs.items()).items():
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
@@ -243,6 +247,15 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
         held = " and ".join(fitting)
         raise FileError(source, f"holds logs of the formats {held}", "say with --format which to import")
     return fitting[0]
+
+
+@contextmanager
+def _refusing(refused: list[tuple[str, FileError]], name: str) -> Iterator[None]:
+    """Note a FileError and go on."""
+    try:
+        yield
+    except FileError as error:
+        refused.append((_file_name(name), error))
 
 
 def _file_name(motion: str) -> str:

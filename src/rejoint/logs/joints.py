@@ -200,12 +200,12 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[tuple[str, Linear] | None]:
     """Joints of plain numbers; m1 only if the arm's names end in numbers."""
     parts = [_NUMBERED.fullmatch(name) for name in names]
     counted = all(name[-1:].isdigit() for name in arm.joint_names)
-    for stem in dict.fromkeys(["", *(part[1] for part in parts if part is not None and counted)]):
-        own = {i: int(part[2]) for i, part in enumerate(parts) if part is not None and part[1] == stem}
+    for stem in dict.fromkeys(["", *(part[1] for part in parts if part and counted)]):
+        own = {i: int(part[2]) for i, part in enumerate(parts) if part and part[1] == stem}
         first = min(own.values(), default=-1)
         if first in (0, 1) and sorted(own.values()) == [*range(first, first + arm.joints)]:
-            joints = {i: arm.joint_names[number - first] for i, number in own.items()}
-            return [(joints[i], Linear(column=name)) if i in joints else None for i, name in enumerate(names)]
+            columns = enumerate(names)
+            return [(arm.joint_names[own[i] - first], Linear(column=name)) if i in own else None for i, name in columns]
     return [None] * len(names)
 
 

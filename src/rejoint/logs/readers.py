@@ -10,16 +10,13 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm
-from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, holds_positions, read_motion
+from rejoint.logs.columns import ColumnFrame, Motion, holds_positions
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
 from rejoint.system.errors import FileError
@@ -32,8 +29,8 @@ class Reader(NamedTuple):
 
     found: Callable[[Path, ImportOptions], list[Path]]
     """its files or folders at a path, sorted by name"""
-    motions: Callable[[Sequence[Path], Arm, ImportOptions], list[Pending]]
-    """the motions in these"""
+    read: Callable[[Path, ImportOptions], Iterable[Motion]]
+    """the motions in one of these"""
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -50,19 +47,14 @@ def _is_sage(folder: Path) -> bool:
     return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
 
 
-def _sage_motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
-    return [(folder.resolve().name, partial(_read_sage, folder, arm, options)) for folder in paths]
-
-
-def _read_sage(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
+def _read_sage(folder: Path, options: ImportOptions) -> list[Motion]:
     file = folder / _JOINTS
     with reading(file, "a SAGE motion needs it, and it is no readable text", "copy it"):
         text = read_bounded(file, TEXT_MOST, _CUT).decode("utf-8-sig")
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
     files = {_STATE: "position", _CONTROL: "command"}
-    frames = [_sage_frame(folder / file, names, group, ticks) for file, group in files.items()]
-    return read_motion(folder.resolve().name, frames, arm, options, source=folder.resolve(), kind="sage")
+    return [Motion(folder.resolve().name, [_sage_frame(folder / file, names, files[file], ticks) for file in files])]
 
 
 def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
@@ -75,15 +67,9 @@ def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> Colum
         with reading(path, said, remedy):
             numbers = json.loads(text)
             values[row] = numbers if len(numbers) == len(names) else "of another length"
-    return ColumnFrame(
-        path=path,
-        titles=tuple(f"{group}.{name}" for name in names),
-        values=lambda chosen: values[:, chosen],
-        number=sheet.lines,
-        place="line",
-        time=sheet.numbers([1])[:, 0] / ticks,
-        angle_unit="rad",
-    )
+    columns = {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)}
+    about = {"number": sheet.lines, "place": "line", "angle_unit": "rad"}
+    return ColumnFrame.of(path, columns, time=sheet.numbers([1])[:, 0] / ticks, **about)
 
 
 _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
@@ -102,13 +88,6 @@ def _tables(source: Path, options: ImportOptions) -> list[Path]:
     ]
 
 
-def _table_motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
-    beside = paths[0].parent.glob("*.csv") if len(paths) > 1 else ()
-    others = sorted(file.name for file in beside if file not in paths)
-    left = [f"files without columns of a log left out: {', '.join(others)}"] * bool(others)
-    return [(file.stem, partial(_read_table, file, arm, options, left * (file == paths[0]))) for file in paths]
-
-
 def _titles(file: Path) -> tuple[str, ...] | None:
     """Titles of a file; empty for JSON and archives, None for other files."""
     kinds = {".npz": b"PK\x03\x04", ".json": b"{"}
@@ -119,30 +98,24 @@ def _titles(file: Path) -> tuple[str, ...] | None:
     return None if sheet is None else sheet.titles
 
 
-def _read_table(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) -> RecordedMotion:
+def _read_table(file: Path, options: ImportOptions) -> list[Motion]:
     if _titles(file) == ():
         columns, found = (_archive if file.suffix.lower() == ".npz" else _records)(file)
-        frame = _frame_of(file, columns, found=found)
-    else:
-        sheet = read_sheet(file, names=options.names, whole=False)
-        notes = [
-            *notes,
+        return [Motion(file.stem, [ColumnFrame.of(file, columns, found=found)])]
+    sheet = read_sheet(file, names=options.names, whole=False)
+    frame = ColumnFrame(
+        path=file,
+        titles=sheet.titles,
+        values=sheet.numbers,
+        number=sheet.lines,
+        place="line",
+        found=sheet.found,
+        notes=[
             *[f"read as {sheet.found}"] * (not sheet.plain),
             *["the last line does not end and may be cut: left out"] * (not sheet.ends),
-        ]
-        frame = ColumnFrame(
-            path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
-        )
-    return read_motion(file.stem, [replace(frame, notes=notes)], arm, options, source=file, kind="table")
-
-
-def _frame_of(file: Path, columns: dict[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
-    values = list(columns.values())
-    number = np.arange(1, len(values[0]) + 1 if values else 1)
-    about = {"number": number} | about
-    return ColumnFrame(
-        path=file, titles=tuple(columns), values=lambda chosen: np.stack([values[i] for i in chosen], axis=1), **about
+        ],
     )
+    return [Motion(file.stem, [frame])]
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
@@ -179,7 +152,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
 
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
-_SCALARS = ("timestamp", "frame_index", "episode_index")
+_SCALARS = ("frame_index", "timestamp", "episode_index")
 _TOLERANCE = 1e-4
 """[s] ``tolerance_s`` of LeRobotDataset"""
 _REMEDY = "download or record the dataset again"
@@ -189,8 +162,7 @@ def _datasets(source: Path, _: ImportOptions) -> list[Path]:
     return [source] * (source / _INFO).is_file()
 
 
-def _episodes(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
-    (source,) = paths
+def _episodes(source: Path, options: ImportOptions) -> Iterator[Motion]:
     path = source / _INFO
     with reading(path, "damaged", _REMEDY):
         data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
@@ -206,12 +178,20 @@ def _episodes(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[P
         remedy = "set --angle-unit: deg or rad, or normalised, with the calibration file where you have it"
         raise FileError(path, said, remedy)
     columns = _read_frames(source, names)
-    if (rows := len(columns["timestamp"])) != frames:
-        raise FileError(source, f"{rows} frames in data, but {_INFO} promises {frames}", _REMEDY)
-    numbers = np.unique(columns["episode_index"]).astype(int).tolist()
-    return [
-        (f"episode_{number:06d}", partial(_episode, source, columns, number, fps, arm, options)) for number in numbers
-    ]
+    index, stamps, episodes = (columns.pop(name) for name in _SCALARS)
+    if len(index) != frames:
+        raise FileError(source, f"{len(index)} frames in data, but {_INFO} promises {frames}", _REMEDY)
+    for number in np.unique(episodes).astype(int).tolist():
+        rows = np.flatnonzero(episodes == number)
+        rows = rows[np.argsort(index[rows], kind="stable")]
+        nominal, measured, name = index[rows] / fps, stamps[rows], f"episode_{number:06d}"
+        even = bool((np.abs(measured - nominal) < _TOLERANCE).all())
+        said = "are" if even else "differ from"
+        note = f"the stamps {said} frame numbers over {fps:g} Hz" + ", no measured times" * even
+        about = {"number": rows + 1, "place": f"{name}, row", "found": "a LeRobot dataset", "notes": [note]}
+        own = {title: column[rows] for title, column in columns.items()}
+        frame = ColumnFrame.of(source, own, time=nominal if even else measured, **about)
+        yield Motion(name, [frame], {"episode": str(number)})
 
 
 def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> tuple[str, ...]:
@@ -242,24 +222,6 @@ def _read_frames(source: Path, names: dict[str, tuple[str, ...]]) -> dict[str, A
     return {title: np.concatenate(parts) for title, parts in found.items()}
 
 
-def _episode(
-    folder: Path, columns: dict[str, Array], number: int, fps: float, arm: Arm, options: ImportOptions
-) -> RecordedMotion:
-    rows = np.flatnonzero(columns["episode_index"] == number)
-    rows = rows[np.argsort(columns["frame_index"][rows], kind="stable")]
-    own = {name: column[rows] for name, column in columns.items()}
-    index, stamps = own.pop("frame_index"), own.pop("timestamp")
-    nominal = index / fps
-    even = bool((np.abs(stamps - nominal) < _TOLERANCE).all())
-    said = "are" if even else "differ from"
-    note = f"the stamps {said} frame numbers over {fps:g} Hz" + (", no measured times" if even else "")
-    del own["episode_index"]
-    name, time = f"episode_{number:06d}", nominal if even else stamps
-    about = {"number": rows + 1, "place": f"{name}, row", "found": "a LeRobot dataset", "notes": [note]}
-    frame = _frame_of(folder, own, time=time, **about)
-    return read_motion(name, [frame], arm, options, source=folder, kind="lerobot", extra={"episode": str(number)})
-
-
-SAGE = Reader(_sage_folders, _sage_motions)
-TABLE = Reader(_tables, _table_motions)
+SAGE = Reader(_sage_folders, _read_sage)
+TABLE = Reader(_tables, _read_table)
 LEROBOT = Reader(_datasets, _episodes)

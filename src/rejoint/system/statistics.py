@@ -68,14 +68,18 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
     return "targets", index
 
 
+def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
+    """Finite ``values``, and their sums and counts per cluster; ValueError without any."""
+    known = np.isfinite(values)
+    if not known.any():
+        raise ValueError("a mean needs at least one finite value")
+    _, groups = np.unique(labels[known], return_inverse=True)
+    return values[known], np.bincount(groups, weights=values[known]), np.bincount(groups)
+
+
 def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
     """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least ``fewest``."""
-    known = np.isfinite(values)
-    values, labels = values[known], labels[known]
-    if len(values) == 0:
-        raise ValueError("a mean needs at least one finite value")
-    _, groups = np.unique(labels, return_inverse=True)
-    sums, counts = np.bincount(groups, weights=values), np.bincount(groups)
+    values, sums, counts = _clustered(values, labels)
     mean = float(values.mean())
     if len(counts) < fewest:
         return Estimate(value=mean, low=None, high=None)
@@ -117,22 +121,12 @@ def wilson(hits: float, trials: float) -> Estimate:
 
 def clustered_share(hits: Array, labels: Labels) -> Estimate:
     """Share of ones in ``hits`` (N,), with interval over clusters ``labels`` (N,)."""
-    known = np.isfinite(hits)
-    hits, labels = hits[known], labels[known]
-    if len(hits) == 0:
-        raise ValueError("a share needs at least one finite value")
-    effective = len(hits) / _design_effect(hits, labels)
-    return wilson(float(hits.mean()) * effective, effective)
-
-
-def _design_effect(hits: Array, labels: Labels) -> float:
-    share, (_, groups) = hits.mean(), np.unique(labels, return_inverse=True)
-    sums, counts = np.bincount(groups, weights=hits), np.bincount(groups)
-    clusters = len(counts)
-    if clusters < 2 or share in (0.0, 1.0):
-        return 1.0
-    between = clusters / (clusters - 1) * np.sum((sums - share * counts) ** 2) / len(hits) ** 2
-    return max(1.0, float(between / (share * (1 - share) / len(hits))))
+    hits, sums, counts = _clustered(hits, labels)
+    share, trials, clusters, effect = hits.mean(), len(hits), len(counts), 1.0
+    if clusters > 1 and 0.0 < share < 1.0:
+        between = clusters / (clusters - 1) * np.sum((sums - share * counts) ** 2) / trials**2
+        effect = max(1.0, float(between / (share * (1 - share) / trials)))
+    return wilson(float(share) * trials / effect, trials / effect)
 
 
 def paired_difference(first: Array, second: Array, labels: Labels, *, seed: int = 0) -> Estimate | None:

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
 from rejoint.system.errors import FileError, first_line
@@ -77,57 +72,41 @@ class Sheet:
         """Titles for an error."""
         return shown(self.titles)
 
-    @cached_property
-    def cells(self) -> pa.Table:
-        """Trimmed strings in columns ``0``, ``1`` and so on; FileError."""
+    def _cells(self) -> Iterator[list[str]]:
+        """Trimmed cells, row by row; FileError."""
         width = len(self.titles)
-        wider = bool(self.rows) and len(row := _split(self.rows[0], self.separator)) == width + 1 and not row[-1]
-        columns = [str(i) for i in range(width + wider)]
-        if not self.rows:
-            return pa.table({name: pa.array([], pa.string()) for name in columns})
-        odd: list[pacsv.InvalidRow] = []
-
-        def skip(row: pacsv.InvalidRow) -> str:
-            odd.append(row)
-            return "skip"
-
+        rows = csv.reader(self.rows, delimiter=self.separator, skipinitialspace=True, strict=True)
         try:
-            table = pacsv.read_csv(
-                io.BytesIO("\n".join(self.rows).encode()),
-                pacsv.ReadOptions(column_names=columns, use_threads=False, block_size=1 << 24),
-                pacsv.ParseOptions(delimiter=self.separator, invalid_row_handler=skip, ignore_empty_lines=False),
-                pacsv.ConvertOptions(column_types=dict.fromkeys(columns, pa.string())),
-            )
-        except pa.ArrowInvalid as error:
-            raise FileError(self.path, f"no table ({first_line(error)})", _REMEDY) from error
-        if odd:
-            count, line = odd[0].actual_columns, self.lines[odd[0].number - 1]
-            hint = " (decimal commas need another separator between columns)"
-            hint *= self.separator == "," and count > width
-            raise FileError(self.path, f"line {line}: {count} columns, the header has {width}{hint}", _REMEDY)
-        return pa.table({name: pc.utf8_trim_whitespace(table[name]) for name in columns[:width]})
+            for line, row in zip(self.lines, rows, strict=True):
+                if len(row) != width and row[width:] != [""]:
+                    hint = " (decimal commas need another separator between columns)"
+                    hint *= self.separator == "," and len(row) > width
+                    raise FileError(
+                        self.path, f"line {line}: {len(row)} columns, the header has {width}{hint}", _REMEDY
+                    )
+                yield [cell.strip() for cell in row]
+        except (csv.Error, ValueError) as error:
+            raise FileError(self.path, f"no table, or a quote does not end ({first_line(error)})", _REMEDY) from error
 
     def words(self, column: int) -> list[str]:
-        """Cells of a column."""
-        return [str(cell) for cell in self.cells[column].to_pylist()]
+        """Cells of a column; FileError."""
+        return [row[column] for row in self._cells()]
 
     def numbers(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Columns (rows, columns) as numbers, NaN: empty; FileError. Commas are decimal where no cell has a point."""
-        found = [self.cells[column] for column in columns]
-        comma, point = (any(pc.any(pc.match_substring(cells, sign)).as_py() for cells in found) for sign in ",.")
-        commas = comma and not point
-        values = np.empty((len(self), len(found)))
-        for place, cells in enumerate(found):
-            cells = pc.if_else(pc.is_in(pc.utf8_lower(cells), pa.array(_EMPTY)), None, cells)
-            try:
-                decimal = pc.replace_substring(cells, ",", ".") if commas else cells
-                values[:, place] = pc.cast(decimal, pa.float64()).fill_null(np.nan).to_numpy()
-            except pa.ArrowInvalid as error:
-                words = enumerate(cells.to_pylist())
-                row, word = next((i, c) for i, c in words if c and not (_is_number(c) and (commas or "," not in c)))
-                where = f"line {self.lines[row]}, column {self.titles[columns[place]]}"
-                what = f"{where}: {word[:40]!r} is no number"
-                raise FileError(self.path, what, "mend the cell; dates as seconds") from error
+        picked = [[row[column] for column in columns] for row in self._cells()]
+        pointed = any("." in cell for row in picked for cell in row)
+        values = np.full((len(self), len(columns)), np.nan)
+        for k, row in enumerate(picked):
+            for place, cell in enumerate(row):
+                if cell.casefold() in _EMPTY:
+                    continue
+                try:
+                    values[k, place] = float(cell if pointed else cell.replace(",", "."))
+                except ValueError as error:
+                    where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
+                    said = f"{where}: {cell[:40]!r} is no number"
+                    raise FileError(self.path, said, "mend the cell; dates as seconds") from error
         return values
 
 
@@ -152,11 +131,7 @@ def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = 
     """
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, most, "cut it into several files")
-    sheet = _parsed(*_decoded(data, path), path, names, whole=whole)
-    if sheet.cells.num_rows != len(sheet):
-        said = f"{len(sheet)} lines hold {sheet.cells.num_rows} rows: a quote does not end"
-        raise FileError(path, said, _REMEDY)
-    return sheet
+    return _parsed(*_decoded(data, path), path, names, whole=whole)
 
 
 def head(path: Path) -> Sheet | None:
