@@ -249,8 +249,8 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
     first = frames[0]
     for ours, theirs in (options.columns or {}).items():
         if not any(ours in table.mapped for table in tables):
-            found = f"found {first.found}: {shown(first.titles)}"
-            raise FileError(first.path, f"--map {ours}={theirs}: no such column; {found}", "name one of these")
+            said = f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}"
+            raise FileError(first.path, said, "name one of these")
     state, sent = (next((table for table in tables if table.of(group)), None) for group in ("position", "command"))
     if state is None:
         titles = ", ".join(shown(frame.titles) for frame in frames)

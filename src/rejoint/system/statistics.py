@@ -74,7 +74,7 @@ def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
     if not known.any():
         raise ValueError("a mean needs at least one finite value")
     _, groups = np.unique(labels[known], return_inverse=True)
-    return values[known], np.bincount(groups, weights=values[known]), np.bincount(groups)
+    return values[known], np.bincount(groups, weights=values[known]).astype(float), np.bincount(groups)
 
 
 def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
