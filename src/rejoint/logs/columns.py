@@ -261,7 +261,7 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
             "command.JOINT are expected",
         )
     raw, columns = state.joints("position")
-    seen = np.isfinite(raw).any(axis=1)
+    seen = np.asarray(np.isfinite(raw).any(axis=1))
     half = state.half_ranges(raw[seen])
     position, units = state.radians(raw, columns, half)
     more, measured = state.measured()
