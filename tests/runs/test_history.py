@@ -210,4 +210,4 @@ def test_prometheus_reads_every_line():
         f'rejoint_due_seconds{{arm="a7",end="early"}} {(BEGIN - datetime(1970, 1, 1)).total_seconds():.0f}' in samples
     )
     assert text.endswith("\n")
-    assert len({line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")}) == 7
+    assert len({line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")}) == 8

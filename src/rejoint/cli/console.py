@@ -161,10 +161,13 @@ class Terminal:
         columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
         for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
+            spare = max(width - 1 - sum(_least(column) + 3 for column in part), 0)
             for index, column in enumerate(part):
+                wide = min(max(map(cell_len, column)), _least(column) + spare)
+                spare -= wide - _least(column)
                 # as text: square brackets are units here, and no markup
                 justify: Literal["left", "right"] = "right" if index else "left"
-                table.add_column(Text(column[0]), justify=justify, overflow="fold", min_width=_least(column))
+                table.add_column(Text(column[0]), justify=justify, overflow="fold", width=wide)
             for number, row in enumerate(zip(*(column[1:] for column in part), strict=True)):
                 table.add_row(*map(Text, row), style="bold" if number == bold else None)
             page.print(table)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -171,18 +170,6 @@ def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasur
     write_text(path, text)
 
 
-_METRICS = {
-    "state": "1 for the state that the arm is in",
-    "error_mm": "tool error at the five poses of a check",
-    "controlled_error_mm": "tool error with the controller of the last repair, at most",
-    "tolerance_mm": "tool error that the owner can bear",
-    "repeatability_mm": "largest RP of a pose by the encoders",
-    "due_seconds": "when the tolerance will be reached",
-    "hysteresis_mm": "following error one way minus the other",
-    "cusum": "standard deviations that have come together since the change began",
-}
-
-
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     """Check as Prometheus text."""
     ends, epoch = {} if seen.due is None else asdict(seen.due), datetime(1970, 1, 1)
@@ -196,13 +183,13 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
         *(("hysteresis_mm", row.hysteresis_mm, {"joint": row.joint}) for row in measures.joints),
         *(("cusum", one.cusum, {"joint": one.joint, "quantity": one.quantity}) for one in seen.changes),
     ]
-    lines = []
-    for metric, known in groupby((one for one in samples if one[1] is not None), key=itemgetter(0)):
-        lines += [f"# HELP rejoint_{metric} {_METRICS[metric]}", f"# TYPE rejoint_{metric} gauge"]
-        for _, value, labels in known:
-            words = (f'{key}="{text.translate(_ESCAPES)}"' for key, text in ({"arm": name} | labels).items())
-            lines.append(f"rejoint_{metric}{{{','.join(words)}}} {value:.10g}")
-    return "\n".join([*lines, ""])
+    types = [f"# TYPE rejoint_{metric} gauge\n" for metric in dict.fromkeys(metric for metric, *_ in samples)]
+    return "".join(types + [_sample(metric, value, {"arm": name} | labels) for metric, value, labels in samples])
+
+
+def _sample(metric: str, value: float | None, labels: dict[str, str]) -> str:
+    words = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
+    return "" if value is None else f"rejoint_{metric}{{{words}}} {value:.10g}\n"
 
 
 _ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
@@ -221,7 +208,6 @@ class ArmHistory:
     name: str
     rows: tuple[HistoryRow, ...]
     """of the whole arm, the oldest first"""
-    joints: tuple[HistoryRow, ...]
 
     @property
     def newest(self) -> HistoryRow:
@@ -242,15 +228,11 @@ class ArmHistory:
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
     """Group rows, the oldest first, by arm; urgent arms first."""
-    found = []
     owner = owners(rows)
-    whose = [(owner(row), row) for row in rows]
-    for name in sorted({name for name, _ in whose}):
-        mine = sorted((row for other, row in whose if other == name), key=lambda row: row.time)
-        whole = tuple(row for row in mine if not row.joint)
-        if whole:
-            found.append(ArmHistory(name=name, rows=whole, joints=tuple(row for row in mine if row.joint)))
-    return sorted(found, key=_urgency)
+    whose: dict[str, list[HistoryRow]] = {}
+    for row in sorted((row for row in rows if not row.joint), key=lambda row: (owner(row), row.time)):
+        whose.setdefault(owner(row), []).append(row)
+    return sorted((ArmHistory(name=name, rows=tuple(mine)) for name, mine in whose.items()), key=_urgency)
 
 
 def cells(arm: ArmHistory) -> list[str]:
@@ -297,13 +279,4 @@ def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:
         urgent=urgent,
         headers=HEADERS,
         cells=cells,
-        joints=[pair for arm in urgent for pair in _joints(arm)],
     )
-
-
-def _joints(arm: ArmHistory) -> Iterator[tuple[str, HistoryRow, HistoryRow]]:
-    begun = max((row.time for row in arm.rows if row.kind == "repair" or row.norm), default=datetime.min)
-    mine = [row.time for row in arm.rows if row.kind == "check" and row.time >= begun]
-    if len(mine) > 1:
-        first, last = ({row.joint: row for row in arm.joints if row.time == time} for time in (mine[0], mine[-1]))
-        yield from ((arm.name, first[joint], row) for joint, row in last.items() if joint in first)
