@@ -27,7 +27,7 @@ from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
-from rejoint.twin.fromlogs import FITTED, LogSettings, identify_logs
+from rejoint.twin.identify import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
 from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.motionfit import free_windows, thin

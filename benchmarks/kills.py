@@ -67,8 +67,7 @@ class WrongError(AssertionError):
 def small() -> None:
     """Cut the stages of this process down."""
     rejoint.diagnosis.excitation.FULL = SHORT
-    settings = partial(rejoint.twin.identify.IdentifySettings, starts=4, iterations=3)
-    rejoint.twin.identify.IdentifySettings = settings  # type: ignore[misc,assignment]
+    rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, starts=4, iterations=3)
     preset = rejoint.training.presets.DEFAULT
     ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)
     rejoint.training.presets.PRESETS["default"] = replace(preset, ppo=ppo)

@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, mycobot280
 from rejoint.diagnosis.excitation import plan_excitation
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.identify import IdentifySettings, identify
+from rejoint.twin.identify import identify
 from rejoint.twin.parameters import STICTION, TwinParameters, pack
 from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import Draw, Simulation
@@ -77,7 +77,7 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
         truth = worn(arm, rng)
         log = excite(heavier(arm, rng, masses), truth, rng)
         began = time.process_time()
-        twin = identify(arm, [log], IdentifySettings(threads=1))
+        twin = identify(arm, [log], threads=1)
         seconds.append(time.process_time() - began)
         off = pack(twin.parameters) - pack(truth)
         known = np.asarray(twin.identified)

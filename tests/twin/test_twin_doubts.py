@@ -9,7 +9,7 @@ from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 
 from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
-from rejoint.twin.fromlogs import FREEDOM, _hard_to_follow
+from rejoint.twin.identify import FREEDOM, _hard_to_follow
 from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut

@@ -11,7 +11,7 @@ from rejoint.arms import gravity_torque
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
-from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
+from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names

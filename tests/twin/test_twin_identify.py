@@ -4,18 +4,16 @@ import numpy as np
 import pytest
 
 from rejoint.twin.fit import Problem, correlation_time, fit
-from rejoint.twin.identify import IdentifySettings, identify
+from rejoint.twin.identify import identify
 from rejoint.twin.judgement import prediction_error
 from rejoint.twin.parameters import Layout, pack, prior
 from rejoint.twin.replay import Replay, cut
 from twinmodel import predict
 
-QUICK = IdentifySettings(starts=16, iterations=10, threads=1)
-
 
 @pytest.fixture(scope="session")
 def twin(arm, log):
-    return identify(arm, [log], QUICK)
+    return identify(arm, [log], starts=16, iterations=10, threads=1)
 
 
 def test_prediction_with_the_truth_is_as_good_as_the_encoders(arm, truth, log):

@@ -1,6 +1,8 @@
-"""Identification: a twin with intervals from logs of an excitation, judged on held-out windows.
+"""Identification: a twin with intervals from logs, judged on motion that the fit has not seen.
 
-Coarse fit from many starts (`rejoint.twin.fit`), final one, intervals (`rejoint.twin.uncertainty`).
+An excitation is fitted under the prior of its arm; every fourth window is held out. In logs of any motion of a
+little-known arm only free motion counts, whole motions are held out, and priors are wide. Part of the motion decides on
+the structure (`rejoint.twin.structure`); after the judgement all motions are fitted.
 """
 
 from __future__ import annotations
@@ -12,13 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.fit import Fit, Problem, fit, search
-from rejoint.twin.judgement import prediction_error
+from rejoint.twin.declaration import TIMESTEP as FINE
+from rejoint.twin.fit import SCALES, Fit, Problem, fit, search
+from rejoint.twin.judge import TIMESTEP, Candidate, judge
+from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError, prediction_error
 from rejoint.twin.loads import prior_by_loads
+from rejoint.twin.motionfit import (
+    MOSTLY,
+    SHORTEST_STRETCH,
+    durations,
+    fastest,
+    free_windows,
+    merged,
+    part,
+    repeated,
+    thin,
+)
 from rejoint.twin.parameters import (
     Layout,
     Prior,
@@ -27,33 +42,25 @@ from rejoint.twin.parameters import (
     is_hobby,
     pack,
     prior,
+    unknown_prior,
     unpack,
 )
-from rejoint.twin.replay import Replay, cut, divide, measured_velocity
+from rejoint.twin.replay import Replay, Window, cut, divide, measured_velocity, powered
+from rejoint.twin.structure import (
+    STICTIONS,
+    Structure,
+    decide_compensation,
+    expressible,
+    find_acceleration,
+    find_structure,
+    rough_fit,
+    simplest,
+)
 from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
-
-@dataclass(frozen=True, kw_only=True)
-class IdentifySettings:
-    """Settings of an identification."""
-
-    window: float = 6.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
-    coarse_window: float = 2.0
-    """[s] the same for the search"""
-    hold_out: int = 4
-    """every hold_out-th window is held out"""
-    starts: int = 24
-    """candidates per round of the random search"""
-    timestep: float = TIMESTEP
-    """[s] of the final fit"""
-    iterations: int = 15
-    threads: int = 2
-    seed: int = 0
-
-
-DEFAULT_SETTINGS = IdentifySettings()
+FITTED, HEALTHY = "fitted twin", "healthy twin"
+"""Predictions besides `NO_TWIN`"""
 
 IDENTIFIED = 0.5
 """Sigma over the prior's of an identified parameter; chosen"""
@@ -61,45 +68,114 @@ IDENTIFIED = 0.5
 STILL_SPEED = 0.03
 """[rad/s] of a still joint; chosen"""
 
-SHORTEST = 20.0
-"""[s] least motion; chosen"""
+SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
+"""[s] least motion, and least free motion; chosen"""
+
+EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
+"""[s] between restarts, the same in the first fit, and one of how many windows is held out; chosen"""
+
+STARTS = 24
+"""Candidates per round of the random search; chosen"""
+
+ITERATIONS, REFINEMENT = 15, 6
+"""Most steps of the last descent, for an excitation and for other motion; chosen"""
+
+FOLLOWED = 0.4
+"""Least weight of a motion's worst joint without report; chosen"""
+REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
+NOTHING = "the motions tell no joint's stiffness, damping or friction"
+REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
+UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
+
+
+CLUSTERED = 8
+"""Motions from which intervals rest on them, not on windows; chosen"""
+
+STRIDE = 2.5
+"""Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
+MEMORY = 1.0
+"""[s] of one observation beside the prior; chosen"""
+
+FREEDOM = 2.0
+"""Degrees of freedom of window errors; chosen"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogSettings:
+    """Settings of an identification from logs."""
+
+    hold_out: tuple[str, ...] | None = None
+    """labels of motions; empty: none; None: drawn"""
+    seed: int = 0
+    """of the drawn ones"""
+    window: float = 8.0
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
+    coarse_seconds: float = 100.0
+    """[s] for the structure"""
+    fit_seconds: float = 400.0
+    """[s] for the final fit"""
+    fast_seconds: float = 40.0
+    """[s] of the fastest motion, which shows a limited acceleration"""
+    stictions: tuple[float, ...] = STICTIONS
+    """to try"""
+    timestep: float = TIMESTEP
+    threads: int = 2
+
+
+DEFAULT_LOG_SETTINGS = LogSettings()
 
 
 def identify(
     arm: Arm,
     logs: Sequence[RunLog],
-    settings: IdentifySettings = DEFAULT_SETTINGS,
     on_progress: Progress = no_progress,
+    *,
+    starts: int = STARTS,
+    iterations: int = ITERATIONS,
+    threads: int = 2,
+    seed: int = 0,
 ) -> Twin:
-    """Fit a twin to an excitation; InputError for another arm or too little motion."""
+    """Fit a twin to an excitation, from ``starts``; InputError for another arm or too little motion."""
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
-    windows = cut(logs, settings.window)
-    seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
-    unseen = [w for i, w in enumerate(windows) if i % settings.hold_out == settings.hold_out - 1]
-    if seconds < SHORTEST or not unseen:
+    windows = cut(logs, EXCITATION_WINDOW)
+    unseen = windows[HOLD_OUT - 1 :: HOLD_OUT]
+    seen = [window for window in windows if window not in unseen]
+    if seconds < SHORTEST_EXCITATION or not unseen:
         raise InputError(
-            f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {settings.window:g} s, "
-            f"expected at least {SHORTEST:.0f} s and {settings.hold_out} windows, one held out; record a longer log"
+            f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {EXCITATION_WINDOW:g} s, "
+            f"expected at least {SHORTEST_EXCITATION:.0f} s and {HOLD_OUT} windows, one held out; record a longer log"
         )
     belief = prior_by_loads(arm, logs) or prior(arm)
-
-    period = seconds / sum(len(log) - 1 for log in logs)
-    pieces = divide(seen, round(settings.coarse_window / period))
-    coarse = Problem(Replay(arm, logs, pieces, 2 * settings.timestep, settings.threads), belief)
-    fine = Problem(Replay(arm, logs, seen, settings.timestep, settings.threads), belief)
-    rng = np.random.default_rng(settings.seed)
+    pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
     on_progress(0.0, "search")
-    x = search(coarse, _starts(arm, belief, settings.starts, rng), rng)
-    on_progress(0.3, "descent")
-    x = fit(coarse, x, settings.iterations).vector
-    x = search(coarse, np.tile(x, (settings.starts, 1)), rng, rounds=2)
+    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief)
+    rng = np.random.default_rng(seed)
+    x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
+    x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
     on_progress(0.6, "refinement")
-    found = fit(fine, x, settings.iterations)
+    fine = Problem(Replay(arm, logs, seen, FINE, threads), belief)
+    found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
-    held_out = _held_out(replace(fine.replay, windows=unseen), found.vector)
+    held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     twin = fitted_twin(fine, found, fine.clusters(CLUSTER), held_out)
     on_progress(1.0, "done")
     return twin
+
+
+def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
+    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
+    starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
+    of_arm = Layout(arm.joints).of_arm
+    starts[2:, of_arm] = belief.mean[of_arm]
+    return np.clip(starts, belief.lower, belief.upper)
+
+
+def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
+    arm, measured = replay.arm, np.concatenate(replay.measured())
+    both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
+    predicted = [np.concatenate(replay.commands()), *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
+    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
+    return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 
 def fitted_twin(problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut) -> Twin:
@@ -128,22 +204,6 @@ def fitted_twin(problem: Problem, found: Fit, clusters: NDArray[np.integer], hel
         acceleration=replay.acceleration,
     )
     return replace(twin, notes=tuple(_notes(twin, found, held)))
-
-
-def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
-    starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
-    of_arm = Layout(arm.joints).of_arm
-    starts[2:, of_arm] = belief.mean[of_arm]
-    return np.clip(starts, belief.lower, belief.upper)
-
-
-def _held_out(replay: Replay, vector: Array) -> HeldOut:
-    arm, measured = replay.arm, np.concatenate(replay.measured())
-    both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    predicted = [np.concatenate(replay.commands()), *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
-    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
-    return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
@@ -184,3 +244,157 @@ def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:
         names = ", ".join(name for name, is_weak in zip(twin.joint_names, weak, strict=True) if is_weak)
         notes.append(f"torque limit close to the gravity torque held in the log: {names}")
     return notes
+
+
+def identify_logs(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    on_progress: Progress = no_progress,
+    beside: Sequence[Candidate] = (),
+) -> Twin:
+    """Fit a twin to logs; judge it, and the candidates ``beside`` it, on held-out motions.
+
+    The returned twin is fitted to all logs; ``held_out`` are the free-space means of its ``judgement``, for a fit to
+    the motions ``fitted``. InputError for another arm or too little motion.
+    """
+    for log in logs:
+        log.require(arm.name, arm.joint_names)
+    logs = powered(logs)
+    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
+    every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
+    height = table_height(arm, seen)
+    excluded = find_exclusions(arm, seen, height)
+    on_progress(0.0, "search")
+    problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
+    on_progress(0.7, "held-out motions")
+    own = Candidate(
+        name=FITTED,
+        parameters=unpack(found.vector, arm.joints),
+        stiction=structure.stiction,
+        acceleration=structure.acceleration,
+    )
+    healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []
+    judgement = judge(
+        arm, [own, *healthy, *beside], unseen, table=height, timestep=settings.timestep, threads=settings.threads
+    )
+    on_progress(0.8, "all motions")
+    note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
+    if settings.hold_out != ():
+        alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
+        note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
+        excluded = find_exclusions(arm, every, height)
+        problem, found = settle(arm, every, excluded, structure, found.vector, settings)
+    on_progress(0.9, "intervals")
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement))
+    on_progress(1.0, "done")
+    return replace(
+        twin,
+        notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
+        fitted=fitted,
+        judgement=replace(judgement, doubts=(*missing, *_unidentified(twin))),
+    )
+
+
+def fit_motions(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    on_progress: Progress = no_progress,
+) -> tuple[Problem, Fit, Structure]:
+    """Find a twin's structure, and fit it; InputError for too little motion."""
+    windows = free_windows(logs, excluded, settings.window)
+    seconds = float(durations(windows, logs).sum())
+    if seconds < SHORTEST:
+        whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
+        raise InputError(
+            f"identification: {seconds:.0f} s of free motion in stretches of {SHORTEST_STRETCH:g} s and more, of "
+            f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
+            "motions, off table and stops"
+        )
+    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
+
+    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
+        return _problem(arm, logs, chosen, structure, settings)
+
+    fast = fastest(windows, logs, settings.fast_seconds)
+    slow = thin(windows, logs, settings.coarse_seconds)
+    simple = simplest(belief, settings.stictions[0], arm.servo_acceleration)
+    x = rough_fit(problem(slow, simple))
+    on_progress(0.3, "structure")
+    expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
+    if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
+        x = rough_fit(problem(slow, simple))
+    usable = expressible(problem(merged(slow, fast), simple), x)
+    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
+    on_progress(0.5, "fit")
+    return *settle(arm, logs, excluded, structure, x, settings), structure
+
+
+def settle(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    structure: Structure,
+    start: Array,
+    settings: LogSettings,
+) -> tuple[Problem, Fit]:
+    """Fit windows from all logs, from ``start`` (k,)."""
+    windows = free_windows(logs, excluded, settings.window)
+    fast = fastest(windows, logs, settings.fast_seconds)
+    every = merged(thin(windows, logs, settings.fit_seconds), fast)
+    problem = _problem(arm, logs, every, structure, settings, stride=1.0)
+    return problem, fit(problem, start, REFINEMENT, SCALES)
+
+
+def _problem(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    windows: Sequence[Window],
+    structure: Structure,
+    settings: LogSettings,
+    stride: float = STRIDE,
+) -> Problem:
+    timestep, threads = settings.timestep, settings.threads
+    replay = Replay(arm, logs, windows, timestep, threads, structure.stiction, structure.acceleration)
+    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+
+
+def independent(problem: Problem) -> NDArray[np.integer]:
+    """(rows,) numbers of independent motions, or of windows where there are few."""
+    motion = _motions(problem)
+    return motion if motion.max() + 1 >= CLUSTERED else problem.window
+
+
+def _motions(problem: Problem) -> NDArray[np.integer]:
+    """(rows,) number of each row's motion."""
+    logs = np.array([w.log for w in problem.replay.windows])[problem.window]
+    return np.unique(logs, return_inverse=True)[1].ravel()
+
+
+def _unidentified(twin: Twin) -> list[str]:
+    kinds = {name.partition(".")[0] for name, known in zip(twin.names, twin.identified, strict=True) if known}
+    return [] if kinds & {"stiffness", "damping", "coulomb"} else [NOTHING]
+
+
+def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
+    motion = np.array([w.log for w in problem.replay.windows])[problem.window]
+    weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
+    low = {label: share for label, share in weight.items() if share < FOLLOWED}
+    if not low:
+        return []
+    named = ", ".join(f"{label} ({share:.2f})" for label, share in sorted(low.items(), key=lambda pair: pair[1]))
+    return [f"weighed down, for no twin of this structure follows them as it follows the others: {named}"]
+
+
+def _held_out(judgement: Judgement) -> HeldOut:
+    def error(name: str) -> PredictionError:
+        found = judgement.mean[name].free or judgement.mean[name].all
+        if found is None:
+            raise InputError("identification: the held-out motions hold no usable row; hold out others")
+        return found
+
+    seconds = sum(motion.seconds - motion.contact_seconds - motion.left_out_seconds for motion in judgement.motions)
+    healthy = error(HEALTHY) if HEALTHY in judgement.mean else None
+    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=healthy, twin=error(FITTED))

@@ -115,13 +115,9 @@ def identify(
 
 
 def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: Progress, *, quick: bool) -> Twin:
-    from rejoint.twin.identify import IdentifySettings
     from rejoint.twin.identify import identify as fit
 
-    settings = IdentifySettings(seed=seed)
-    if quick:
-        settings = replace(settings, starts=2, iterations=2, timestep=2 * settings.timestep)
-    return fit(arm, logs, settings, on_progress)
+    return fit(arm, logs, on_progress, seed=seed, **{"starts": 2, "iterations": 2} if quick else {})
 
 
 def _from_any_motion(
@@ -133,7 +129,7 @@ def _from_any_motion(
     *,
     quick: bool,
 ) -> Twin:
-    from rejoint.twin.fromlogs import LogSettings, identify_logs
+    from rejoint.twin.identify import LogSettings, identify_logs
 
     settings = LogSettings(hold_out=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed)
     if quick:
