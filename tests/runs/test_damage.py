@@ -27,8 +27,8 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.export import export_policy
-from rejoint.training.learner import CurvePoint, _save
-from rejoint.training.train import TrainingOptions, know_stiffness, make_learner, policy_contract, write_curves
+from rejoint.training.learner import CurvePoint
+from rejoint.training.train import TrainingOptions, know_stiffness, policy_contract, write_curves
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.judge import read_published
 from rejoint.twin.parameters import pack, prior, unpack
@@ -40,7 +40,6 @@ ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "docs" / "published" / "so-arm100-mjcf.toml"
 PROFILE = ROOT / "src" / "rejoint_lab" / "plant" / "profiles" / "worn.toml"
 INFO = RunInfo(robot="emulated:worn", arm="mycobot280", seed=3, version="1", created="now")
-IDENTITY = {"arm": "mine", "seed": 0}
 
 
 @dataclass(frozen=True)
@@ -105,11 +104,6 @@ def plain_policy(path):
 def make_curves(path):
     point = dict.fromkeys(CurvePoint.__annotations__, 0.5)
     write_curves(path, [CurvePoint(**point | {"step": k}) for k in range(9)])
-
-
-@pytest.fixture(scope="module")
-def learner():
-    return make_learner(ARM, None, know_stiffness(OPTIONS.recipe, ARM, None), OPTIONS)
 
 
 KINDS = (
@@ -229,33 +223,3 @@ def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path):
     run.folder.description.unlink()
     with pytest.raises(FileError, match=r"arm\.toml: no such file"):
         Run.open(run.folder.path)
-
-
-def test_a_damaged_checkpoint_is_refused(learner, tmp_path):
-    path, rng = tmp_path / "checkpoint.pt", random.Random(5)
-    learner.save(path, IDENTITY)
-    data = path.read_bytes()
-    assert learner.load(path, IDENTITY)
-    assert not learner.load(path, IDENTITY | {"seed": 1})
-    for _ in range(40):
-        bad = bytearray(data)
-        bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
-        path.write_bytes(bad)
-        with pytest.raises(FileError, match=r"checkpoint\.pt: damaged checkpoint \(it is not what was written\)"):
-            learner.load(path, IDENTITY)
-    for other in (b"", data[:-1], data[: len(data) // 2], b"PK half a file"):
-        path.write_bytes(other)
-        with pytest.raises(FileError, match="damaged checkpoint"):
-            learner.load(path, IDENTITY)
-
-
-def test_a_checkpoint_that_would_run_code_is_not_unpickled(learner, tmp_path):
-    class Evil:
-        def __reduce__(self):
-            return os.mkdir, (str(tmp_path / "was-here"),)
-
-    path = tmp_path / "checkpoint.pt"
-    _save({"evil": Evil()}, path)
-    with pytest.raises(FileError, match="damaged checkpoint"):
-        learner.load(path, IDENTITY)
-    assert not (tmp_path / "was-here").exists()

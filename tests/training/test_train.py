@@ -3,7 +3,6 @@ import dataclasses
 import numpy as np
 import onnxruntime as ort
 import pyarrow.parquet as pq
-import pytest
 import torch
 
 from rejoint.arms import mycobot280
@@ -28,7 +27,7 @@ SMALL = dataclasses.replace(
 
 
 def options(**changes):
-    return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16, threads=1, checkpoint_every=2), **changes)
+    return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16, threads=1), **changes)
 
 
 def small_learner(seed=0, **ppo):
@@ -68,70 +67,6 @@ def test_the_policy_does_not_depend_on_the_number_of_threads(tmp_path):
         )
         policies.append(result.policy.read_bytes())
     assert policies[0] == policies[1]
-
-
-class InterruptedTrainingError(Exception):
-    pass
-
-
-UPDATES = 6
-
-
-def updates_into(seen):
-    """Return progress that notes the number of updates."""
-    return lambda share, _: seen.append(round(share * UPDATES))
-
-
-def interrupt_after(iterations):
-    def on_progress(share, what):
-        if round(share * UPDATES) == iterations:
-            raise InterruptedTrainingError
-
-    return on_progress
-
-
-def test_an_interrupted_training_resumes_to_the_same_policy(tmp_path):
-    whole = train(ARM, None, out=tmp_path / "whole", options=options())
-    with pytest.raises(InterruptedTrainingError):
-        train(ARM, None, out=tmp_path / "cut", options=options(), on_progress=interrupt_after(5))
-    assert not Outputs(tmp_path / "cut").policy.exists()
-    seen = []
-    resumed = train(ARM, None, out=tmp_path / "cut", options=options(resume=True), on_progress=updates_into(seen))
-    assert seen == [5, 6]  # the checkpoint is that of the fourth update
-    assert resumed.policy.read_bytes() == whole.policy.read_bytes()
-    assert resumed.steps == whole.steps
-    assert resumed.reward == whole.reward
-
-
-def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path):
-    with pytest.raises(InterruptedTrainingError):
-        train(ARM, None, out=tmp_path, options=options(), on_progress=interrupt_after(3))
-    seen = []
-    train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=updates_into(seen))
-    assert seen == [1, 2, 3, 4, 5, 6]
-    kept = list(Outputs(tmp_path).folder.glob("checkpoint-*.pt"))
-    assert len(kept) == 1
-    kept[0].rename(Outputs(tmp_path).checkpoint)
-    train(ARM, None, out=tmp_path, options=options(resume=True), on_progress=updates_into(seen))
-    assert seen[6:] == [3, 4, 5, 6]
-
-
-def test_after_a_damaged_checkpoint_a_training_begins_anew_and_says_so(tmp_path, caplog):
-    with pytest.raises(InterruptedTrainingError):
-        train(ARM, None, out=tmp_path / "damaged", options=options(), on_progress=interrupt_after(3))
-    path = Outputs(tmp_path / "damaged").checkpoint
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
-    seen = []
-    changes = {"options": options(resume=True), "on_progress": updates_into(seen)}
-    again = train(ARM, None, out=tmp_path / "damaged", **changes)
-    assert seen == [1, 2, 3, 4, 5, 6]
-    (line,) = [record.getMessage() for record in caplog.records if record.name == "rejoint"]
-    assert line.startswith(f"{path}: damaged checkpoint (it is not what was written)")
-    assert line.endswith("the training begins again")
-    whole = train(ARM, None, out=tmp_path / "whole", options=options())
-    assert again.policy.read_bytes() == whole.policy.read_bytes()
 
 
 def test_exported_network_agrees_with_the_trained_one():

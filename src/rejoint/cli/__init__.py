@@ -181,7 +181,7 @@ def with_home(words: Sequence[str]) -> list[str]:
     return [f"{at['option'] or ''}{home(at['path'])}" if at else word for word, at in found]
 
 
-RESUMED = ("repair", "train", "compare", "fleet")
+RESUMED = ("repair", "compare", "fleet")
 """Commands that go on where they were interrupted"""
 
 

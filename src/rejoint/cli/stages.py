@@ -253,7 +253,6 @@ def train(
     preset: str = "default",
     learner: str = "ppo",
     generic: bool = False,
-    fresh: bool = False,
     seed: int | None = None,
     quick: bool = False,
 ) -> object:
@@ -265,7 +264,7 @@ def train(
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
-    how = rejoint.TrainSettings(generic=generic, resume=not fresh, trainer=trainer)
+    how = rejoint.TrainSettings(generic=generic, trainer=trainer)
     with call.watched("train") as observer:
         result = rejoint.train(run=job, preset=preset, quick=quick, settings=how, observer=observer).training
     show.training(call, result)

@@ -47,8 +47,6 @@ class Outputs:
     """work files of a training"""
     curves = FilePlace("training/curves.parquet")
     """one row per update, fields of `CurvePoint`"""
-    checkpoint = FilePlace("training/checkpoint.pt")
-    """state of an interrupted training"""
 
     def snapshot(self, updates: int) -> Path:
         """Policy after so many updates."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from rejoint.control.controllers.contract import (
 )
 from rejoint.control.controllers.runtime import ort
 from rejoint.system.errors import ContractError
-from rejoint.system.files import digest, write_whole
+from rejoint.system.files import write_whole
 from rejoint.training.presets import Preset
 
 _OPERATORS: dict[type[nn.Module], str] = {nn.Linear: "Gemm", nn.ELU: "Elu", nn.Tanh: "Tanh"}
@@ -81,17 +81,7 @@ def _run(model: onnx.ModelProto, observations: NDArray[np.float32]) -> NDArray[n
     return session.run((OUTPUT,), {INPUT: observations})[0]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WarmStart:
-    """Initial weights of a training on a twin: the actor of the arm's generic policy."""
-
-    vector: Tensor
-    """all weights, layer by layer"""
-    digest: str
-    """of the source file"""
-
-
-def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
+def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:
     """Return the generic network for trainings of ``arm`` by this ``recipe``; None where none suits.
 
     Arm, observation and control periods must agree, and the law but for stiffness and slow backlash.
@@ -110,10 +100,9 @@ def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
     return begin_at(policy.content)
 
 
-def begin_at(content: bytes) -> WarmStart:
-    """Network of a policy file's ``content``, checked by `Policy.load`."""
-    weights = [torch.from_numpy(values.copy()).ravel() for values in network_weights(content)]
-    return WarmStart(vector=torch.cat(weights), digest=digest(content).decode())
+def begin_at(content: bytes) -> Tensor:
+    """All weights of a policy file's ``content``, checked by `Policy.load`, layer by layer."""
+    return torch.cat([torch.from_numpy(values.copy()).ravel() for values in network_weights(content)])
 
 
 def network_weights(content: bytes) -> tuple[NDArray[np.float32], ...]:

@@ -1,27 +1,22 @@
-"""The training loop: rollout workers act, skrl's PPO learns; interruptible after every update."""
+"""The training loop: rollout workers act, skrl's PPO learns."""
 
 from __future__ import annotations
 
-import io
-import pickle
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
-from rejoint.system.errors import FileError, first_line
-from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
-from rejoint.training.export import WarmStart
 from rejoint.training.ppo import Actor, Critic, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask
@@ -55,24 +50,6 @@ class RolloutWorker:
         final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))
         return rollout | {"values": critic.value(rollout["observations"], rollout["states"]), "final_value": final}
 
-    def state(self) -> dict[str, Any]:
-        """State for a checkpoint."""
-        return {
-            "exploration": self._exploration.get_state(),
-            "observation": self._observation,
-            "privileged": self._privileged,
-            "task": {
-                name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
-                for name, value in self.task.state().items()
-            },
-        }
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from `state`, bit for bit."""
-        self._exploration.set_state(state["exploration"])
-        self._observation, self._privileged = state["observation"], state["privileged"]
-        self.task.load_state(state["task"])
-
 
 T = TypeVar("T")
 
@@ -104,14 +81,6 @@ SWITCH_INTERVAL = 1e-4
 
 LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
-
-_CHECKPOINT_FORMAT = 8
-
-_MAGIC = b"rejoint checkpoint "
-_RESTART = "delete it, or train with --fresh"
-
-CHECKPOINT_MOST = 2000 * MEGABYTE
-"""Largest checkpoint; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,11 +114,11 @@ class Learner:
         *,
         seed: int,
         threads: int = 1,
-        start: WarmStart | None = None,
+        start: Tensor | None = None,
     ) -> None:
         """Take one task per worker; ``threads`` run at once, without effect on the result.
 
-        The actor's weights are those of ``start``, else random.
+        The actor's weights, layer by layer, are those of ``start``, else random.
         """
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
@@ -157,7 +126,7 @@ class Learner:
         self.ends_on_success = tasks[0].settings.ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
         if start is not None:
-            torch.nn.utils.vector_to_parameters(start.vector, self.actor.net.parameters())
+            torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())
         self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
         self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
         self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
@@ -203,66 +172,9 @@ class Learner:
             cycles = self.settings.rollout
             return join(list(pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers)))
 
-    def save(self, path: Path, identity: dict[str, Any]) -> None:
-        """Write a checkpoint for the training ``identity``."""
-        content = {
-            "format": _CHECKPOINT_FORMAT,
-            "identity": identity,
-            "modules": {name: module.state_dict() for name, module in self._modules().items()},
-            "random": torch.get_rng_state(),
-            "workers": [worker.state() for worker in self.workers],
-            "curve": [asdict(point) for point in self.curve],
-        }
-        write_whole(path, lambda temporary: _save(content, temporary))
-
-    def load(self, path: Path, identity: dict[str, Any]) -> bool:
-        """Continue from a checkpoint; False if it is of another training, FileError if damaged.
-
-        A checkpoint holds tensors and plain data, no code.
-        """
-        try:
-            content = torch.load(io.BytesIO(_unsealed(path)), map_location="cpu", weights_only=True)
-            if content["format"] != _CHECKPOINT_FORMAT or content["identity"] != identity:
-                return False
-            for name, module in self._modules().items():
-                module.load_state_dict(content["modules"][name])
-            torch.set_rng_state(content["random"])
-            for worker, state in zip(self.workers, content["workers"], strict=True):
-                worker.load_state(state)
-            self.curve = [CurvePoint(**point) for point in content["curve"]]
-        except (
-            OSError,
-            LookupError,
-            RuntimeError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            EOFError,
-            pickle.UnpicklingError,
-        ) as error:
-            raise FileError(path, f"damaged checkpoint ({first_line(error)})", _RESTART) from error
-        return True
-
-    def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
-        return {"actor": self.actor, "critic": self.critic, "optimizer": self.ppo.optimizer}
-
 
 def ends(distance: Array, success: Mask, last: CurvePoint | None) -> dict[str, float]:
     """Return success rate and median error of targets that ended at ``distance`` [m]; where none did, the ``last``."""
     if len(distance):
         return {"success_rate": float(success.mean()), "error_mm": 1e3 * float(np.median(distance))}
     return {"success_rate": last.success_rate if last else 0.0, "error_mm": last.error_mm if last else 0.0}
-
-
-def _save(content: dict[str, Any], path: Path) -> None:
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    data = buffer.getvalue()
-    path.write_bytes(_MAGIC + digest(data) + b"\n" + data)
-
-
-def _unsealed(path: Path) -> bytes:
-    head, _, data = read_bounded(path, CHECKPOINT_MOST, _RESTART).partition(b"\n")
-    if head != _MAGIC + digest(data):
-        raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
-    return data

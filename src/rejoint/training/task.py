@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,27 +214,6 @@ class ReachTask:
         cut = late | (collided & ~reached)
         observation, privileged = self._renew(reached | cut, collided, final, final_privileged)
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
-
-    def state(self) -> dict[str, Any]:
-        """Return copies for a checkpoint."""
-        arrays = {name: value.copy() for name, value in self._arrays().items()}
-        return {"random": self._rng.bit_generator.state, **arrays}
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from `state`, bit for bit."""
-        self._rng.bit_generator.state = state["random"]
-        for name, value in self._arrays().items():
-            value[...] = state[name]
-
-    def _arrays(self) -> dict[str, Array]:
-        parts = {"observer": self.observer.state(), "commander": self.commander.memory()}
-        parts |= {"task": vars(self), "simulation": self.simulation.state()}
-        return {
-            f"{part}.{name.lstrip('_')}": value
-            for part, found in parts.items()
-            for name, value in found.items()
-            if isinstance(value, np.ndarray)
-        }
 
     def _inputs(self) -> ControlInput:
         now = self.simulation

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from skrl.utils.tensorboard import SummaryWriter
+from torch import Tensor
 
 from rejoint.arms import Arm
 from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.contract import PolicyContract, arm_digest, law_digests
+from rejoint.control.controllers.contract import PolicyContract, law_digests
 from rejoint.control.controllers.observation import layout_slots
 from rejoint.logs.runfolder import Outputs
-from rejoint.system.errors import FileError
-from rejoint.system.files import set_aside, unwritable, write_whole
+from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
-from rejoint.training.export import WarmStart, export_policy, shelf_start
+from rejoint.training.export import export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import PpoSettings, Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
@@ -51,18 +47,14 @@ class TrainingOptions:
     """of the simulation; no effect on the policy"""
     iterations: int | None = None
     """updates; default: the preset's"""
-    checkpoint_every: int = 10
-    """updates"""
     snapshot_every: int | None = None
     """updates between kept policies, the untrained one first; None: none"""
-    resume: bool = False
-    """continue from this training's checkpoint in ``out``, if any"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the identified servos, for the contract"""
     ranges: Ranges | None = None
     """arms to train on without a twin; default: the preset's"""
-    start: WarmStart | None = None
-    """default: the generic policy with a twin, else random weights"""
+    start: Tensor | None = None
+    """weights of the actor; default: those of the generic policy with a twin, else random"""
 
     @property
     def recipe(self) -> Preset:
@@ -110,45 +102,24 @@ def train(
 ) -> TrainingResult:
     """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
 
-    Without a ``twin`` it uses the broad ranges alone. `TrainingOptions.resume` continues an interrupted training.
+    Without a ``twin`` it uses the broad ranges alone.
     """
     options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
-    start = options.start or (None if twin is None else shelf_start(arm, recipe))
+    start = options.start if options.start is not None or twin is None else shelf_start(arm, recipe)
     if start is not None and recipe.warm is not None:
         recipe = replace(recipe, ppo=recipe.warm)
     learner = make_learner(arm, twin, recipe, options, start)
-    identity = _identity(arm, twin, recipe, options.seed, start)
-    if options.resume and not _resumed(learner, files.checkpoint, identity):
-        learner = make_learner(arm, twin, recipe, options, start)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
     contract = replace(policy_contract(arm, twin, recipe, options.seed), servo_gains=options.servo_gains)
-    with _tensorboard(files.folder) as writer:
-        while learner.iteration < total:
-            if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
-                export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
-            point = learner.iterate()
-            for name, value in asdict(point).items():
-                writer.add_scalar(tag=f"training/{name}", value=value, timestep=point.step)
-            if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
-                learner.save(files.checkpoint, identity)
-            on_progress(learner.iteration / total, describe(point))
+    while learner.iteration < total:
+        if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
+            export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
+        point = learner.iterate()
+        on_progress(learner.iteration / total, describe(point))
     write_curves(files.curves, learner.curve)
     export_policy(files.policy, learner.actor.net, contract)
-    files.checkpoint.unlink(missing_ok=True)
     return training_result(files, recipe.name, options.seed, learner.curve)
-
-
-def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
-    if not checkpoint.exists():
-        return True
-    try:
-        if learner.load(checkpoint, identity):
-            return True
-    except FileError as error:
-        logging.getLogger("rejoint").warning("%s; the training begins again", error)
-    set_aside(checkpoint)
-    return False
 
 
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
@@ -166,7 +137,7 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 
 
 def make_learner(
-    arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: WarmStart | None = None
+    arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: Tensor | None = None
 ) -> Learner:
     """Set up the learner."""
     ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
@@ -202,17 +173,6 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     return replace(recipe, task=replace(recipe.task, law=law, hold_steps=round(recipe.task.hold_steps * size**0.5)))
 
 
-def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: WarmStart | None) -> dict[str, Any]:
-    return {
-        "arm": arm_digest(arm),
-        "twin": "" if twin is None else twin.digest(),
-        "recipe": asdict(recipe),
-        "seed": seed,
-        "start": "" if start is None else start.digest,
-        "software": __version__,
-    }
-
-
 def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name: str | None = None) -> PolicyContract:
     """Make the contract of a policy; ``name`` of the recipe if not the preset's."""
     return PolicyContract(
@@ -232,18 +192,6 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
         seed=seed,
         software=__version__,
     )
-
-
-@contextmanager
-def _tensorboard(folder: Path) -> Iterator[SummaryWriter]:
-    try:
-        writer = SummaryWriter(str(folder))
-        try:
-            yield writer
-        finally:
-            writer.close()
-    except OSError as error:
-        raise unwritable(folder, error) from error
 
 
 def describe(point: CurvePoint) -> str:

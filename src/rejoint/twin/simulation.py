@@ -119,21 +119,6 @@ class Simulation:
         """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
         return self.twins.rollout(reference, self._friction)
 
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        parts = {
-            "simulation": self,
-            "latency": self.latency,
-            "reference": self.reference,
-            "twins": self.twins,
-        }
-        return {
-            f"{part}.{name}": value
-            for part, owner in parts.items()
-            for name, value in vars(owner).items()
-            if isinstance(value, np.ndarray) and value.flags.writeable
-        }
-
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
 

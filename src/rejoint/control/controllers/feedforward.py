@@ -192,8 +192,3 @@ class FeedforwardController:
         self._correction[where] = inputs.sent[where] - self._raised[where]
         self._asked[where] = inputs.sent[where]
         self._pushed[where] = 0.0
-
-    def memory(self) -> dict[str, Array]:
-        """State by name; live arrays."""
-        names = ("goal", "raised", "idle", "correction", "speed", "position", "pushed", "eager", "came")
-        return {name: getattr(self, f"_{name}") for name in names} | {"time": self._pace.last}

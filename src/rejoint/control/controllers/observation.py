@@ -209,13 +209,6 @@ class Observer:
         """Drop last actions where ``where`` (B,)."""
         self._action[where] = 0.0
 
-    def state(self) -> dict[str, Array]:
-        """State for a checkpoint, as live arrays."""
-        names = ("position", "velocity", "time", "period", "action")
-        return {name: getattr(self, f"_{name}") for name in names} | {
-            f"view.{name}": value for name, value in self.view._asdict().items()
-        }
-
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
         chosen = self._everyone[rows]
         if not (time.shape == chosen.shape and position.shape == (len(chosen), self.arm.joints)):

@@ -124,7 +124,3 @@ class Commander:
         extra = extra + self._base.loosening(inputs, view.step, view.distance)
         wanted, margin = self._base.correct(inputs, step, extra, view.distance), law.envelope_margin
         return limit_position(self._arm, between(wanted, inputs.goal - margin, inputs.goal + margin))
-
-    def memory(self) -> dict[str, Array]:
-        """State by name; live arrays."""
-        return {} if self._base is None else self._base.memory()

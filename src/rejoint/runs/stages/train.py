@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,8 +44,6 @@ class TrainSettings:
     """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
     """of the simulation; no effect on the policy"""
-    resume: bool = True
-    """continue from this training's checkpoint in the run"""
     trainer: Trainer | None = None
     """replaces proximal policy optimisation"""
 
@@ -62,7 +60,7 @@ def train(
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
 
-    In a run, an interrupted training resumes at its last checkpoint, with the same result.
+    An interrupted training begins again; the same seed gives the same policy.
 
     Parameters
     ----------
@@ -78,7 +76,7 @@ def train(
     quick
         train for seconds: the policy hardly improves
     settings
-        seed, threads, resuming
+        seed, threads
     observer
         receives progress
 
@@ -126,7 +124,7 @@ def train(
         if known is not None:
             known.require(chosen)
         with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-            task = _Task(chosen, known, preset, as_seed(how.seed), replace(how, resume=False), quick)
+            task = _Task(chosen, known, preset, as_seed(how.seed), how, quick)
             return task.train(Path(folder), update)
 
 
@@ -152,7 +150,6 @@ class _Task:
                 preset=self.preset,
                 seed=self.seed,
                 threads=how.threads,
-                resume=how.resume,
                 iterations=QUICK_UPDATES if self.quick else None,
                 agents=QUICK_AGENTS if self.quick else None,
                 servo_gains=self.servo_gains,

@@ -209,7 +209,6 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
             threads=1,
             iterations=bench.scale.updates,
             snapshot_every=bench.scale.snapshot_every,
-            resume=True,
         )
         ahead = part(bench.on_progress, done / len(missing), (done + 1) / len(missing), f"training {name}: ")
         train(bench.arm, None, out=bench.training(name).path, options=options, on_progress=ahead)
