@@ -7,8 +7,9 @@ import numpy as np
 
 from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.camera.board import ON_TABLE, BoardView
+from rejoint.camera.film import Film, Shot
 from rejoint.camera.filming import choose_postures
-from rejoint_lab.cameras.scene import beside, on_tool
+from rejoint_lab.cameras.scene import LENS, beside, on_tool
 
 ARM = mycobot280()
 WORN = Displacement(
@@ -47,3 +48,20 @@ def taken(carried="board", count=24, seed=0):
     links += np.radians(0.03) * rng.standard_normal(position.shape)
     views = [view_of(scene, f"view-{i:02}.png", q, rng) for i, q in enumerate(links)]
     return Taken(scene, position, links, views)
+
+
+def film_of(t, carried="board", names=()):
+    """Image sequence of these views; those of the ``names`` are swapped with one another."""
+    film, place = Film(board=t.scene.rig.board, carried=carried), {name: int(name[5:7]) for name in names}
+    other = dict(zip(place.values(), reversed(place.values()), strict=True))
+    for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
+        seen = t.views[other.get(k, k)]
+        shot = Shot(
+            number=k + 1,
+            position=position,
+            approach=np.full(ARM.joints, np.nan),
+            posture=k,
+            seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
+        )
+        film = film.with_shot(shot, (LENS.width, LENS.height))
+    return film

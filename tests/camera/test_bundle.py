@@ -1,21 +1,19 @@
 """One fit finds lens, camera, board and arm, and names the views that do not belong to the others."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from camera_scenes import ARM, WORN, taken
+from camera_scenes import ARM, WORN, film_of, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.camera.board import BoardView
-from rejoint.camera.fit import bundle
-from rejoint_lab.cameras.scene import LENS
-
-SIZE = (LENS.width, LENS.height)
+from rejoint.camera.fit import fit_film
 
 
 @pytest.fixture(scope="module")
 def found():
-    t = taken()
-    return bundle(ARM, t.scene.rig.board, t.views, t.position, size=SIZE)
+    return fit_film(ARM, film_of(taken()))
 
 
 def fresh(count=40):
@@ -28,7 +26,7 @@ def fresh(count=40):
 def test_the_displacement_predicts_the_tool(found):
     position, links = fresh()
     before = np.linalg.norm(tcp_position(ARM, position) - tcp_position(ARM, links), axis=-1)
-    after = np.linalg.norm(found.displacement.tool(ARM, position) - tcp_position(ARM, links), axis=-1)
+    after = np.linalg.norm(found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links), axis=-1)
     assert before.mean() > 6e-3
     assert after.mean() < 1.0e-3
     assert not found.left_out
@@ -36,7 +34,7 @@ def test_the_displacement_predicts_the_tool(found):
 
 def test_lens_camera_and_board_are_found(found):
     rig = taken().scene.rig
-    sigma = np.sqrt(np.diag(found.fitted.covariance))[-7:]
+    sigma = found.rig_sigma[:7]
     assert (np.abs(found.rig.lens.numbers - rig.lens.numbers) < 4 * sigma).all()
     assert sigma[0] < 0.01 * rig.lens.f
     np.testing.assert_allclose(found.rig.standing[:3, 3], rig.standing[:3, 3], atol=6e-3)
@@ -45,10 +43,11 @@ def test_lens_camera_and_board_are_found(found):
 
 
 def test_every_number_has_an_interval(found):
-    layout, sigma = found.problem.layout, np.sqrt(np.diag(found.fitted.covariance))
-    assert (sigma[found.problem.belief.upper > found.problem.belief.lower] > 0).all()
+    own = found.calibration
+    sigma = np.sqrt(np.diag(own.covariance))
+    assert (sigma > 0).all()
     inside = [
-        np.abs(found.fitted.vector[layout.at(kind)] - getattr(WORN, kind)) < 2 * sigma[layout.at(kind)]
+        np.abs(getattr(own.displacement, kind) - getattr(WORN, kind)) < 2 * sigma[own.layout.at(kind)]
         for kind in ("offset", "compliance", "play")
     ]
     assert np.mean(inside) > 0.85
@@ -83,20 +82,20 @@ def test_swapped_and_crooked_views_are_named_and_left_out():
     views[15] = BoardView(
         name="bent", number=views[15].number, pixel=views[15].pixel + 3.0 * rng.standard_normal((24, 2))
     )
-    found = bundle(ARM, t.scene.rig.board, views, t.position, size=SIZE)
+    found = fit_film(ARM, film_of(replace(t, views=views)))
     why = {one.name: one.why for one in found.left_out}
     assert set(why) == {"view-04.png", "view-09.png", "bent"}
     assert "not taken there, swapped" in why["view-04.png"]
     assert "of a flat board" in why["bent"]
     position, links = fresh()
-    off = found.displacement.tool(ARM, position) - tcp_position(ARM, links)
+    off = found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links)
     assert np.linalg.norm(off, axis=-1).mean() < 1.0e-3
 
 
 def test_a_camera_on_the_tool_does_as_well():
     t = taken("camera", 20, 1)
-    found = bundle(ARM, t.scene.rig.board, t.views, t.position, size=SIZE, carried="camera")
+    found = fit_film(ARM, film_of(t, "camera"))
     position, links = fresh()
-    off = found.displacement.tool(ARM, position) - tcp_position(ARM, links)
+    off = found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links)
     assert np.linalg.norm(off, axis=-1).mean() < 1.0e-3
     np.testing.assert_allclose(found.rig.standing[:3, 3], t.scene.rig.standing[:3, 3], atol=6e-3)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import camera_scenes
 import cv2
 import numpy as np
 import pytest
@@ -9,12 +10,10 @@ from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.arms.rotations import inverse
-from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
+from rejoint.camera.board import ON_TABLE, ON_TOOL
 from rejoint.camera.detector import Unusable
 from rejoint.camera.film import (
     POSTURES,
-    Film,
-    Shot,
     read_film,
     read_folder,
     write_film,
@@ -29,22 +28,9 @@ SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")
 
 
-def film_of(count, carried="board", seed=0):
+def film_of(count):
     """Corners of the worn arm's board, two of whose pictures are swapped, and one picture that shows nothing."""
-    t = taken(carried, count, seed)
-    film = Film(board=t.scene.rig.board, carried=carried)
-    place = {name: int(name[5:7]) for name in SWAPPED}
-    other = dict(zip(place.values(), reversed(place.values()), strict=True))
-    for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
-        seen = t.views[other[k]] if k in other else view
-        shot = Shot(
-            number=k + 1,
-            position=position,
-            approach=np.full(ARM.joints, np.nan),
-            posture=k,
-            seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
-        )
-        film = film.with_shot(shot, SIZE)
+    film = camera_scenes.film_of(taken(count=count), names=SWAPPED)
     blank = replace(film.shots[0], number=count + 1, seen=Unusable(name="blank.jpg", why="the board cannot be seen"))
     return film.with_shot(blank, SIZE)
 

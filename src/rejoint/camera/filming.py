@@ -15,10 +15,11 @@ from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
 from rejoint.camera.film import Film, Shot, positions, read_film, write_film
-from rejoint.camera.fit import FilmProblem, first_lens, first_places, first_rig
-from rejoint.camera.lens import TERMS
+from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
+from rejoint.camera.lens import TERMS, place
 from rejoint.camera.rig import Rig
 from rejoint.control.robot import Robot
+from rejoint.diagnosis.calibration.parameters import belief
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, log_resumed, same
 from rejoint.logs.runfolder import RunFolder
@@ -50,11 +51,12 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
-    problem = FilmProblem.of(arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)), np.eye(len(TERMS)))
-    mean = problem.belief.mean
-    problem = replace(problem, sights=rig.sight(problem.reported(mean)))
-    slope = problem.whitener(mean) @ problem.residual(mean)[1][..., : -len(TERMS)]
-    variance = 1.0 / np.diag(problem.belief.precision)[: -len(TERMS)]
+    own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
+    problem = film_problem(own, arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)))
+    expected = rig.sight(problem.displacement(own.mean).tool_pose(arm, candidates))
+    problem = film_problem(own, arm, rig, candidates, expected)
+    slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
+    variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]
     variance[problem.layout.body :] = _LOOK**2
     spread = np.diag(variance)
     chosen: list[int] = []
@@ -244,8 +246,8 @@ def believed_rig(arm: Arm, scouted: Film) -> Rig:
             "still, focus it, add light, or put it farther away"
         )
     lens = first_lens(scouted.size, scouted.board, scouted.views)
-    sights = np.array([one.pose for one in first_places(lens, scouted.board, scouted.views)])
-    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], sights)
+    sights = [place(lens, scouted.board.corners[view.number], view.pixel).pose for view in scouted.views]
+    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], np.array(sights))
 
 
 def write_picture(path: Path, picture: Picture) -> None:

@@ -15,20 +15,14 @@ from rejoint.arms.inertia import bare
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.controllers.contract import law_digests
 from rejoint.control.correction import Modelled
-from rejoint.diagnosis.calibration.parameters import (
-    DisplacementLayout,
-    linearised,
-    link_loads,
-    scatter,
-    torque_slopes,
-    vector_of,
-)
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, scatter, vector_of
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
+_PARAMETERS = 64  # draws of the parameters, the same each time (chosen: a sigma within a tenth)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
@@ -91,41 +85,37 @@ class Calibration:
         return self.tool(position) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
-        """Covariance (..., 3, 3) [m^2] of `tool`.
-
-        Where a torque may have either sign, both flanks of the play count.
-        """
-        flat = np.reshape(position, (-1, self.arm.joints))
-        vector = vector_of(self.layout, self.displacement)
-        _, slope = linearised(self.arm, self.layout, vector, flat, flanks=False)
-        known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
-        torque = torque_slopes(self.layout, vector, link_loads(self.arm, flat))
-        doubt = np.sqrt(np.einsum("mnk,kl,mnl->mn", torque, self.covariance, torque))
-        total = known + scatter(self.arm, self.displacement, flat, doubt) + self.floor**2 * np.eye(3)
-        return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
+        """Covariance (..., 3, 3) [m^2] of `tool`: draws of the parameters, play of floating joints, and the floor."""
+        own, layout = np.random.default_rng(0), self.layout
+        mean = vector_of(layout, self.displacement)
+        drawn = own.multivariate_normal(mean, self.covariance, _PARAMETERS, method="eigh")
+        away, play = [], np.zeros((*np.shape(position)[:-1], 3, 3))
+        for one in (displacement_of(layout, vector) for vector in drawn):
+            away.append(one.tool(self.arm, position) - self.tool(position))
+            play += scatter(self.arm, one, position)[..., :3, :3] / len(drawn)
+        known = np.einsum("d...i,d...j->...ij", away, away) / len(drawn)
+        return np.asarray(known + play + self.floor**2 * np.eye(3))
 
     def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
         Default target: the encoders' tool.
         """
-        place = tcp_position(self.arm, position) if target is None else target
+        place, spread = tcp_position(self.arm, position) if target is None else target, self.spread(position)
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-        low, high = np.quantile(self._distances(position, place), ends, axis=-1)
+        low, high = np.quantile(self._distances(position, place, spread), ends, axis=-1)
         middle = (self.tool(position) - place)[..., None]
-        there = (np.linalg.solve(np.linalg.cholesky(self.spread(position)), middle) ** 2).sum(axis=(-2, -1)) < _NEAR
+        there = (middle * np.linalg.solve(spread, middle)).sum(axis=(-2, -1)) < _NEAR
         return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None) -> Array:
         """Mean (...) [m] of that distance."""
-        return np.asarray(self._distances(position, target).mean(axis=-1))
+        place = tcp_position(self.arm, position) if target is None else target
+        return np.asarray(self._distances(position, place, self.spread(position)).mean(axis=-1))
 
-    def _distances(self, position: Array, target: Array | None) -> Array:
-        target = tcp_position(self.arm, position) if target is None else target
-        root = np.linalg.cholesky(self.spread(position))
-        draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
-        return np.linalg.norm(away, axis=-1)
+    def _distances(self, position: Array, target: Array, spread: Array) -> Array:
+        draws = np.random.default_rng(0).standard_normal((_DRAWS, 3)) @ np.swapaxes(np.linalg.cholesky(spread), -1, -2)
+        return np.linalg.norm((self.tool(position) - target)[..., None, :] + draws, axis=-1)
 
     def sigma(self, position: Array) -> Array:
         """Root mean square (...) [m] of the tool's distance from `tool`."""
@@ -207,7 +197,7 @@ def _floating(found: Calibration, position: Array) -> tuple[str, ...]:
 
 
 def _chance(arm: Arm, displacement: Displacement, position: Array) -> float:
-    return float(np.sqrt(np.trace(scatter(arm, displacement, position), axis1=-2, axis2=-1).mean()))
+    return float(np.sqrt(np.trace(scatter(arm, displacement, position)[..., :3, :3], axis1=-2, axis2=-1).mean()))
 
 
 def _tilted(displacement: Displacement, axis: tuple[float, float]) -> Displacement:

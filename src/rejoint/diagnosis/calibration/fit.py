@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtr
 
 from rejoint.arms import Arm, Array
@@ -15,8 +15,8 @@ from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.diagnosis.calibration.parameters import (
+    ANYWHERE,
     ASKEW,
-    LEVEL,
     Belief,
     DisplacementLayout,
     PriorCase,
@@ -24,10 +24,8 @@ from rejoint.diagnosis.calibration.parameters import (
     floor_of,
     vector_of,
 )
-from rejoint.diagnosis.calibration.solver import CalibrationProblem, Fittable, Fitted, search, solve
+from rejoint.diagnosis.calibration.solver import Fitted, Problem, search, solve
 from rejoint.system.errors import InputError
-
-P = TypeVar("P", bound=Fittable)
 
 FOLDS = 12
 """Groups for cross-validation; chosen for time"""
@@ -87,24 +85,20 @@ def disturbed(suspects: tuple[int, ...], points: int) -> bool:
 
 def merge_repeats(measured: Measurements) -> Measurements:
     """Give rows of the same posture one number."""
-    number = measured.posture.copy()
-    for row in range(1, len(measured)):
-        near = np.abs(measured.position[:row] - measured.position[row]).max(axis=1) < SAME
-        if near.any():
-            number[row] = number[int(np.argmax(near))]
-    return measured if (number == measured.posture).all() else replace(measured, posture=number)
+    near = cdist(measured.position, measured.position, "chebyshev") < SAME
+    same = near | (measured.posture[:, None] == measured.posture)
+    return replace(measured, posture=connected_components(same)[1])
 
 
-def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
+def leave_out(problem: Problem, fitted: Fitted) -> LeftOut:
     """Predict postures from the others, with and without displacement."""
-    before, after, surprise = np.zeros((3, len(problem.postures)))
-    for out in folds(problem.postures):
+    before, after, surprise = np.zeros((3, len(problem.posture)))
+    for out in folds(problem.posture):
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
-        residual, slope = held.residual(refit.vector)
-        total = held.noise(refit.vector) + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
-        off = residual[:, :3]
+        off, slope = held.misfit(refit.vector)[:, :3], held.slope(refit.vector)[:, :3]
+        total = held.noise(refit.vector)[:, :3, :3] + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
         after[out] = np.linalg.norm(off, axis=1)
-        surprise[out] = np.einsum("mi,mi->m", off, np.linalg.solve(total[:, :3, :3], off[..., None])[..., 0])
+        surprise[out] = np.einsum("mi,mi->m", off, np.linalg.solve(total, off[..., None])[..., 0])
         before[out] = np.linalg.norm(problem.uncorrected(out, fitted.vector)[:, :3], axis=1)
     return LeftOut(before=before, after=after, surprise=surprise)
 
@@ -142,62 +136,63 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
         )
     if not np.isfinite(measurements.point).any():
         raise InputError("measurements: no coordinate was measured; expected at least one")
-    measurements = merge_repeats(measurements)
-    foreign = measurements.frame != "base"
-    layout = DisplacementLayout(joints=arm.joints, frame=foreign)
-    frame = align(arm, measurements) if foreign else np.eye(4)
-    beliefs = beliefs_of(arm, layout, prior, len(np.unique(measurements.posture)))
-    problem, fitted = likeliest(
-        CalibrationProblem(arm=arm, layout=layout, belief=beliefs[0][0], measurements=measurements, frame=frame),
-        beliefs,
+    measurements, foreign, none = merge_repeats(measurements), measurements.frame != "base", np.zeros((6, 0))
+    seen = np.tile(np.eye(4), (len(measurements), 1, 1))
+    seen[:, :3, 3] = np.nan_to_num(measurements.point)
+    beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
+    problem = Problem(
+        arm=arm,
+        belief=beliefs[0][0],
+        seen=seen,
+        by_lens=np.tile(none, (len(seen), 1, 1)),
+        known=np.isfinite(np.pad(measurements.point, ((0, 0), (0, 3)), constant_values=np.nan)),
+        spread=measurements.sigma[:, None, None] ** 2 * np.eye(6),
+        position=measurements.position,
+        posture=measurements.posture,
+        frame=align(arm, measurements) if foreign else np.eye(4),
+        mounted=np.eye(4),
     )
-    return judged(problem, fitted, measurements, date)
+    return judged(*likeliest(problem, beliefs), measurements, date)
 
 
 def beliefs_of(
-    arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int
+    arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array
 ) -> list[tuple[Belief, float]]:
-    """Priors for so many ``postures``, with log odds."""
+    """Priors for rows of numbered postures (M,), with log odds; ``outside``: see `belief`."""
     if prior is not None:
         prior.require(arm)
-        return [(earlier(arm, layout, prior), 0.0)]
-    cases = [case for case in CASES if not (case.twist and postures < LINKS_FROM)]
-    return [(belief(arm, layout, case), case.odds) for case in cases]
+        return [(earlier(arm, prior, outside), 0.0)]
+    few = len(np.unique(posture)) < LINKS_FROM
+    return [(belief(arm, case, outside), case.odds) for case in CASES if not (case.twist and few)]
 
 
-def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
+def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
-    base = belief(arm, layout, PriorCase())
-    drift = AGE**2 / np.diag(base.precision)
-    body, mean = slice(0, layout.body), base.mean.copy()
-    mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
-    lower, upper, links = base.lower.copy(), base.upper.copy(), layout.at("twist")
+    base, layout = belief(arm, PriorCase(), outside), DisplacementLayout(joints=arm.joints)
+    body, links = slice(0, layout.body), layout.at("twist")
+    mean, precision, lower, upper = (getattr(base, name).copy() for name in ("mean", "precision", "lower", "upper"))
+    mean[body] = vector_of(layout, prior.displacement)
     if prior.displacement.twist.any():
         lower[links], upper[links] = -np.inf, np.inf
-    precision = base.precision.copy()
-    precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body]))
+    precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(1.0 / np.diag(base.precision)[body]))
     return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 
-def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, Fitted]:
+def likeliest(problem: Problem, beliefs: list[tuple[Belief, float]]) -> tuple[Problem, Fitted]:
     """Solve a problem under each prior with its log odds; return the likeliest."""
-    solved = []
-    for one, odds in beliefs:
-        own, tilt = replace(problem, belief=one), problem.layout.at("tilt").start
-        askew = one.precision[tilt, tilt] < LEVEL**-2.0 / 2
-        fitted = search(own) if askew else solve(own, one.mean)
-        solved.append((fitted.evidence + odds, own, fitted))
-    return max(solved, key=lambda each: each[0])[1:]
+    tried = [(replace(problem, belief=one), odds) for one, odds in beliefs]
+    solved = [(own, search(own), odds) for own, odds in tried]
+    return max(solved, key=lambda each: each[1].evidence + each[2])[:2]
 
 
-def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
+def judged(problem: Problem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm,
         displacement=problem.displacement(fitted.vector),
         covariance=fitted.covariance[body, body],
-        frame=fitted.frame,
+        frame=problem.outside(fitted.vector)[0],
         frame_name=measured.frame,
         source=measured.source,
         date=date,

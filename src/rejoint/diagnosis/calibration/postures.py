@@ -79,8 +79,7 @@ def suggest(
 
     InputError for too few free postures.
     """
-    layout = DisplacementLayout(joints=arm.joints)
-    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=LINKS))
+    known = earlier(arm, prior) if prior is not None else belief(arm, PriorCase(twist=LINKS))
     postures = np.concatenate(_candidates(arm, seed))
     if len(postures) * visits < count:
         raise InputError(
@@ -143,11 +142,11 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
 def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:
     """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
     layout = DisplacementLayout(joints=arm.joints)
-    _, slope = linearised(arm, layout, known.mean, postures)
+    slope = linearised(arm, layout, known.mean, postures)[1][:, :3]
     believed = displacement_of(layout, known.mean)
     variance = np.diag(np.linalg.inv(known.precision))[layout.at("play")]
     noise = scatter(arm, replace(believed, play=np.hypot(believed.play, np.sqrt(variance))), postures)
-    return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
+    return slope, noise[:, :3, :3] + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
 
 def _most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, chosen: list[int]) -> int:

@@ -1,22 +1,21 @@
-"""Maximum a posteriori parameters by bounded least squares.
+"""Maximum a posteriori parameters by bounded least squares: of an arm, and of whatever measures it.
 
 The noise is that of measuring, model and floating joints; the loss is Huber's (1964).
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
+from scipy.special import chdtri
 
 from rejoint.arms import Arm, Array, Displacement
-from rejoint.arms.rotations import moved
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.diagnosis.calibration.parameters import (
+    LEVEL,
     Belief,
     DisplacementLayout,
     displacement_of,
@@ -26,13 +25,15 @@ from rejoint.diagnosis.calibration.parameters import (
     vector_of,
 )
 
-HUBER = 2.8
-"""Residual [sigma] from which the loss is linear: 95 % of three normal coordinates"""
 SLIP, MOST_SLIPS = 30.0, 0.25
 """Residual [sigma] of an outlier, and their largest share; chosen"""
+TURNED = np.radians(0.15)
+"""[rad] unexplained turn of the tool; chosen"""
 ITERATIONS = 40
-_ROUNDS = 5  # of a descent with the noise as it was, at most
+_HUBER = 0.05  # share of normal residuals for which the loss is linear
+_ROUNDS = 12  # of a descent with the noise and the weights as they were, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
+_STEP = 1e-6  # [m] and [rad] of numerical derivatives
 _TILT = np.radians(6.0)
 _DIRECTIONS, _QUICK = 8, 4
 
@@ -41,208 +42,181 @@ _DIRECTIONS, _QUICK = 8, 4
 class Fitted:
     """A solution and its uncertainty."""
 
-    layout: DisplacementLayout
     vector: Array
     """(k,)"""
     covariance: Array
     """(k, k)"""
-    frame: Array
-    """(4, 4) pose of the measuring frame in the base"""
     evidence: float
     """log marginal likelihood up to a constant (Laplace's approximation)"""
 
 
+ROWS = ("seen", "by_lens", "known", "spread", "position", "posture")
+"""Fields of `Problem` with a row each"""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fittable(ABC):
-    """R residuals of d numbers, the first three a position, and a prior."""
+class Problem:
+    """What a device saw of the tool in R postures, and a prior.
+
+    Unknown outside the arm, as far as the prior has them: `frame`, then `mounted` (6 each: shift, turn), then a lens.
+    """
 
     arm: Arm
-    layout: DisplacementLayout
     belief: Belief
-    huber: float
+    seen: Array
+    """(R, 4, 4) what the tool carries, in the measuring frame; turned anyhow where only a point was measured"""
+    by_lens: Array
+    """(R, 6, lens) derivative of `seen` by the lens; of its inverse where ``inverted``"""
+    known: NDArray[np.bool_]
+    """(R, 6) which coordinates of shift and turn were measured"""
+    spread: Array
+    """(R, 6, 6) covariance of the tool's measured pose, base axes"""
+    position: Array
+    """(R, n) [rad] by encoders"""
+    posture: NDArray[np.int64]
+    """(R,) posture number of each"""
+    frame: Array
+    """(4, 4) pose of the measuring frame in the base, first estimate"""
+    mounted: Array
+    """(4, 4) pose of what the tool carries in the TCP frame, first estimate"""
+    joint: float = 0.0
+    """[rad] unexplained sigma of each joint"""
+    inverted: bool = False
+    """whether the tool carries the device: `seen` is the inverse of its picture"""
 
     @property
-    @abstractmethod
-    def postures(self) -> NDArray[np.int64]:
-        """(R,) posture number of each."""
+    def layout(self) -> DisplacementLayout:
+        """Places in the vector."""
+        body = DisplacementLayout(joints=self.arm.joints)
+        return replace(body, outside=len(self.belief.mean) - body.size)
 
-    @property
-    @abstractmethod
-    def known(self) -> NDArray[np.bool_]:
-        """(R, d) which numbers were measured."""
+    def rows(self, where: NDArray[np.bool_]) -> Problem:
+        """Problem of some rows."""
+        return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
-    @abstractmethod
-    def rows(self, where: NDArray[np.bool_]) -> Self:
-        """Problem of some residuals."""
+    def outside(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Poses (4, 4) of frame and mounting, and the lens's change, for the unknowns (k,)."""
+        frame, mounted, lens = np.split(np.pad(vector[self.layout.body :], (0, 12)), [6, 12])
+        return moved(self.frame, frame), moved(self.mounted, mounted), lens[: self.by_lens.shape[-1]]
 
-    @abstractmethod
-    def pose(self, vector: Array) -> Array:
-        """Pose (4, 4) of the measuring frame in the base."""
+    def displacement(self, vector: Array) -> Displacement:
+        """Displacement for the unknowns (k,)."""
+        return displacement_of(self.layout, vector)
 
-    @abstractmethod
-    def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Residuals (R, d) and their derivative (R, d, k)."""
+    def tool(self, vector: Array) -> Array:
+        """Measured tool (R, 4, 4) in the measuring frame."""
+        _, mounted, lens = self.outside(vector)
+        seen = inverse(self.seen) if self.inverted else self.seen
+        seen = moved(seen, self.by_lens @ lens)
+        return np.asarray((inverse(seen) if self.inverted else seen) @ inverse(mounted))
 
-    @abstractmethod
+    def misfit(self, vector: Array) -> Array:
+        """Predicted less measured shift [m] and turn [rad] (R, 6), axes of the measuring frame; 0: not measured."""
+        return self._misfit(vector, self.displacement(vector).tool_pose(self.arm, self.position))
+
+    def slope(self, vector: Array) -> Array:
+        """Return the derivative (R, 6, k) of `misfit`; by the turn as for small ones."""
+        body, back = self.layout.body, np.kron(np.eye(2), self.outside(vector)[0][:3, :3]).T
+        predicted, slope = linearised(self.arm, self.layout, vector, self.position)
+        by_arm = np.where(self.known[..., None], back @ slope, 0.0)
+
+        def device(outside: Array) -> Array:
+            return self._misfit(np.append(vector[:body], outside), predicted).ravel()
+
+        by_device = (
+            approx_fprime(vector[body:], device, _STEP) if self.layout.outside else np.zeros((by_arm[..., 0].size, 0))
+        )
+        return np.concatenate([by_arm, by_device.reshape(*by_arm.shape[:2], -1)], axis=-1)
+
+    def _misfit(self, vector: Array, predicted: Array) -> Array:
+        off = difference(inverse(self.outside(vector)[0]) @ predicted, self.tool(vector))
+        return np.where(self.known, off, 0.0)
+
     def noise(self, vector: Array) -> Array:
-        """Covariance (R, d, d) of a residual for known parameters."""
+        """Covariance (R, 6, 6) of `misfit` for known parameters; 1 where not measured."""
+        turn = np.kron(np.eye(2), self.outside(vector)[0][:3, :3])
+        rest = np.diag([floor_of(self.arm) ** 2] * 3 + [TURNED**2] * 3)
+        total = scatter(self.arm, self.displacement(vector), self.position, self.joint) + rest + self.spread
+        return np.where(self.known[:, :, None] & self.known[:, None, :], turn.T @ total @ turn, np.eye(6))
+
+    def weighed(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Matrices (R, 6, 6) that whiten residuals, white residuals (R, 6), and Huber's weights (R,)."""
+        whitener = np.linalg.inv(np.linalg.cholesky(self.noise(vector)))
+        white = (whitener @ self.misfit(vector)[..., None])[..., 0]
+        limit = np.sqrt(chdtri(np.maximum(self.known.sum(axis=1), 1), _HUBER))
+        return whitener, white, np.minimum(1.0, limit / np.maximum(np.linalg.norm(white, axis=1), 1e-12))
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Residuals (r, d) of rows ``out`` by encoders; the others fit the frame from ``start`` (k,)."""
+        """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
         mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))[body]
         rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
-    def misfit(self, vector: Array) -> Array:
-        """Residuals (R, d)."""
-        return self.residual(vector)[0]
 
-    def whitener(self, vector: Array) -> Array:
-        """Matrices (R, d, d) that whiten residuals."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise(vector))))
-
-    def displacement(self, vector: Array) -> Displacement:
-        """Displacement for the unknowns (k,)."""
-        return displacement_of(self.layout, vector)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CalibrationProblem(Fittable):
-    """Measurements and prior of one arm."""
-
-    measurements: Measurements
-    frame: Array
-    """(4, 4) first estimate, in the base"""
-    huber: float = HUBER
-
-    @property
-    def postures(self) -> NDArray[np.int64]:
-        """(M,) posture numbers."""
-        return self.measurements.posture
-
-    def rows(self, where: NDArray[np.bool_]) -> CalibrationProblem:
-        """Problem of some points."""
-        return replace(self, measurements=self.measurements.rows(where))
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """(M, 3) which coordinates were measured."""
-        return np.isfinite(self.measurements.point)
-
-    def pose(self, vector: Array) -> Array:
-        """Pose (4, 4) of the measuring frame in the base."""
-        if not self.layout.frame:
-            return self.frame
-        return moved(self.frame, vector[self.layout.at("frame")])
-
-    def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Predicted less measured (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
-        m = self.measurements
-        tool, own = linearised(self.arm, self.layout, vector, m.position)
-        pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
-        derivative[..., : self.layout.body] = own
-        if self.layout.frame:
-            small = derivative[..., self.layout.at("frame")]
-            small[..., :3] = -np.eye(3)
-            small[..., 3:] = np.cross((tool - pose[:3, 3])[:, None], np.eye(3)).swapaxes(-1, -2)
-        residual = np.where(self.known, (tool - pose[:3, 3]) @ pose[:3, :3] - m.point, 0.0)
-        return residual, np.where(self.known[..., None], pose[:3, :3].T @ derivative, 0.0)
-
-    def noise(self, vector: Array) -> Array:
-        """Covariance (M, 3, 3) [m^2] of a residual."""
-        rotation, m = self.pose(vector)[:3, :3], self.measurements
-        spread = rotation.T @ scatter(self.arm, self.displacement(vector), m.position) @ rotation
-        spread = spread + (m.sigma**2 + floor_of(self.arm) ** 2)[:, None, None] * np.eye(3)
-        both = self.known[:, :, None] & self.known[:, None, :]
-        return np.where(both, spread, np.eye(3) * spread)
-
-
-def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitted:
-    """Iterate from ``start`` (k,), with the noise of the last iterate."""
+def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+    """Iterate from ``start`` (k,), with the noise and the weights of the last iterate."""
     belief, vector = problem.belief, np.array(start, dtype=float)
-    free, cost = belief.upper > belief.lower, np.inf
+    free, cost, root = belief.upper > belief.lower, np.inf, np.linalg.cholesky(belief.precision).T
     vector[~free] = belief.lower[~free]
-    root = np.linalg.cholesky(belief.precision).T
+    bounds = belief.lower[free], belief.upper[free]
 
     def whole(x: Array) -> Array:
         full = vector.copy()
         full[free] = x
         return full
 
-    for step in range(_ROUNDS if free.any() else 0):
-        whitener = problem.whitener(vector)
-        if step:
-            whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
+    curvature = belief.precision.copy()
+    for step in range(_ROUNDS):
+        whitener, white, weight = problem.weighed(vector)
+        slips = np.linalg.norm(white, axis=1) > SLIP
+        if step and slips.mean() <= MOST_SLIPS:
+            weight = np.where(slips, 0.0, weight)
+        whitener = whitener * np.sqrt(weight)[:, None, None]
 
         def residual(x: Array, whitener: Array = whitener) -> Array:
             full = whole(x)
-            white, bent, _ = _weighed(problem, whitener, problem.misfit(full))
-            return np.concatenate([(white * bent).ravel(), root @ (full - belief.mean)])
+            white = whitener @ problem.misfit(full)[..., None]
+            return np.concatenate([white.ravel(), root @ (full - belief.mean)])
 
         def derivative(x: Array, whitener: Array = whitener) -> Array:
-            own, slope = problem.residual(whole(x))
-            _, bent, weight = _weighed(problem, whitener, own)
-            both = (weight / bent)[..., None] * np.einsum("mij,mjk->mik", whitener, slope[..., free])
-            return np.concatenate([both.reshape(-1, free.sum()), root[:, free]])
+            slope = whitener @ problem.slope(whole(x))[..., free]
+            return np.concatenate([slope.reshape(-1, free.sum()), root[:, free]])
 
+        if not free.any():
+            break
+        begin = np.clip(vector[free], *bounds)
         found = least_squares(
-            residual,
-            np.clip(vector, belief.lower, belief.upper)[free],
-            derivative,
-            x_scale="jac",
-            bounds=(belief.lower[free], belief.upper[free]),
-            max_nfev=iterations,
-            ftol=_SMALL,
-            xtol=_SMALL,
+            residual, begin, derivative, bounds, x_scale="jac", max_nfev=iterations, ftol=_SMALL, xtol=_SMALL
         )
         vector, before, cost = whole(found.x), cost, found.cost
+        curvature[np.ix_(free, free)] = found.jac.T @ found.jac
         if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
             break
-    return _fitted(problem, vector)
+    return _fitted(problem, vector, curvature)
 
 
-def _plausible(whitener: Array, residual: Array) -> NDArray[np.bool_]:
-    near: NDArray[np.bool_] = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1) < SLIP
-    return near if near.sum() >= (1.0 - MOST_SLIPS) * len(near) else np.ones_like(near)
+def _fitted(problem: Problem, vector: Array, curvature: Array) -> Fitted:
+    whitener, white, weight = problem.weighed(vector)
+    own, off = problem.belief.precision, vector - problem.belief.mean
+    cost = 0.5 * float((weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off)
+    spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
+    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(own)[1] - np.linalg.slogdet(curvature)[1])
+    return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
 
 
-def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """White residuals (R, d), factor (R, 1) to half their squared loss, and its slope (R, 1)."""
-    white = np.einsum("mij,mj->mi", whitener, residual)
-    length = np.maximum(np.linalg.norm(white, axis=1, keepdims=True), 1e-12)
-    weight = np.minimum(1.0, problem.huber / length)
-    return white, np.sqrt(weight * (2.0 - weight)), weight
-
-
-def search(problem: Fittable) -> Fitted:
-    """Solve from upright and tilted bases: a slight tilt moves a floating joint."""
+def search(problem: Problem) -> Fitted:
+    """Solve; where the base may be tilted also from tilted bases: a slight tilt moves a floating joint."""
     upright = solve(problem, problem.belief.mean)
+    tilt = problem.layout.at("tilt")
+    if problem.belief.precision[tilt.start, tilt.start] > LEVEL**-2.0 / 2:
+        return upright
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     best = upright
-    for tilt in _TILT * np.stack([np.cos(turns), np.sin(turns)], axis=-1):
+    for lean in _TILT * np.stack([np.cos(turns), np.sin(turns)], axis=-1):
         start = upright.vector.copy()
-        start[problem.layout.at("tilt")] = tilt
+        start[tilt] = lean
         quick = solve(problem, start, _QUICK)
         best = quick if quick.evidence > best.evidence else best
     return upright if best is upright else solve(problem, best.vector)
-
-
-def _fitted(problem: Fittable, vector: Array) -> Fitted:
-    whitener, belief = problem.whitener(vector), problem.belief
-    residual, derivative = problem.residual(vector)
-    white, bent, weight = _weighed(problem, whitener, residual)
-    slope = np.sqrt(weight)[..., None] * np.einsum("mij,mjk->mik", whitener, derivative)
-    flat, off = slope.reshape(-1, len(vector)), vector - belief.mean
-    curvature = flat.T @ flat + belief.precision
-    cost = 0.5 * float(((white * bent) ** 2).sum() + off @ belief.precision @ off)
-    spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
-    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
-    return Fitted(
-        layout=problem.layout,
-        vector=vector,
-        covariance=np.asarray(np.linalg.inv(curvature), dtype=float),
-        frame=problem.pose(vector),
-        evidence=float(evidence),
-    )
