@@ -212,31 +212,30 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
 
 
 def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
-    """Read shots of ``pictures``, which nobody has looked at."""
+    """Read shots of ``pictures`` that are not examined yet."""
     joints, came = joint_columns(arm)
     remedy = "write one line for each picture"
     meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}
     if not path.exists():
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
     with readable(path, "postures"):
-        found = read_columns(path, meanings, ["picture", *joints])
-        position = np.array([found.filled(name) for name in joints]).T
-        require_degrees(path, position)
-        approach, place = np.array([found.numbers(name) for name in came]).T, found.numbers("posture")
-    rows: dict[str, int] = {}
-    for row, name in enumerate(Path(word).name for word in found.words("picture")):
-        if name in rows and not np.array_equal(position[rows[name]], position[row]):
-            raise FileError(path, f"line {found.line(row)}: other joint positions for {name}", "leave one line out")
-        rows[name] = row
+        found, lines = read_columns(path, meanings, ["picture", *joints], joints)
+    empty = np.full(len(lines), np.nan)
+    position, approach = (np.array([found.get(name, empty) for name in names]).T for names in (joints, came))
+    require_degrees(path, position)
+    rows = {Path(word).name: row for row, word in enumerate(found["picture"])}
+    if len(rows) < len(lines):
+        raise FileError(path, "two lines name the same picture", "leave one line out")
     if without := [name for name in pictures if name not in rows]:
         raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
+    place = found.get("posture", empty)
     return [
         Shot(
             number=number,
-            position=position[row],
-            approach=approach[row],
-            posture=int(place[row]) if np.isfinite(place[row]) else number,
+            position=position[rows[name]],
+            approach=approach[rows[name]],
+            posture=int(np.nan_to_num(place[rows[name]], nan=number)),
             seen=Unusable(name, ""),
         )
-        for number, (name, row) in enumerate(((name, rows[name]) for name in pictures), start=1)
+        for number, name in enumerate(pictures, start=1)
     ]

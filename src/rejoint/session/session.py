@@ -341,7 +341,7 @@ class ArmSession(ArmDriver):
 
     @contextmanager
     def recording(self, name: str = "record") -> Iterator[StateRecord]:
-        """Record in a ``with`` block what the arm does, whoever drives it.
+        """Record in a ``with`` block what the arm does, by any controller or program.
 
         Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
         the end if the arm could not be read.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -29,8 +28,8 @@ from rejoint.arms.rotations import pose_of
 from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
-from rejoint.system.textfile import ANGLES, LENGTHS, Sheet, read_sheet, split_unit
+from rejoint.system.files import CHANGED, MEGABYTE, write_whole
+from rejoint.system.textfile import ANGLES, LENGTHS, read_sheet, split_unit
 
 Numbers = NDArray[np.int64]
 
@@ -129,96 +128,39 @@ SHEET_MOST = 4 * MEGABYTE
 """Largest CSV file; chosen: ten thousand rows"""
 COUNT = {"": 1.0}
 
-_ROOT = re.compile(r"[^a-z0-9]")
 
-Units = Mapping[str, float]
-"""Suffixes of titles and their SI factor"""
+def read_columns(
+    path: Path, meanings: Mapping[str, Mapping[str, float] | None], needed: Collection[str], filled: Collection[str]
+) -> tuple[dict[str, Any], Numbers]:
+    """Columns of a text table by name, and the line of each row.
 
-
-@dataclass(frozen=True, kw_only=True)
-class Columns:
-    """Known columns of a table."""
-
-    sheet: Sheet
-    places: Mapping[str, tuple[int, float]]
-
-    def __len__(self) -> int:
-        return len(self.sheet)
-
-    def line(self, row: int) -> int:
-        """Line of a row in the file."""
-        return int(self.sheet.lines[row])
-
-    def words(self, name: str) -> list[str]:
-        """Cells of a column."""
-        return self.sheet.words(self.places[name][0])
-
-    def numbers(self, name: str) -> Array:
-        """Column (rows,) in SI units, NaN for empty cells or no such column; FileError for text."""
-        if name not in self.places:
-            return np.full(len(self), np.nan)
-        column, unit = self.places[name]
-        values = self.sheet.numbers([column])[:, 0]
-        if np.isinf(values).any():
-            place = f"line {self.line(int(np.argmax(np.isinf(values))))}, column {self.sheet.titles[column]}"
-            raise FileError(self.sheet.path, f"{place}: an infinite number", "mend the cell")
-        return unit * values
-
-    def filled(self, name: str) -> Array:
-        """Column; FileError for empty cells."""
-        values = self.numbers(name)
-        if np.isnan(values).any():
-            row = int(np.argmax(np.isnan(values)))
-            title = self.sheet.titles[self.places[name][0]]
-            raise FileError(self.sheet.path, f"line {self.line(row)}, column {title} is empty", "mend that line")
-        return values
-
-
-def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
-    """Read a table with columns ``meanings``: name to units, or None for words.
-
-    FileError for missing ``needed`` columns, duplicates, wrong units.
+    ``meanings``: name to SI factors of its units, or None for words. FileError for missing ``needed`` columns, other
+    units, and empty cells in those ``filled``.
     """
-    require_file(path, SHEET_MOST, "give fewer rows")
-    sheet = read_sheet(path)
-    known = {
-        _titled(name, ending).casefold(): (name, unit)
-        for name, units in meanings.items()
-        for ending, unit in (units or COUNT).items()
-    }
-    wanted = {name: _titled(name, next(iter(units or COUNT))) for name, units in meanings.items()}
-    places: dict[str, tuple[int, float]] = {}
+    sheet, found = read_sheet(path, most=SHEET_MOST), dict[str, Any]()
+    first = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
+    titled = {name: f"{name}_{unit}" if unit else name for name, unit in first.items()}
+    names = {name.casefold(): name for name in meanings}
     for index, title in enumerate(sheet.titles):
-        stem, ending = split_unit(title, {*ANGLES, *LENGTHS})
-        plain = _titled(stem, ending or "").casefold()
-        if plain not in known:
-            _require_other(path, title, plain, wanted)
+        stem, unit = split_unit(title.casefold(), {*ANGLES, *LENGTHS})
+        name = names.get(stem)
+        if name is None:
             continue
-        name, unit = known[plain]
-        if name in places:
-            other = sheet.titles[places[name][0]]
-            raise FileError(path, f"columns {other} and {title} are both {name}", "leave one of them out")
-        places[name] = (index, unit)
-    if missing := [wanted[name] for name in needed if name not in places]:
-        named = ", ".join(wanted[name] for name in needed)
-        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {named}")
-    return Columns(sheet=sheet, places=places)
-
-
-def _require_other(path: Path, title: str, plain: str, wanted: dict[str, str]) -> None:
-    """Raise FileError for a title that looks like one of ``wanted``."""
-    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(list(wanted.items()))}
-    if _ROOT.split(plain)[0] not in roots:
-        return
-    for name, titled in wanted.items():
-        if plain == name.casefold():
-            raise FileError(path, f"column {title} does not say its unit", f"name it {titled}")
-    examples = ", ".join(reversed(roots.values()))
-    raise FileError(path, f"column {title} is not known", f"name it as one of {examples}, or otherwise")
-
-
-def _titled(name: str, ending: str) -> str:
-    return f"{name}_{ending}" if ending else name
+        units = meanings[name] or COUNT
+        if (unit or "") not in units or name in found:
+            raise FileError(
+                path, f"column {title} has no unit or another one, or comes twice", f"name it {titled[name]}"
+            )
+        if meanings[name] is None:
+            found[name] = sheet.words(index)
+            continue
+        found[name] = units[unit or ""] * sheet.numbers([index])[:, 0]
+        if name in filled and np.isnan(found[name]).any():
+            line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
+            raise FileError(path, f"line {line}, column {title} is empty", "mend that line")
+    if missing := [titled[name] for name in needed if name not in found]:
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", "add them")
+    return found, sheet.lines
 
 
 T = TypeVar("T")
@@ -335,17 +277,15 @@ def require_degrees(path: Path, position: Array) -> None:
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
     joints, came = joint_columns(arm)
     meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
-    found = read_columns(path, meanings, joints)
-    if not any(axis in found.places for axis in AXES):
-        raise FileError(path, f"columns {found.sheet.shown}; missing: x_mm, y_mm, z_mm", "give at least one of them")
-    if not len(found):
+    found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"})
+    if not len(lines):
         raise FileError(path, "no measurements below the header", "add one line for each")
-    columns = {name: found.numbers(name) for name in (*AXES, *came)}
-    columns |= {name: found.filled(name) for name in (*joints, "sigma", "posture") if name in found.places}
+    empty = np.full(len(lines), np.nan)
+    columns = dict.fromkeys((*AXES, *came), empty) | found
     seen = np.isfinite([columns[axis] for axis in AXES]).any(axis=0)  # as an empty answer at the prompt leaves one out
-    lines = [found.line(row) for row in np.flatnonzero(seen).tolist()]
-    if not lines:
-        raise FileError(path, "no line has a coordinate of the tool", "measure at least one")
+    lines = lines[seen]
+    if not len(lines):
+        raise FileError(path, "no line has a coordinate of the tool", "measure at least one of x_mm, y_mm and z_mm")
     try:
         measured = _assemble({name: values[seen] for name, values in columns.items()}, arm, frame, source)
     except InputError as error:
@@ -354,7 +294,7 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
     return measured
 
 
-def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int]) -> None:
+def _require_units(path: Path, arm: Arm, measured: Measurements, lines: Numbers) -> None:
     beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
     if beyond.any():
         row, joint = (int(index) for index in np.argwhere(beyond)[0])

@@ -73,7 +73,7 @@ class FilmingGauge(Protocol):
 
     @property
     def postures(self) -> int:
-        """Number of postures that it takes if nobody says how many."""
+        """Default number of postures."""
 
     def film(
         self,
