@@ -153,7 +153,7 @@ def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads:
     from rejoint_lab.research.evaluation.moving import evaluate_moving, moving_table
 
     with call.progress("follow") as update:
-        found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed), out, threads, update)
+        found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed, threads=threads), out, update)
     write_json(out / "moving.json", found)
     call.table(*moving_table(found))
     call.result(f"All of it: {(out / 'moving.json').resolve()}")
@@ -183,12 +183,10 @@ def tune(
             ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")
             tuned[name] = search(arm, ranges, rival, ahead, generations=generations, seed=seed)
     write_json(out, known | tuned)
-    rows = [
-        {"rival": name, "gain": gain, "value": value} for name, gains in tuned.items() for gain, value in gains.items()
-    ]
-    call.table("Tuned gains", list(rows[0]), [[*map(str, one.values())] for one in rows])
+    for name, gains in tuned.items():
+        call.table(f"Gains of {name}", ["gain", "value"], [(gain, str(value)) for gain, value in gains.items()])
     call.result(f"Next: rejoint research evaluate --controllers {','.join(chosen)} --gains {out}")
-    return {"out": out, "gains": rows}
+    return {"out": out, "gains": tuned}
 
 
 @takes()

@@ -54,8 +54,6 @@ class MovingRow:
     path: str
     error: Spread
     """[m] after the best single lag for online paths"""
-    middle: float
-    """[m] median"""
     largest: float
     """[m] largest error of any arm at any time"""
     lag: float
@@ -63,7 +61,7 @@ class MovingRow:
     stopped: int
 
 
-def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress) -> list[MovingRow]:
+def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, on_progress: Progress) -> list[MovingRow]:
     """Let every arm follow the standard paths in all cases; resumes in ``out``."""
     parts = []
     for first in range(0, family.arms, BLOCK):
@@ -72,7 +70,7 @@ def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on
         twins = partial(own_twins, arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
         identity = repr((arm.name, seeds, CASES))
         file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
-        parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
+        parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, family.threads, part(ahead, 0.5, 1.0))))
     found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     return [_row(case, path, found) for case in CASES for path in STANDARD]
 
@@ -134,7 +132,6 @@ def _row(case: str, path: str, found: Columns) -> MovingRow:
         case=case,
         path=path,
         error=error,
-        middle=float(np.median(rms)),
         largest=float(own[f"largest{after}"].max()),
         lag=float(np.median(own["lag"])),
         stopped=int(own["stopped"].sum()),

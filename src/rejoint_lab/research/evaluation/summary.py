@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from itertools import product
 from typing import cast
 
 import numpy as np
@@ -15,13 +14,7 @@ from rejoint.control.comparison.result import summarise as summarise_trials
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import (
-    Estimate,
-    Labels,
-    Spread,
-    clustered_share,
-    paired_difference,
-)
+from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share, paired_difference
 from rejoint_lab.research.evaluation.family import ArmFamily
 
 
@@ -65,16 +58,10 @@ class Pair:
     variant: str
     controller: str
     rival: str
-    settled: Estimate | None
-    """[m] mean difference, negative where the controller is better"""
-    settled_true: Estimate | None
-    """[m]"""
+    differences: dict[str, Estimate | None]
+    """[m] or [s] mean differences by column, negative where the controller is better; never: the hold's length"""
     worst_true: float | None
-    """[m] the same on the arm where it is largest"""
-    stays: tuple[Estimate | None, ...]
-    """[s] mean differences of the times to stay within each distance; never: the hold's length"""
-    cycle_time: Estimate | None
-    """[s] mean difference for ten targets of the crossing protocol"""
+    """[m] that of the settled true error on the arm where it is largest"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,10 +71,8 @@ class Evaluation:
     arm: str
     software: str
     family: ArmFamily
-    variants: tuple[str, ...]
     meanings: dict[str, str]
     """of the variants, in words"""
-    controllers: tuple[str, ...]
     rows: tuple[VariantRow, ...]
     best: dict[str, str]
     """per variant, the rival that is soonest within the narrowest distance"""
@@ -116,24 +101,21 @@ def summarise(
     arm: str, family: ArmFamily, meanings: dict[str, str], pooled: Outcomes, learned: Collection[str]
 ) -> Evaluation:
     """Compute every number of an evaluation; ``meanings`` says what its variants are, ``learned`` are no rivals."""
-    protocol, variants = family.protocol, tuple(meanings)
-    groups = tuple(dict.fromkeys(group for _, group in pooled))
-    rows = tuple(make_row(*key, found, protocol) for key, found in pooled.items())
-    rivals = {v: [row for row in rows if row.variant == v and row.controller not in learned] for v in variants}
-    pairs = [
-        make_pair(v, (g, pooled[v, g]), (rival, pooled[v, rival]), protocol)
-        for v, g, rival in product(variants, groups, groups)
-        if g in learned and rival != g
-    ]
+    rows = tuple(make_row(*key, found, family.protocol) for key, found in pooled.items())
+    rivals = {one: [row for row in rows if row.variant == one and row.controller not in learned] for one in meanings}
+    pairs = (
+        make_pair((variant, group), rival, (ours, theirs), family.protocol)
+        for (variant, group), ours in pooled.items()
+        for (where, rival), theirs in pooled.items()
+        if group in learned and where == variant and rival != group
+    )
     return Evaluation(
         arm=arm,
         software=__version__,
         family=family,
-        variants=variants,
         meanings=meanings,
-        controllers=groups,
         rows=rows,
-        best={v: min(some, key=_late).controller for v, some in rivals.items() if some},
+        best={variant: min(some, key=_late).controller for variant, some in rivals.items() if some},
         pairs=tuple(pairs),
     )
 
@@ -161,27 +143,21 @@ def inside(found: Columns) -> Array:
     return np.where(np.isfinite(error), hit, np.nan)
 
 
-def make_pair(variant: str, mine: tuple[str, Columns], other: tuple[str, Columns], protocol: Protocol) -> Pair:
-    """Compare two groups: each seed with each, on the same arm and target."""
-    (controller, ours), (rival, theirs) = (
-        (name, found | {"cycle_time": cycle_times(found)[..., None]}) for name, found in (mine, other)
-    )
-    count = len(np.unique(_arms(mine[1])))
-
-    def matched(name: str) -> Iterator[Array]:
+def make_pair(where: tuple[str, str], rival: str, results: tuple[Columns, Columns], protocol: Protocol) -> Pair:
+    """Compare the controller of ``where`` with a rival: each seed with each, on the same arm and target."""
+    count = len(np.unique(_arms(results[0])))
+    ours, theirs = (found | {"cycle_time": cycle_times(found)[..., None]} for found in results)
+    matched = {}
+    for name in ("settled", "settled_true", *protocol.stay_names, "cycle_time"):
         # Arms stay the first axis, so that a resampled arm brings all its seeds along.
         both = np.broadcast_arrays(ours[name][:, :, None], theirs[name][:, None])
-        return (one.reshape(count, -1) for one in both)
-
+        matched[name] = [one.reshape(count, -1) for one in both]
     return Pair(
-        variant=variant,
-        controller=controller,
+        variant=where[0],
+        controller=where[1],
         rival=rival,
-        settled=difference(*matched("settled")),
-        settled_true=difference(*matched("settled_true")),
-        worst_true=worst(*matched("settled_true")),
-        stays=tuple(difference(*matched(name)) for name in protocol.stay_names),
-        cycle_time=difference(*matched("cycle_time")),
+        differences={name: difference(*both) for name, both in matched.items()},
+        worst_true=worst(*matched["settled_true"]),
     )
 
 
@@ -195,69 +171,52 @@ def _late(row: VariantRow) -> tuple[float, float]:
     return row.stays[-1].median or np.inf, np.inf if row.settled is None else row.settled.mean.value
 
 
-# --- tables and page --------------------------------------------------------------------------
-
-
-def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
-    """Columns of the controllers on one variant."""
-    family, shown = evaluation.family, list[ResultColumn]()
-    if any(row.inside is not None for row in evaluation.rows):
-        shown = [
-            ResultColumn("expected by the calibration [mm]", lambda row: Cell(_expected(row))),
-            ResultColumn("in its interval [%]", lambda row: measured(cast(VariantRow, row).inside, 100.0)),
-            ResultColumn("corrected arms [%]", lambda row: Cell(number(100 * (cast(VariantRow, row).used or 0.0), 3))),
-        ]
-    return (
-        *result_columns(family.protocol, max(family.targets, family.crossings)),
-        ResultColumn("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
-        ResultColumn("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
-        ResultColumn("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
-        *shown,
-    )
-
-
-def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
-    """Headers of `pair_cells`."""
-    within = (f"time to stay within {distance * MM:g} mm [s]" for distance in evaluation.family.protocol.within)
-    return ("settled, encoders [mm]", "settled, true [mm]", "the worst arm's [mm]", *within, "ten targets [s]")
-
-
-def pair_cells(pair: Pair) -> list[Cell]:
-    """Cells of one controller against one rival."""
-    worst_true = Cell(number(pair.worst_true and MM * pair.worst_true, 2))
-    settled = _signed(pair.settled, MM), _signed(pair.settled_true, MM), worst_true
-    return [*settled, *(_signed(one, 1.0) for one in (*pair.stays, pair.cycle_time))]
+COLUMNS: dict[str, Callable[[VariantRow], Cell]] = {
+    "95 % below, encoders [mm]": lambda row: _p95(row.settled, 3),
+    "95 % below, true [mm]": lambda row: _p95(row.settled_true, 2),
+    "farther than 5 mm [%]": lambda row: measured(row.outside, 100.0),
+}
+"""of all evaluations, besides those of a comparison"""
+CALIBRATED: dict[str, Callable[[VariantRow], Cell]] = {
+    "expected by the calibration [mm]": lambda row: Cell(
+        "" if row.settled_modelled is None else row.settled_modelled.millimetres
+    ),
+    "in its interval [%]": lambda row: measured(row.inside, 100.0),
+    "corrected arms [%]": lambda row: Cell(number(row.used and 100 * row.used, 3)),
+}
+"""where arms are calibrated"""
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Title, headers and rows of a table per variant, and of pairs."""
-    tables = [
-        (f"{one}: {evaluation.family.arms} arms", *plain_table(row_columns(evaluation), evaluation.on(one)))
-        for one in evaluation.variants
+    """Title, headers and rows of a table per variant, and of pairs with its best rival."""
+    family, calibrated = evaluation.family, any(row.inside is not None for row in evaluation.rows)
+    own = COLUMNS | (CALIBRATED if calibrated else {})
+    columns = [
+        *result_columns(family.protocol, max(family.targets, family.crossings)),
+        *(ResultColumn(header, cast("Callable[[ControllerRow], Cell]", cell)) for header, cell in own.items()),
     ]
-    pairs = [
-        [
-            pair.variant,
-            f"{pair.controller} against {pair.rival}",
-            *map(str, pair_cells(pair)),
-        ]
-        for pair in evaluation.pairs
-        if pair.rival == evaluation.best.get(pair.variant)
-    ]
+    tables = [(f"{one}: {family.arms} arms", *plain_table(columns, evaluation.on(one))) for one in evaluation.meanings]
+    pairs = [one for one in evaluation.pairs if one.rival == evaluation.best.get(one.variant)]
     if pairs:
-        headers = ["variant", "against the best rival", *pair_headers(evaluation)]
-        tables.append(("Paired differences, 95 % intervals over arms", headers, pairs))
+        units = {name: "[mm]" if name.startswith("settled") else "[s]" for name in pairs[0].differences}
+        headers = [
+            "variant",
+            "against the best rival",
+            "worst arm, true [mm]",
+            *(f"{name} {unit}" for name, unit in units.items()),
+        ]
+        rows = [
+            [
+                pair.variant,
+                f"{pair.controller} against {pair.rival}",
+                number(pair.worst_true and MM * pair.worst_true, 2),
+                *(str(measured(one, MM if units[name] == "[mm]" else 1.0)) for name, one in pair.differences.items()),
+            ]
+            for pair in pairs
+        ]
+        tables.append(("Paired differences, 95 % intervals over arms", headers, rows))
     return tables
 
 
-def _expected(row: ControllerRow) -> str:
-    return "" if row.settled_modelled is None else row.settled_modelled.millimetres
-
-
-def _p95(one: Spread | None, digits: int) -> str:
-    return number(None if one is None else one.p95 * MM, digits)
-
-
-def _signed(value: Estimate | None, factor: float) -> Cell:
-    text, note = measured(value, factor)
-    return Cell(f"{'+' if value is not None and value.value > 0 else ''}{text}", note)
+def _p95(one: Spread | None, digits: int) -> Cell:
+    return Cell(number(None if one is None else one.p95 * MM, digits))
