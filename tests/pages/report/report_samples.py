@@ -11,7 +11,7 @@ from comparisons import made_comparison
 from madetwin import made_calibration
 from readpage import Page
 from rejoint.arms import Displacement, solve_position
-from rejoint.control.comparison.result import Ended, Protocol
+from rejoint.control.comparison.result import Protocol
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runlog import RunLog
@@ -108,7 +108,7 @@ def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):
     columns = {name: controller_columns(name, i, true_known) for i, name in enumerate(names)}
     found = made_comparison(arm, columns, arm.targets.sample(np.random.default_rng(3), (SETS, TARGETS)))
     guard = {"policy": {"step": 0.031, "lead": 0.0013}}
-    ended = {"pid-literal": (Ended(protocol="hold", target_set=0, repetition=0, target=0, why="temperature"),)}
+    ended = {"pid-literal": ("temperature",)}
     rows = (
         dataclasses.replace(row, guard=guard.get(row.controller, {}), ended=ended.get(row.controller, ()))
         for row in found.rows

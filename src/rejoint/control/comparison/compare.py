@@ -57,23 +57,6 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import spread
 from rejoint.system.stopping import pause
 
-PROGRESS_CYCLES = 40
-"""(chosen)"""
-
-
-def count_targets(report: Callable[[int], object]) -> OnCycle:
-    """Report the number of finished targets every `PROGRESS_CYCLES` cycles."""
-    cycles = 0
-
-    def see(cycle: Cycle) -> None:
-        nonlocal cycles
-        if cycles % PROGRESS_CYCLES == 0:
-            report(int(cycle.target_index.sum()))
-        cycles += 1
-
-    return see
-
-
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 ControllerFactory = Callable[[Arm], Controller]
@@ -331,7 +314,10 @@ class TrialRunner:
         sets, part = [s for s, _ in places], slice(first, first + self._step)
         targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
         self._text, failed = f"{name}: {kind} protocol", False
-        see = count_targets(lambda done: self.on_progress((self._done + done) / self._total, self._text))
+
+        def see(cycle: Cycle) -> None:
+            self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
+
         reference = TargetSequence(robot.arm, targets, turns=turns, correction=self._aiming(robot))
         try:
             recording = self._run(robot, self.controllers[name], reference, kind, self._sent, see)

@@ -21,7 +21,6 @@ from rejoint.control.comparison.result import (
     MODELLED,
     Columns,
     Driven,
-    Ended,
     Key,
     Kind,
     Protocol,
@@ -210,16 +209,6 @@ def measure(
     controller, kind, places, first = key
     kinds = KINDS if both and kind == "hold" else (kind,)
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
-    ended = tuple(
-        Ended(
-            protocol=kind,
-            target_set=places[b][0],
-            repetition=places[b][1],
-            target=int(recording.target_index[-1, b]),
-            why=", ".join(reason_names(int(recording.tripped[b]))),
-        )
-        for b in np.flatnonzero(recording.tripped)
-    )
     return Driven(
         controller=controller,
         kind=kind,
@@ -228,7 +217,7 @@ def measure(
         first=first,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),
         cycles=int(recording.active.sum()),
-        ended=ended,
+        ended=tuple(", ".join(reason_names(int(flags))) for flags in recording.tripped if flags),
         reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
     )
 

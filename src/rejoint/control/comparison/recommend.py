@@ -209,9 +209,7 @@ def failure(row: ControllerRow) -> str:
     if row.out:
         return f"{name} {row.out}: what was left of its trials was not driven, and counts neither for nor against it."
     if row.failures:
-        reasons = dict.fromkeys(
-            MEANINGS.get(why, why) for why, _ in Counter(end.why for end in row.ended).most_common()
-        )
+        reasons = dict.fromkeys(MEANINGS.get(why, why) for why, _ in Counter(row.ended).most_common())
         return f"{name}: {row.failures} run{'s' * (row.failures > 1)} ended early, because {', or '.join(reasons)}."
     if row.reached == 0.0:
         off = "" if row.settled is None else f"; it comes to rest {1e3 * row.settled.mean.value:.1f} mm off"

@@ -41,20 +41,6 @@ Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ended:
-    """A trial that ended early."""
-
-    protocol: str
-    """``crossing`` or ``hold``"""
-    target_set: int
-    repetition: int
-    target: int
-    """index"""
-    why: str
-    """see `reason_names`"""
-
-
 Place = tuple[int, int]
 Places = tuple[Place, ...]
 Key = tuple[str, Kind, Places, int]
@@ -72,7 +58,8 @@ class Driven:
     """(B, K)"""
     cycles: int
     reasons: dict[str, int]
-    ended: tuple[Ended, ...]
+    ended: tuple[str, ...]
+    """why trials ended early, see `reason_names`"""
     failed: bool = False
     first: int = 0
     """index"""
@@ -143,7 +130,8 @@ class ControllerRow:
     """targets held to the end"""
     guard: dict[str, float] = field(default_factory=dict)
     """share of cycles per reason"""
-    ended: tuple[Ended, ...] = ()
+    ended: tuple[str, ...] = ()
+    """why trials ended early"""
     out: str = ""
     """reason of elimination"""
     source: str = ""
@@ -215,9 +203,7 @@ class TargetErrors:
     def of(cls, found: Columns) -> TargetErrors:
         """Means of columns (R, K) over the repetitions."""
         known = [_mean(values) for values in found["settled_true"].T]
-        modelled = [
-            mean_modelled(np.array(values)) for values in zip(*(found[name].T for name in MODELLED), strict=True)
-        ]
+        modelled = map(mean_modelled, np.moveaxis(np.array([found[name] for name in MODELLED]), -1, 0))
         return cls(
             encoders=tuple(_mean(values) for values in found["settled"].T),
             true=tuple(

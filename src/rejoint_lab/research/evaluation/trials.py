@@ -14,7 +14,6 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.compare import count_targets
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind
 from rejoint.control.correction import Modelled
@@ -132,7 +131,9 @@ def try_on(
         points, ways = arms.targets[:, :count], arms.ways if kind == "hold" else None
         sequence = TargetSequence(arm, points, ways=ways, correction=correction)
         plan = schedule(kind, protocol, keep_going=True)
-        recording = run(arms.open(), controller(arm), sequence, plan, on_cycle=count_targets(on_targets))
+        recording = run(
+            arms.open(), controller(arm), sequence, plan, on_cycle=lambda c: on_targets(c.target_index.sum())
+        )
         if kind == "hold":
             found["tripped"][:, :count] = recording.tripped[:, None]
         columns = metrics_of(arm, recording, points, protocol, (kind,))
