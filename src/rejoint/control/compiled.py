@@ -173,14 +173,6 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
     return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
 
 
-@njit(void(IN2, IN2, IN2, IN1, float64[:, ::1]), **OPTIONS)
-def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (T, n) [rad] with pushes of leads from ``low`` to ``high`` (T, n); ``reach`` (n,)."""
-    for k in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[k, j] = _push(low[k, j], high[k, j], balance[k, j], reach[j])
-
-
 @njit(void(from_dtype(TRACK)[::1], IN1, IN2, IN2, bool_[::1]), **OPTIONS)
 def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
     """Set ``out`` (n,) for overdue joints in a log of ``time`` (T,) and ``position`` (T, n)."""

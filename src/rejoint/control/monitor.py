@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.law import plain
+from rejoint.control.controllers.law import between, plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late
@@ -47,7 +47,6 @@ OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
 PULL = 2.0
 """times the allowed push, to pull an overdue joint back"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
-_UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,9 +157,9 @@ class Following:
         )
         self._last = state.time.copy()
         worst = self._verdict.max()
-        if worst < _UNKNOWN:
+        if worst < compiled.UNKNOWN:
             return None
-        bad: Mask = self._verdict >= _TURNING
+        bad: Mask = self._verdict >= compiled.TURNING
         late: Mask = (self._tracks["late"] > 0) | (self._tracks["strikes"] > 0)
         if self._bands is None:
             travelled, more = self._travelled(state.position, sent)
@@ -217,7 +216,7 @@ class Following:
 
         A motor that holds a joint may be too weak to move it on, but never to move it back.
         """
-        tracks, overdue = self._tracks, joints & (self._verdict == _OVERDUE)
+        tracks, overdue = self._tracks, joints & (self._verdict == compiled.OVERDUE)
         width = np.where(overdue, tracks["width"], 0.0)
         pull = PULL * (compiled.MOST * width + np.minimum(compiled.AND, width)) * np.sign(tracks["push"])
         return np.where(overdue, tracks["position"] + self._loads() - pull, self.balance(joints, sent))
@@ -236,7 +235,7 @@ class Following:
         travel = np.abs(tracks["travel"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
         away = np.abs(sent - position) > ARRIVED
-        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
+        asked = (self._verdict == compiled.UNKNOWN) & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
         if not asked.any():
             return asked, asked
         lever = self._levers(position)
@@ -258,13 +257,13 @@ class Following:
             f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
             f"{self._last[b] - track['since']:.2f} s, the reading 0"
         )
-        if self._verdict[b, j] == _TURNING:
+        if self._verdict[b, j] == compiled.TURNING:
             return (
                 f"{seen}; its servo gives {100 * track['load']:.0f} % of its torque, and one that stands would give "
                 f"{100 * track['expected']:.0f} %: the joint turns and its encoder is dead; do not drive the arm "
                 f"before servo and cable of {name} are replaced"
             )
-        if self._verdict[b, j] == _OVERDUE:
+        if self._verdict[b, j] == compiled.OVERDUE:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
             seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
@@ -298,30 +297,17 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
 
     A servo's torque is proportional to its error: loads of stationary joints lie on a line over command minus reading.
     """
-    told = [log for log in logs if log.servo_load is not None]
-    rows = [_standing(arm, log, log.servo_load) for log in logs if log.servo_load is not None]
-    if not rows:
+    told = [(log, log.servo_load) for log in logs if log.servo_load is not None]
+    if not told:
         return None
+    rows = [_standing(arm, log, load) for log, load in told]
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
     gain, offset, within, noise = np.array(lines).T
     within = np.where(within < compiled.KNOWN, within, np.inf)
-    for log in told:
-        known = _knowledge(gain, offset, within, noise)
-        if known is not None:
-            within = np.where(_turns(arm, log, known), np.inf, within)
-    return _knowledge(gain, offset, within, noise)
-
-
-def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowledge | None:
-    known = np.isfinite(within)
-    if not known.any():
-        return None
-    return Knowledge(
-        gain=np.where(known, gain, 1.0),
-        offset=np.where(known, offset / gain, 0.0),
-        within=within,
-        noise=np.where(known, noise, 1.0),
-    )
+    known = Knowledge(gain=gain, offset=offset / gain, within=within, noise=noise)
+    for log, _ in told:
+        known = replace(known, within=np.where(_turns(arm, log, known), np.inf, known.within))
+    return known if np.isfinite(known.within).any() else None
 
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -431,10 +417,10 @@ def _leads(log: RunLog, balance: Array) -> Leads:
 
 
 def _push(leads: Leads, reach: Array) -> Array:
-    low, high, balance = (plain(array) for array in leads)
-    push = np.empty_like(low)
-    compiled.fill_pushes(low, high, balance, reach, push)
-    return push
+    """Least pushes (T, n) [rad] away from the balance."""
+    low, high, balance = leads
+    least, most = (between(lead, -reach, reach) - balance for lead in (low, high))
+    return np.maximum(least, 0.0) + np.minimum(most, 0.0)
 
 
 def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:

@@ -69,34 +69,33 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
     Prior: ``scatter``, sigma of one check; ``per_degree``, effect of a degree.
     """
-    count = len(value)
-    warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
+    count, warm = len(value), np.nan_to_num(temperature - temperature[0])
     z, cusum, changes = np.full(count, np.nan), np.zeros(count), np.zeros(count)
-    up = down = smooth = 0.0
-    began_up = began_down = FEWEST - 1
-    usual, since = float(np.mean(value)) if count else 0.0, None
+    sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
+    usual, since = float(np.mean(value)), FEWEST - 1
     for t in range(FEWEST, count):
-        seen = slice(t + 1)
-        mean, slope, deviation = _norm(value[seen], warm[seen], min(t, MOST), scatter, per_degree)
-        usual, changes[t] = mean, float(value[t] - mean - slope)
+        usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], min(t, MOST), scatter, per_degree)
+        changes[t] = value[t] - usual - slope
         z[t] = changes[t] / deviation
         step = float(np.clip(z[t], -CUT, CUT))
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
-        up, began_up = (up + step - SLACK, began_up) if up + step > SLACK else (0.0, t)
-        down, began_down = (down - step - SLACK, began_down) if down - step > SLACK else (0.0, t)
-        cusum[t] = up if up >= down else -down
-        since = began_up if up >= down else began_down
-    state: State = "learning" if count <= FEWEST else "steady"
-    if count > FEWEST and abs(cusum[-1]) >= ALARM:
+        sums = np.maximum(sums + sides * step - SLACK, 0.0)
+        began = np.where(sums > 0.0, began, t)
+        larger = int(sums.argmax())
+        cusum[t], since = sides[larger] * sums[larger], int(began[larger])
+    state: State = "steady"
+    if count <= FEWEST:
+        state = "learning"
+    elif abs(cusum[-1]) >= ALARM:
         state = "alarm"
-    elif count > FEWEST and abs(smooth) > DRIFTING:
+    elif abs(smooth) > DRIFTING:
         state = "drifting"
     return Chart(
         z=z,
         cusum=cusum,
         usual=usual,
-        change=float(changes[-1]) if count else 0.0,
-        lately=float(np.median(changes[-LATELY:])) if count else 0.0,
+        change=float(changes[-1]),
+        lately=float(np.median(changes[-LATELY:])),
         state=state,
         since=since if state in ("drifting", "alarm") else None,
     )
@@ -171,7 +170,7 @@ _UNEVEN, _UNEVEN_FACTOR = 0.5, 1.6
 """Prior of wear's random share, and its factor; chosen: `python -m benchmarks years`"""
 _SCATTER_FACTOR = 1.5
 """Factor of uncertainty of the scatter; chosen"""
-_GRID = tuple(product(np.geomspace(0.05, 2.0, 9).tolist(), np.geomspace(0.6, 1.8, 4).tolist()))
+_UNEVENS, _FACTORS = np.array(list(product(np.geomspace(0.05, 2.0, 9), np.geomspace(0.6, 1.8, 4)))).T
 """Random shares of wear, and scatters relative to the prior"""
 _POINTS = 200
 """Newest checks that count; chosen: the work is cubic"""
@@ -206,22 +205,17 @@ def remaining(
     believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
     common = np.minimum.outer(-x, -x)  # covariance of a Brownian motion, backwards from now
     size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
-    fits = [
-        _fit(design, error, (uneven * size) ** 2 * common + (factor * scatter) ** 2 * np.eye(len(x)), believed)
-        for uneven, factor in _GRID
-    ]
-    priors = [
-        np.hypot(np.log(uneven / _UNEVEN) / np.log(_UNEVEN_FACTOR), np.log(factor) / np.log(_SCATTER_FACTOR))
-        for uneven, factor in _GRID
-    ]
-    evidence = np.array([fit[0] for fit in fits]) - 0.5 * np.square(priors)
+    noises = (_UNEVENS * size)[:, None, None] ** 2 * common + (_FACTORS * scatter)[:, None, None] ** 2 * np.eye(len(x))
+    fits = [_fit(design, error, noise, believed) for noise in noises]
+    evidence, means, roots = (np.array(part) for part in zip(*fits, strict=True))
+    priors = np.log(_UNEVENS / _UNEVEN) / np.log(_UNEVEN_FACTOR), np.log(_FACTORS) / np.log(_SCATTER_FACTOR)
+    evidence = evidence - 0.5 * np.square(priors).sum(axis=0)
     weight = np.exp(evidence - evidence.max())
     rng = np.random.default_rng(0)
-    which = rng.choice(len(_GRID), DRAWS, p=weight / weight.sum())
-    means, roots = (np.array([fit[i] for fit in fits]) for i in (1, 2))
+    which = rng.choice(len(weight), DRAWS, p=weight / weight.sum())
     drawn = means[which] + (roots[which] @ rng.standard_normal((DRAWS, 3, 1)))[..., 0]
     way, drift = tolerance - drawn[:, 0], drawn[:, 1]
-    diffusion = size * np.array([uneven for uneven, _ in _GRID])[which]
+    diffusion = size * _UNEVENS[which]
     if float((drift > 0.0).mean()) < _SEEN:
         return None
     # Against the drift a motion still passes with a chance of exp(2 drift way / diffusion^2), then as with it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
@@ -125,14 +125,12 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
 
     ``left_mm``: error with the repair's controller; it grows as that of the bare arm.
     """
-    warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
-    drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
-    changes = _ranked(drawn)
+    changes = _ranked([_change(visits, *one) for one in _quantities(visits)])
     moved = _moved(visits)
     state: State = "drifting" if moved and changes[0].state == "steady" else changes[0].state
-    known = all(visit.measures.true_error_mm is not None for visit in visits)
-    error = [visit.measures.true_error_mm if known else visit.measures.error_mm for visit in visits]
-    bare = np.array(error, dtype=float)
+    bare = _series(visits, "true_error_mm")
+    known = bool(np.isfinite(bare).all())
+    bare = bare if known else _series(visits, "error_mm")
     counts = bare if left_mm is None else left_mm + bare - bare[:FEWEST].mean()
     found = Outlook(
         state=state,
@@ -149,7 +147,7 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
     )
     if tolerance_mm is None or found.over or moved:
         return found
-    return replace(found, due=_due(visits, counts, warm, tolerance_mm))
+    return replace(found, due=_due(visits, counts, tolerance_mm))
 
 
 def error_per_degree(measures: CheckMeasures) -> float:
@@ -157,62 +155,49 @@ def error_per_degree(measures: CheckMeasures) -> float:
     return float(ZERO_PER_DEGREE * np.sqrt(sum(row.lever_mm**2 for row in measures.joints)))
 
 
-def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str, Array, Array, float]]:
+def _series(visits: Sequence[PastCheck], name: str, joint: int | None = None) -> Array:
+    """Values (T,) of the tool or of a joint; NaN where unknown."""
+    rows = [visit.measures if joint is None else visit.measures.joints[joint] for visit in visits]
+    return np.array([getattr(row, name) for row in rows], dtype=float)
+
+
+def _quantities(visits: Sequence[PastCheck]) -> Iterator[tuple[str, str, Array, Array, float]]:
     """Joint, quantity, values (T,) [mm], temperature (T,), and mm/K."""
-    found = []
     first = visits[0].measures
     for j, row in enumerate(first.joints):
-        rows = [visit.measures.joints[j] for visit in visits]
-        own = np.array([_nan(one.temperature_c) for one in rows])
-        zero = ZERO_PER_DEGREE * row.lever_mm
         # Where a joint comes to rest lies within the band of its friction, and may go with the whole of it.
-        band = FRICTION_PER_DEGREE * abs(float(np.median([one.hysteresis_mm for one in rows[:FEWEST]])))
+        band = FRICTION_PER_DEGREE * _typical(_series(visits, "hysteresis_mm", j))
         for name, share, least in (
             ("hysteresis", FRICTION_PER_DEGREE, 0.0),
             ("reversal", 0.0, band),
             ("sag", LOAD_PER_DEGREE, 0.0),
-            ("deviation", LOAD_PER_DEGREE, zero),
+            ("deviation", LOAD_PER_DEGREE, ZERO_PER_DEGREE * row.lever_mm),
         ):
-            values = [getattr(one, f"{name}_mm") for one in rows]
-            if all(value is not None for value in values):
-                value = np.array(values, dtype=float)
-                found.append((row.joint, name, value, own, least + share * abs(float(np.median(value[:FEWEST])))))
-    error = np.array([visit.measures.error_mm for visit in visits])
-    return [*found, ("", "error", error, warm, error_per_degree(first))]
+            value = _series(visits, f"{name}_mm", j)
+            if np.isfinite(value).all():
+                yield row.joint, name, value, _series(visits, "temperature_c", j), least + share * _typical(value)
+    yield "", "error", _series(visits, "error_mm"), _series(visits, "temperature_c"), error_per_degree(first)
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
-    most: dict[tuple[str, str], float] = {}
-    for one in drawn:
-        key = one.state, one.joint
-        most[key] = max(most.get(key, 0.0), abs(one.away))
-    return tuple(
-        sorted(
-            drawn,
-            key=lambda one: (
-                order.index(one.state),
-                not one.joint,
-                -most[one.state, one.joint],
-                one.quantity == "deviation",
-                -abs(one.away),
-            ),
-        )
-    )
+
+    def rank(one: Change) -> tuple[object, ...]:
+        most = max(abs(other.away) for other in drawn if (other.state, other.joint) == (one.state, one.joint))
+        return order.index(one.state), not one.joint, -most, one.quantity == "deviation", -abs(one.away)
+
+    return tuple(sorted(drawn, key=rank))
 
 
 def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
     found = []
     for j, row in enumerate(visits[0].measures.joints):
-        rows = [visit.measures.joints[j] for visit in visits]
-        deviation = np.array([one.deviation_mm for one in rows])
-        others = [np.array([one.reversal_mm for one in rows]), np.array([one.hysteresis_mm for one in rows])]
-        if all(one.sag_mm is not None for one in rows):
-            others.append(np.array([_nan(one.sag_mm) for one in rows]))
+        deviation = _series(visits, "deviation_mm", j)
+        others = [_series(visits, f"{name}_mm", j) for name in ("reversal", "hysteresis", "sag")]
         jump = find_jump(
             deviation,
-            others,
-            np.array([_nan(one.temperature_c) for one in rows]),
+            [other for other in others if np.isfinite(other).all()],
+            _series(visits, "temperature_c", j),
             scatter=_scatter("deviation", deviation),
             per_degree=ZERO_PER_DEGREE * row.lever_mm,
         )
@@ -224,9 +209,14 @@ def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
     return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
 
 
+def _typical(value: Array) -> float:
+    """Size of the first values (T,)."""
+    return abs(float(np.median(value[:FEWEST])))
+
+
 def _scatter(name: str, value: Array) -> float:
     """[mm] sigma of one check's quantity on a steady arm."""
-    return max(SCATTER_MM[name], SCATTER_SHARE * abs(float(np.median(value[:FEWEST]))))
+    return max(SCATTER_MM[name], SCATTER_SHARE * _typical(value))
 
 
 def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, warm: Array, per_degree: float) -> Change:
@@ -243,32 +233,28 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
     )
 
 
-def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: float) -> Due | None:
+def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | None:
     days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
-    hours = np.array([_nan(visit.used_h) for visit in visits])
-    grows = bool(np.isfinite(hours).all() and (np.diff(hours) >= 0.0).all())  # else somebody has told them wrongly
+    hours = np.array([visit.used_h for visit in visits], dtype=float)
+    grows = bool((np.diff(hours) >= 0.0).all())  # else unknown, or somebody has told them wrongly
     counted = grows and hours[-1] > hours[0] and days[-1] > days[0]
-    use = hours if counted else days
     pace = (hours[-1] - hours[0]) / (days[-1] - days[0]) if counted else 1.0
-    scatter, per_degree = _scatter("error", error), error_per_degree(visits[0].measures)
-    left = remaining(use, error, warm, tolerance, scatter=scatter, per_degree=per_degree)
+    left = remaining(
+        hours if counted else days,
+        error,
+        _series(visits, "temperature_c"),
+        tolerance,
+        scatter=_scatter("error", error),
+        per_degree=error_per_degree(visits[0].measures),
+    )
     if left is None:
         return None
-    now = visits[-1].time
-    early = _after(now, left.early / pace)
-    return (
-        None
-        if early is None
-        else Due(early=early, middle=_after(now, left.middle / pace), late=_after(now, left.late / pace))
-    )
+    early, middle, late = (_after(visits[-1].time, one / pace) for one in (left.early, left.middle, left.late))
+    return None if early is None else Due(early=early, middle=middle, late=late)
 
 
 def _after(now: datetime, days: float) -> datetime | None:
     return now + timedelta(days=days) if days < 36500.0 else None
-
-
-def _nan(value: float | None) -> float:
-    return np.nan if value is None else value
 
 
 MONTH = timedelta(days=30)
