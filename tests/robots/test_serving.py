@@ -19,7 +19,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
 from rejoint.robots.mycobot.mover import COLLISION
 from rejoint.robots.mycobot.wire import Decoder, Frame, encode, pack_angles, pack_coords
-from rejoint.robots.serving import PATIENCE, REFUSED, Answering, MoveEnd, OrderLog, Relay, ServedArm, tcp_wire
+from rejoint.robots.serving import PATIENCE, REFUSED, Answering, MoveEnd, OrderLog, Relay, ServedArm, wire_server
 from rejoint.runs.run import Run
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
@@ -201,7 +201,7 @@ def test_a_client_that_leaves_a_move_half_done_is_told_of():
     said: list[str] = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
         answers, _ = answering(ServedArm(ARM, ARM.rest))
-        with tcp_wire(answers, listener, said.append) as server:
+        with wire_server(answers, listener, said.append) as server:
             for request in (b"", encode(Frame(0x22, pack_angles(ARM.rest + 0.2) + b"\x32"))):
                 with closing(socket.create_connection(listener.getsockname()[:2], 2.0)) as client:
                     client.sendall(request + encode(Frame(0x2B)))
@@ -292,18 +292,14 @@ def test_any_bytes_are_borne(tmp_path):
                 found = answers.answer(request)
                 assert found is None or found.command == request.command
         advance(served, 0.05 * number, ARM.rest)
+    log.close()
     assert len((tmp_path / "orders.jsonl").read_text().splitlines()) == log.orders
     assert all(json.loads(line)["what"] == "order" for line in (tmp_path / "orders.jsonl").read_text().splitlines())
 
 
-def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path, monkeypatch):
+def test_a_full_disk_ends_the_log_and_not_the_arm():
     said: list[str] = []
-    log = OrderLog(tmp_path / "orders.jsonl", say=said.append)
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("rejoint.robots.serving.os.write", full)
+    log = OrderLog(Path("/dev/full"), say=said.append)
     assert [log.ordered(0x29, b"", done=True) for _ in range(3)] == [1, 2, 3]
     assert len(said) == 1
     assert "No space left on device" in said[0]

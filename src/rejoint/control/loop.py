@@ -28,7 +28,7 @@ from rejoint.control.guard import (
     warm_up,
 )
 from rejoint.control.monitor import Following
-from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
+from rejoint.control.recording import GAP, Cycle, OnCycle, Recording, attach, look_of, recorded
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, turned_off
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
@@ -102,9 +102,7 @@ def run(
     with noted():
         try:
             check()
-            run_state = RunState(
-                robot=robot, controller=controller, reference=to, schedule=schedule, limits=limits, on_cycle=on_cycle
-            )
+            run_state = RunState(robot, controller, to, schedule, limits, on_cycle)
             controller.reset(run_state.inputs, np.ones(robot.count, dtype=bool))
             while run_state.cycle():
                 check()
@@ -113,11 +111,11 @@ def run(
         except BaseException as error:
             held = _hold(robot, limp=isinstance(error, PowerLostError))
             if run_state is not None:
-                attach(error, run_state.recorder.recording(run_state.tripped))
+                attach(error, run_state.recording())
             if robot.count == 1:
                 error.add_note(held)
             raise
-        return run_state.recorder.recording(run_state.tripped)
+        return run_state.recording()
 
 
 def _hold(robot: Robot, *, limp: bool = False) -> str:
@@ -173,7 +171,7 @@ class Stillness:
         return np.asarray(state.time - self._since)
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(eq=False)
 class RunState:
     """State of a run."""
 
@@ -186,7 +184,7 @@ class RunState:
 
     def __post_init__(self) -> None:
         robot, limits, count, sent = self.robot, self.limits, self.robot.count, self.schedule.sent
-        self.recorder = Recorder(robot=robot, controller=self.controller.name)
+        self.cycles: list[Cycle] = []
         self.look = look_of(robot, self.controller.name, limits)
         self.state = state = own(robot.read())
         if sent is not None and np.shape(sent) != state.position.shape:
@@ -210,6 +208,10 @@ class RunState:
         self._ask()
         if state.elsewhere is not None:
             self._ease(state.elsewhere, told)
+
+    def recording(self) -> Recording:
+        """Return all cycles so far."""
+        return recorded(self.robot, self.controller.name, self.cycles, self.tripped)
 
     def _ask(self) -> None:
         since = self.state.time - self.set_at
@@ -324,7 +326,7 @@ class RunState:
             load=reported_load(before.state),
             turned=turned_off(self.robot.arm, before),
         )
-        self.recorder.cycles.append(cycle)
+        self.cycles.append(cycle)
         if self.look is not None:
             self.look(cycle, before.state, self.wanted)
         if self.on_cycle is not None:
@@ -385,9 +387,9 @@ class RunState:
         self.active = self.active & (trips == 0)
         if not alive.any():
             return False
-        newest = self.recorder.cycles.pop()  # what an arm that goes on reads there is the next cycle's
+        newest = self.cycles.pop()  # what an arm that goes on reads there is the next cycle's
         if (newest.active & ~alive).any():
-            self.recorder.cycles.append(newest._replace(active=newest.active & ~alive))
+            self.cycles.append(newest._replace(active=newest.active & ~alive))
         self._go_on(alive)
         return True
 
@@ -406,8 +408,8 @@ class RunState:
                 sent, _, speed = guard(self.limits, goal, sent, speed, self.state, self.period)
                 self.state = own(self.robot.step(sent, where))
                 loose = loose | (np.abs(self.state.position - stood) >= LOOSE * self.robot.arm.encoder_step)
-                last = self.recorder.cycles[-1]
-                self.recorder.cycles.append(
+                last = self.cycles[-1]
+                self.cycles.append(
                     last._replace(
                         time=self.state.time,
                         position=self.state.position,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -158,31 +158,22 @@ class Recording:
         )
 
 
-@dataclass(kw_only=True, eq=False)
-class Recorder:
-    """Collects cycles."""
-
-    robot: Robot
-    controller: str
-    cycles: list[Cycle] = field(default_factory=list)
-
-    def recording(self, tripped: Reasons) -> Recording:
-        """All cycles so far; ``tripped`` (B,)."""
-        robot, columns = self.robot, self._columns()
-        return Recording(
-            arm=robot.arm.name,
-            joint_names=robot.arm.joint_names,
-            robot=robot.address,
-            controller=self.controller,
-            tripped=np.array(tripped),
-            **columns,
-        )
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        count, n = self.robot.count, self.robot.arm.joints
-        nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
-        cycles = self.cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
-        return {name: np.stack([getattr(c, name) for c in cycles])[: len(self.cycles)] for name in Cycle._fields}
+def recorded(robot: Robot, controller: str, cycles: list[Cycle], tripped: Reasons) -> Recording:
+    """Make a recording of ``cycles``; ``tripped`` (B,)."""
+    count, n = robot.count, robot.arm.joints
+    nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
+    rows = cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
+    columns: dict[str, Any] = {
+        name: np.stack(column)[: len(cycles)] for name, *column in zip(Cycle._fields, *rows, strict=True)
+    }
+    return Recording(
+        arm=robot.arm.name,
+        joint_names=robot.arm.joint_names,
+        robot=robot.address,
+        controller=controller,
+        tripped=np.array(tripped),
+        **columns,
+    )
 
 
 def cycle_at_rest(state: JointState, true_tcp: Array) -> Cycle:
@@ -261,46 +252,29 @@ class Observer:
         return robot
 
 
+def _to_all(method: str) -> Callable[..., None]:
+    def pass_on(self: Observers, *given: object) -> None:
+        for one in self.observers:
+            getattr(one, method)(*given)
+
+    return pass_on
+
+
 class Observers(Observer):
     """Passes everything on to several observers."""
 
     def __init__(self, *observers: Observer) -> None:
-        self._observers = observers
+        self.observers = observers
         self.shows = any(one.shows for one in observers)
 
-    def message(self, line: str) -> None:
-        """See `Observer`."""
-        self._all("message", line)
-
-    def progress(self, share: float, what: str) -> None:
-        """See `Observer`."""
-        self._all("progress", share, what)
-
-    def stage(self, stage: object) -> None:
-        """See `Observer`."""
-        self._all("stage", stage)
-
-    def partial(self, result: object) -> None:
-        """See `Observer`."""
-        self._all("partial", result)
-
-    def served(self, address: str) -> None:
-        """See `Observer`."""
-        self._all("served", address)
-
-    def cycle(self, cycle: Cycle) -> None:
-        """See `Observer`."""
-        self._all("cycle", cycle)
-
-    def _all(self, method: str, *given: object) -> None:
-        for one in self._observers:
-            getattr(one, method)(*given)
+    message, progress, stage = _to_all("message"), _to_all("progress"), _to_all("stage")
+    partial, served, cycle = _to_all("partial"), _to_all("served"), _to_all("cycle")
 
     def watch(
         self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
     ) -> Robot:
         """See `Observer`."""
-        for one in self._observers:
+        for one in self.observers:
             robot = one.watch(robot, twin=twin, within=within, paced=paced)
         return robot
 

@@ -169,12 +169,14 @@ def play(
     trajectory: Callable[[Array], Array],
     duration: float,
     *,
+    sent: Array | None = None,
     limits: GuardLimits | None = None,
+    give_up: Callable[[ControlInput], Mask] | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded."""
-    reference = JointMotion(trajectory, robot.count)
-    return run(robot, Playback(robot.arm), reference, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
+    """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded; ``sent`` as in `Schedule`."""
+    reference, schedule = JointMotion(trajectory, robot.count), Schedule(dwell=duration, sent=sent, give_up=give_up)
+    return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
 
 
 def move(
@@ -200,9 +202,7 @@ def move(
     def trajectory(time: Array) -> Array:
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
-    schedule = Schedule(dwell=duration + settle, sent=start, give_up=give_up)
-    reference = JointMotion(trajectory, robot.count)
-    return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
+    return play(robot, trajectory, duration + settle, sent=start, limits=limits, give_up=give_up, on_cycle=on_cycle)
 
 
 class Playback(DefaultController):

@@ -18,13 +18,12 @@ from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 
 FAMILIES: tuple[Family[Any], ...] = (
-    # TCP port of the vendor's server, and the shortest cycle [s] that the vendor of the myCobot names (its FAQ)
+    # TCP port of the vendor's server; the shortest cycle [s] that the vendor names (its FAQ) is the default
     bus_family(
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="tcp",
         form="tcp://HOST:PORT",
         parse=lambda text: tcp_address(text, port=9000),
-        default_period=(0.050, 0.050),
         only=True,
     ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -33,7 +32,6 @@ FAMILIES: tuple[Family[Any], ...] = (
         scheme="serial",
         form="serial:///dev/DEVICE",
         parse=lambda text: serial_address(text, baud=1_000_000),
-        default_period=(0.050, 0.050),
         only=True,
     ),
     # 50 Hz (chosen)

@@ -14,10 +14,10 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 from datetime import datetime
+from io import FileIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ from rejoint.control.controllers.unloading import OFF, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import JointState
 from rejoint.robots.mycobot.bus import ORDERS as NAMES
 from rejoint.robots.mycobot.mover import (
     ARRIVED_LENGTH,
@@ -106,7 +106,8 @@ class ServedArm(Mover, Reference):
         self._apparent = apparent or Apparent(arm=arm)
         self._unloading = Unloading(arm, motors)
         super().__init__(arm, self._apparent.shown(position))
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
+        """keeps the control loop from half-changed plans"""
         self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
         """is told how each move ended"""
         self.held_back = ""
@@ -126,17 +127,11 @@ class ServedArm(Mover, Reference):
         # whether the move was stopped: it ends where the arm comes to stand
         self._stopped = False
 
-    @contextmanager
-    def carrying_out(self) -> Iterator[None]:
-        """Keep the control loop from half-changed plans."""
-        with self._lock:
-            yield
-
     # --- what the control loop does ---------------------------------------------------------
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - moves have their own clock
         """Take a reading; return where the arm is to be."""
-        if not self._lock.acquire(blocking=False):
+        if not self.lock.acquire(blocking=False):
             return self._wanted  # a posture is being searched: the reference waits
         try:
             self._observe(state)
@@ -146,7 +141,7 @@ class ServedArm(Mover, Reference):
             self._judge()
             return self._wanted
         finally:
-            self._lock.release()
+            self.lock.release()
 
     def _observe(self, state: JointState) -> None:
         now, position = float(state.time[0]), state.position[0].copy()
@@ -187,7 +182,6 @@ class ServedArm(Mover, Reference):
             self._settled, self._apparent.came = True, posture.copy()
             held_back = self.held_back if error > ARRIVED_LENGTH else ""
             if held_back:  # what is ordered next begins where the arm is, not where it will never come
-                self._stay()
                 self._hold_here()
             short = self._unloading.short(self._position)
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
@@ -196,11 +190,11 @@ class ServedArm(Mover, Reference):
         slow = bool((np.abs(self._speed) < PostureGains.moving).all())
         self._close_since = (self._close_since or now) if slow else None
         if self._close_since is not None and now - self._close_since >= STANDS:
-            self._stay()
             self._hold_here()
             self._settled = True
 
     def _hold_here(self) -> None:
+        self._stay()
         self._apparent.came = here = self._position.copy()
         self._wanted = self._aim = Setpoint(here[None].copy())
 
@@ -268,15 +262,6 @@ class ServedArm(Mover, Reference):
             self._stay()
             self._since, self._settled, self._stopped = None, False, True
 
-    def power(self, on: bool) -> None:
-        """Do nothing: clients may not switch the power."""
-
-    def enable(self, wanted: Mask) -> None:
-        """Do nothing: clients may not release servos."""
-
-    def calibrate(self, joint: int) -> None:
-        """Do nothing: the zeros of the joints stay."""
-
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
             rotation=pose[None, :3, :3],
@@ -333,11 +318,11 @@ class OrderLog:
         self.path, self._say = path, say
         self.orders = 0
         """so far"""
-        self._handle: int | None = None
+        self._file: FileIO | None = None
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+                self._file = path.open("ab", buffering=0)
             except OSError as error:
                 raise unwritable(path, error) from error
 
@@ -351,20 +336,20 @@ class OrderLog:
     def write(self, what: str, **found: object) -> None:
         """Write one line at once, safe from a killed process; the loop and the server write."""
         line = json.dumps({"date": datetime.now().isoformat(timespec="milliseconds"), "what": what, **found}) + "\n"
-        handle = self._handle
-        if handle is None:
+        file = self._file
+        if file is None:
             return
         try:
-            os.write(handle, line.encode())
+            file.write(line.encode())
         except OSError as error:
-            self._handle = None
+            self.close()
             self._say(f"{self.path}: cannot be written any more ({error.strerror}); the arm goes on without")
 
     def close(self) -> None:
         """End the log."""
-        handle, self._handle = self._handle, None
-        if handle is not None:
-            os.close(handle)
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
 
 RELAY_PATIENCE = 0.25
@@ -440,7 +425,7 @@ class Answering:
         why = "" if command == 0x1A and payload[:1] == b"\x00" else REFUSED.get(command, "")
         if why:
             return self._refuse(request, why)
-        with self._served.carrying_out():
+        with self._served.lock:
             error, self._served.error, self._served.note = self._served.error, 0, ""
             reply = answer(self._served, request)
             found_error = self._served.error
@@ -476,7 +461,7 @@ class Answering:
 
     def hold(self, why: str) -> bool:
         """Let the arm hold; whether it was on its way."""
-        with self._served.carrying_out():
+        with self._served.lock:
             under_way = self._served.moving
             if self._served.on_its_way:
                 self._served.stop()
@@ -518,7 +503,6 @@ _REFUSALS = 10  # of further clients that are told one by one; a program that tr
 _UNFINISHED = "Its last move was not at its end: a program waits for it with sync_send_angles or is_moving."
 
 Say = Callable[[str], object]
-WireServer = Server
 
 
 class _Clients(Conversation[Frame]):
@@ -568,11 +552,7 @@ def _is_gone(handle: int) -> bool:
         return True
 
 
-def tcp_wire(answering: Answering, listener: socket.socket, say: Say) -> WireServer:
-    """Serve on a listening socket."""
-    return TcpServer(_Clients(answering, say, listener), listener)
-
-
-def pty_wire(answering: Answering, say: Say) -> WireServer:
-    """Serve on a pseudo-terminal."""
-    return TerminalServer(_Clients(answering, say))
+def wire_server(answering: Answering, listener: socket.socket | None, say: Say) -> Server:
+    """Serve on a listening socket, or without one on a pseudo-terminal."""
+    clients = _Clients(answering, say, listener)
+    return TerminalServer(clients) if listener is None else TcpServer(clients, listener)

@@ -316,7 +316,8 @@ class ArmDriver:
         self._last: Cycle | None = None
         self._sent: Array | None = None
         self._usual, self._rested = float("nan"), False
-        self._progress = RateLimit(self.observer.progress)
+        self.progress = RateLimit(self.observer.progress)
+        """receives the progress of the motion"""
         self._asking = threading.RLock()  # of threads that ask the arm or begin a motion
 
     @cached_property
@@ -504,7 +505,3 @@ class ArmDriver:
         if take:
             self.recorder.take(recording)
         return recording
-
-    def progress(self, share: float, what: str) -> None:
-        """Hand on the progress of the motion, rate-limited."""
-        self._progress(share, what)

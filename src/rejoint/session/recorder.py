@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from rejoint.control.recording import PIECE, Cycle, Recorder, Recording, recording_of
+from rejoint.control.recording import PIECE, Cycle, Recording, recorded, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Playback
 from rejoint.logs.journal import Journal
@@ -118,7 +118,7 @@ class StateRecord:
     """after the end"""
 
     def __init__(self, robot: Robot, recorder: RunRecorder, name: str, look: Callable[[], object]) -> None:
-        self._cycles = Recorder(robot=robot, controller=name)
+        self._robot, self._name, self._cycles = robot, name, list[Cycle]()
         self._recorder, self._look = recorder, look
         self._over = threading.Event()
         self._error: RejointError | None = None
@@ -128,12 +128,12 @@ class StateRecord:
     def see(self, cycle: Cycle) -> None:
         """Take a cycle."""
         if not self._over.is_set():
-            self._cycles.cycles.append(cycle)
+            self._cycles.append(cycle)
             self._recorder.see(cycle)
 
     def lasts(self, seconds: float) -> bool:
         """Whether it is this long, or ended by an error."""
-        cycles = self._cycles.cycles
+        cycles = self._cycles
         return self._error is not None or bool(cycles and cycles[-1].time[0] - cycles[0].time[0] >= seconds)
 
     def _watch(self) -> None:
@@ -151,7 +151,7 @@ class StateRecord:
     def __exit__(self, kind: object, *_: object) -> None:
         self._over.set()
         self._thread.join()
-        taken = self._cycles.recording(np.zeros(1, dtype=np.uint16))
+        taken = recorded(self._robot, self._name, self._cycles, np.zeros(1, dtype=np.uint16))
         driven = np.isfinite(taken.command[:, 0, 0])
         if driven.any():  # in between, the last command stays in force
             last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), -1))

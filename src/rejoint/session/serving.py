@@ -17,7 +17,8 @@ from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import ControlInput, Controller, Mask, Relaying, part_of
-from rejoint.robots.serving import Answering, OrderLog, Relay, ServedArm, WireServer, pty_wire, tcp_wire
+from rejoint.robots.serving import Answering, OrderLog, Relay, ServedArm, wire_server
+from rejoint.robots.wireserver import Server
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
@@ -143,7 +144,7 @@ def serve(
 
 def _put_together(
     session: ArmSession, log: OrderLog, listener: socket.socket | None
-) -> tuple[ServedArm, WireServer, Relay]:
+) -> tuple[ServedArm, Server, Relay]:
     arm, say = session.arm, session.observer.message
     wire = part_of(session.robot, Relaying)
     relay = Relay(None if wire is None else wire.relay)
@@ -151,8 +152,7 @@ def _put_together(
     served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
     answering = Answering(served, log, relay, say)
     served.on_arrival = answering.arrived
-    server = pty_wire(answering, say) if listener is None else tcp_wire(answering, listener, say)
-    return served, server, relay
+    return served, wire_server(answering, listener, say), relay
 
 
 def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:

@@ -458,7 +458,7 @@ class ArmSession(ArmDriver):
             last, self._last = self._last, None  # its target is not where the arm is sent now
             if last is not None and (self._seen is None or last.time[0] > self._seen.time[0]):
                 self._seen = last
-            self._motion, self._goals, self._progress = motion, None, RateLimit(self.observer.progress)
+            self._motion, self._goals, self.progress = motion, None, RateLimit(self.observer.progress)
             if not wait:
                 motion.start()
                 return None

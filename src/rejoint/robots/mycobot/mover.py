@@ -97,16 +97,13 @@ class Mover(ABC):
         """Continue."""
         self._motion.paused = False
 
-    @abstractmethod
-    def power(self, on: bool) -> None:
+    def power(self, on: bool) -> None:  # noqa: B027 - nothing is a sensible answer
         """Power all servos."""
 
-    @abstractmethod
-    def enable(self, wanted: Mask) -> None:
+    def enable(self, wanted: Mask) -> None:  # noqa: B027 - nothing is a sensible answer
         """Hold with the servos in ``wanted`` (n,); release the others."""
 
-    @abstractmethod
-    def calibrate(self, joint: int) -> None:
+    def calibrate(self, joint: int) -> None:  # noqa: B027 - nothing is a sensible answer
         """Set a joint's zero here."""
 
     @property
