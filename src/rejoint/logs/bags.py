@@ -126,8 +126,6 @@ STATES = ("JointState", "JointStates")
 TRAJECTORY, ARRAY, CONTROLLER = "JointTrajectory", "Float64MultiArray", "JointTrajectoryControllerState"
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
 """As of ROS 2's joint_state_broadcaster; and, chosen, its counterpart"""
-MESSAGES_MOST = 5_000_000
-"""(chosen: 1.4 hours at 1 kHz)"""
 OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
 """Topics without joint positions (chosen)"""
 
@@ -158,11 +156,11 @@ def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
         held = store.topics(file)
         groups = _topics(held, options, file, notes)
         for topic, time, content in store.messages(file, {*groups}):
-            messages, kind = found.setdefault(topic, []), _kind(held[topic])
+            messages = found.setdefault(topic, [])
             number = len(messages) + 1
             said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
             with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                messages.append(_message(content, kind, groups[topic], number=number, logged=time))
+                messages.append(_message(content, groups[topic], number=number, logged=time))
     except FileError:
         raise
     # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
@@ -195,77 +193,76 @@ def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
     return motion
 
 
-def _kind(schema: str) -> str:
-    return schema.replace("/", ".").rpartition(".")[2]
-
-
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
     """Choose the topics of states and commands, with their groups."""
-    found = shown([f"{name} ({kind or 'no type'})" for name, kind in sorted(held.items())])
-    state, command = options.state_topic or STATE_TOPIC, options.command_topic or COMMAND_TOPIC
-    controllers = [name for name, kind in held.items() if _kind(kind) == CONTROLLER]
-    if state in controllers:
-        return {state: "position"}
-    if options.state_topic is None and options.command_topic is None and command not in held and len(controllers) == 1:
-        notes.append(f"states and commands from {controllers[0]} ({held[controllers[0]]})")
-        return {controllers[0]: "position"}
+    kinds = {name: schema.replace("/", ".").rpartition(".")[2] for name, schema in held.items()}
+    found = shown([f"{name} ({held[name] or 'no type'})" for name in sorted(held)])
+    controllers = [name for name, kind in kinds.items() if kind == CONTROLLER]
+    state, command = options.state_topic, options.command_topic
+    if not (state or command) and COMMAND_TOPIC not in held and len(controllers) == 1:
+        (state,) = controllers
+        notes.append(f"states and commands from {state} ({held[state]})")
+    state = state or STATE_TOPIC
     if state not in held:
         raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
-    if command == state:
-        raise FileError(file, f"states and commands cannot both come from {state}", "name two topics")
-    if command in held:
-        return {state: "position", command: "command"}
-    able = [name for name, kind in held.items() if _kind(kind) in (*STATES, TRAJECTORY, ARRAY) and name != state]
-    ours = [n for n in able if _kind(held[n]) not in STATES and not any(word in n for word in OTHER_INTERFACES)]
-    if options.command_topic is None and len(ours) == 1:
-        notes.append(f"commands from {ours[0]} ({held[ours[0]]})")
-        return {state: "position", ours[0]: "command"}
-    if options.command_topic is not None or able:
-        raise FileError(file, f"no topic {command}; found {found}", "name one with --command-topic")
-    notes.append(f"no topic with commands; found {found}")
-    return {state: "position"}
+    if state in controllers:
+        return {state: "position"}
+    able = [name for name, kind in kinds.items() if kind in (*STATES, TRAJECTORY, ARRAY) and name != state]
+    ours = [n for n in able if kinds[n] not in STATES and not any(word in n for word in OTHER_INTERFACES)]
+    if command is None and COMMAND_TOPIC not in held and len(ours) == 1:
+        (command,) = ours
+        notes.append(f"commands from {command} ({held[command]})")
+    if command is None and not able:
+        notes.append(f"no topic with commands; found {found}")
+        return {state: "position"}
+    command = command or COMMAND_TOPIC
+    if command not in held or command == state:
+        said = f"no topic {command} beside that of the states; found {found}"
+        raise FileError(file, said, "name one with --command-topic")
+    return {state: "position", command: "command"}
 
 
-def _message(content: Any, kind: str, group: str, **about: Any) -> Message:  # noqa: ANN401
-    """Joints of a decoded message; ValueError for one of another kind."""
-    stamp, names, effort = _field(content, "header", "stamp"), _field(content, "name"), _field(content, "effort")
-    goal: dict[str, Any] = {}
-    found: dict[str, Any] = {group: _field(content, "position")}
-    joints = _field(content, "joints")
-    if kind == ARRAY:
-        found = {group: _field(content, "data")}
-    elif kind == TRAJECTORY and group == "command":
-        names, found = _field(content, "joint_names"), {}
-        goal = _points(_field(content, "points"), len(names))
-    elif kind == CONTROLLER:
-        feedback, reference = (_first(content, *both) for both in (("feedback", "actual"), ("reference", "desired")))
-        names, effort = _field(content, "joint_names"), _field(feedback, "effort")
-        found = {"position": _field(feedback, "positions"), "command": _field(reference, "positions")}
-    elif joints is not None:
-        stamp = _field(content, "timestamp")
-        names, position, effort = ([_field(joint, key) for joint in joints] for key in ("name", "position", "effort"))
-        found = {group: [np.nan if value is None else value for value in position]}
-    if "position" in found and effort is not None and None not in list(effort) and np.any(effort):
-        found["torque"] = effort
-    numbers = {key: [float(value) for value in values] for key, values in found.items()}
-    if "torque" in numbers and len(numbers["torque"]) != len(numbers["position"]):
-        del numbers["torque"]
-    return Message(stamp=_nanoseconds(stamp), names=tuple(map(str, names or ())), groups=numbers, **goal, **about)
+_FIELDS = {
+    "stamp": ("header.stamp", "timestamp"),
+    "names": ("joint_names", "name", "joints.name"),
+    "values": ("position", "data", "feedback.positions", "actual.positions", "joints.position"),
+    "effort": ("effort", "feedback.effort", "actual.effort", "joints.effort"),
+    "sent": ("reference.positions", "desired.positions"),
+    "points": ("points",),
+}
+"""What all types of messages call the same"""
 
 
-def _first(message: Any, *names: str) -> Any:  # noqa: ANN401
-    points = [_field(message, name) for name in names]
-    return next((point for point in points if point is not None and len(_field(point, "positions"))), points[0])
+def _message(content: Any, group: str, **about: Any) -> Message:  # noqa: ANN401
+    """Joints of a decoded message; TypeError or ValueError for one of another kind."""
+    held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
+    names, effort = tuple(map(str, held["names"] or ())), held["effort"]
+    about |= {"stamp": _nanoseconds(held["stamp"]), "names": names}
+    if group == "command" and held["points"] is not None:
+        return Message(**about, **_points(held["points"], len(names)))
+    found = {group: [np.nan if value is None else float(value) for value in held["values"]]}
+    if group == "position" and held["sent"] is not None:
+        found["command"] = [float(value) for value in held["sent"]]
+    told = [float(value) for value in (() if effort is None else effort) if value is not None]
+    if group == "position" and len(told) == len(found[group]) and any(told):
+        found["torque"] = told
+    return Message(groups=found, **about)
+
+
+def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
+    """First field that is there and not empty, or None."""
+    fields = (_field(content, path.split(".")) for path in paths)
+    return next((field for field in fields if field is not None and np.size(field)), None)
 
 
 def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
     """Return times (K,) [s] and orders of a trajectory's points; ValueError."""
-    after = np.array([_nanoseconds(_field(point, "time_from_start")) / NANOSECONDS for point in points])
+    after = np.array([_nanoseconds(_field(point, ["time_from_start"])) / NANOSECONDS for point in points])
     if not len(after) or (np.diff(after) <= 0).any():
         raise ValueError("its points are not one after another in time")
     orders: list[Array] = []
     for key in ("positions", "velocities", "accelerations"):
-        values = [_field(point, key) for point in points]
+        values = [_field(point, [key]) for point in points]
         if any(one is None or not len(one) for one in values):
             break
         orders.append(np.array(values, dtype=float).reshape(len(points), joints))
@@ -274,16 +271,17 @@ def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
     return {"after": after, "orders": orders}
 
 
-def _field(message: Any, *names: str) -> Any:  # noqa: ANN401
-    """Field of a field of a dict, an object or protobuf, or None."""
-    for name in names:
-        if isinstance(message, dict):
-            message = message.get(name)
-            continue
-        declared = getattr(getattr(message, "DESCRIPTOR", None), "fields_by_name", {}).get(name)
-        absent = declared is not None and declared.has_presence and not message.HasField(name)
-        message = None if absent else getattr(message, name, None)
-    return message
+def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
+    """Field of a field of a dict, an object, protobuf, or each of a list; or None."""
+    if not path or message is None:
+        return message
+    if not isinstance(message, dict | str) and hasattr(message, "__getitem__"):
+        return [_field(one, path) for one in message]
+    if isinstance(message, dict):
+        return _field(message.get(path[0]), path[1:])
+    declared = getattr(getattr(message, "DESCRIPTOR", None), "fields_by_name", {}).get(path[0])
+    absent = declared is not None and declared.has_presence and not message.HasField(path[0])
+    return None if absent else _field(getattr(message, path[0], None), path[1:])
 
 
 def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
@@ -291,7 +289,7 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     if stamp is None:
         return 0
     for names in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs")):
-        seconds, rest = (_field(stamp, name) for name in names)
+        seconds, rest = (_field(stamp, [name]) for name in names)
         if seconds is not None and rest is not None:
             return int(seconds) * NANOSECONDS + int(rest)
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")

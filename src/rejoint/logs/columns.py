@@ -483,19 +483,19 @@ class _Table:
             points, usual = group in POINTS, self.recorder[0] and next(iter(UNITS[group]), None)
             try:
                 raw, columns = self._axes(group) if points else self.joints(group)
-                named = [self._unit(column, None) if points else column.unit or usual for column in columns]
+                named = [self._unit(column, None) if points else column.unit or usual or "" for column in columns]
             except FileError as error:
                 self.notes.append(f"{group} left out: {error.problem}")
                 continue
             if group == "powered":
                 found["gain"] = np.where(raw > 0, found.get("gain", np.nan), 0.0)
                 continue
-            one = points or len({*named}) == 1
-            found[group] = raw * np.array([UNITS[group].get(unit or "", 1.0) if one else 1.0 for unit in named])
+            if group in SI and ("" in named or len({*named}) > 1):
+                self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
+                named = [""] * len(named)
+            found[group] = raw * np.array([UNITS[group].get(unit, 1.0) for unit in named])
             if group in SI:
-                units[group] = SI[group] if one and named[0] else ""
-                if not units[group]:
-                    self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
+                units[group] = SI[group] if named[0] else ""
         return found, units
 
     def _axes(self, group: str) -> tuple[Array, list[Column]]:

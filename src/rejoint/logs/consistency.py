@@ -290,13 +290,11 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found:
         if far.max() <= TWO_TURNS:
             continue
         row, joint = np.unravel_index(int(np.argmax(far)), far.shape)
-        bits = turn_bits(values) if unit == "rad" else None
-        cause = f"degrees, or {motors}" if bits is None else f"{motors}, for they come in steps of 2 pi / {2**bits}"
         raise FileError(
             motion.path,
             f"{what}, {motion.where(int(row))}: {motion.columns[joint]} is {values[row, joint]:.4g} rad, "
-            f"beyond two turns; the values are {cause if unit == 'rad' else 'in another unit'}",
-            f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}" if bits is None else GEAR_REMEDY,
+            f"beyond two turns; the values are {f'degrees, or {motors}' if unit == 'rad' else 'in another unit'}",
+            f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}",
         )
     if unit == "deg" and extent <= 2 * np.pi:
         said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"

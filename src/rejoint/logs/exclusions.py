@@ -83,7 +83,8 @@ class Exclusions:
 
 def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None) -> list[Exclusions]:
     """Judge every row of logs; ``table`` [m] as `table_height`."""
-    ends, usual = _travel(logs), _usual_error(logs)
+    reached, usual = np.concatenate([log.position for log in logs]), _usual_error(logs)
+    ends = reached.min(axis=0), reached.max(axis=0)
     found = []
     for log in logs:
         contact = np.zeros(len(log), dtype=bool)
@@ -164,24 +165,15 @@ def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
     breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
-    edges = [0, *breaks.tolist(), len(time)]
-    runs = [(a, b) for a, b in pairwise(edges) if free[a]]
-    return [(a, b) for a, b in runs if time[b - 1] - time[a] >= shortest]
-
-
-def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
-    """Return ends (n,) [rad] of the travel."""
-    lowest = np.min([log.position.min(axis=0) for log in logs], axis=0)
-    return lowest, np.max([log.position.max(axis=0) for log in logs], axis=0)
+    runs = pairwise([0, *breaks.tolist(), len(time)])
+    return [(a, b) for a, b in runs if free[a] and time[b - 1] - time[a] >= shortest]
 
 
 def _usual_error(logs: Sequence[RunLog]) -> Array:
     """Median error (n,) [rad] where readings change, else 0."""
-    changing = [np.diff(log.position, axis=0, prepend=log.position[:1]).any(axis=1) for log in logs]
-    errors = np.concatenate(
-        [np.abs(log.command - log.position)[rows] for log, rows in zip(logs, changing, strict=True)]
-    )
-    return np.median(errors, axis=0) if len(errors) else np.zeros(logs[0].position.shape[1])
+    rows = [np.flatnonzero(np.diff(log.position, axis=0).any(axis=1)) + 1 for log in logs]
+    errors = np.concatenate([np.abs(log.command - log.position)[one] for log, one in zip(logs, rows, strict=True)])
+    return np.median(errors, axis=0) if len(errors) else np.zeros(errors.shape[1])
 
 
 def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -102,19 +101,18 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
         )
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         point = writer.register_msgdef("geometry_msgs/msg/PointStamped", _POINT_STAMPED)
-        joined = log.torque is not None and log.units.get("torque") == "N m"
-        torque = np.asarray(log.torque if joined else np.zeros((len(log), 0)))
+        torque = log.torque if log.torque is not None and log.units.get("torque") == "N m" else np.zeros((len(log), 0))
+        joint_topics = {STATE_TOPIC: (log.position, torque)}
+        if log.commanded:
+            joint_topics[COMMAND_TOPIC] = (log.command, np.zeros((len(log), 0)))
         for row, stamp in enumerate(stamps):
             header = {"stamp": {"sec": stamp // NANOSECONDS, "nanosec": stamp % NANOSECONDS}, "frame_id": "base"}
-
-            def write(topic: str, schema: Any, **content: Any) -> None:  # noqa: ANN401 - the library is optional
-                writer.write_message(topic, schema, {"header": header, **content}, log_time=stamp)  # noqa: B023
-
-            names, position, command = list(log.joint_names), log.position[row].tolist(), log.command[row].tolist()
-            write(STATE_TOPIC, joints, name=names, position=position, velocity=[], effort=torque[row].tolist())
-            if log.commanded:
-                write(COMMAND_TOPIC, joints, name=names, position=command, velocity=[], effort=[])
+            for topic, (position, effort) in joint_topics.items():
+                numbers = {"position": position[row].tolist(), "velocity": [], "effort": effort[row].tolist()}
+                content = {"header": header, "name": list(log.joint_names), **numbers}
+                writer.write_message(topic, joints, content, log_time=stamp)
             for group, topic in POINT_TOPICS.items():
-                values = getattr(log, group)[row]
-                if not np.isnan(values).all():
-                    write(topic, point, point=dict(zip(AXES, values.tolist(), strict=True)))
+                place = getattr(log, group)[row].tolist()
+                if not np.isnan(place).all():
+                    content = {"header": header, "point": dict(zip(AXES, place, strict=True))}
+                    writer.write_message(topic, point, content, log_time=stamp)

@@ -1,7 +1,6 @@
 """Summary rows of runs and checks: one for the arm, one for each joint.
 
-Unique file names let several machines write into one folder. ``.history.parquet`` caches the rows below a folder by
-name, size and time of each file, so that only new files are opened; it may be deleted.
+Unique file names let several machines write into one folder.
 """
 
 from __future__ import annotations
@@ -11,14 +10,13 @@ import os
 import re
 import typing
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
@@ -166,90 +164,49 @@ def utc_now() -> datetime:
 
 def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
     """Write summary rows, whole or not at all; FileError."""
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA)
-    _write_table(path, table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()}))
-
-
-def _write_table(path: Path, table: pa.Table) -> None:
+    schema = SCHEMA.with_metadata({_FORMAT_KEY: str(FORMAT).encode()})
+    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
-def read_table(path: Path) -> pa.Table:
-    """Read a table of `SCHEMA`; FileError if damaged or of another version."""
+def read_rows(path: Path) -> list[HistoryRow]:
+    """Read summary rows; FileError if damaged or of another version."""
     remedy = "delete it; the other files are not concerned"
     with reading(path, "damaged", remedy):
         table = read_parquet(path, remedy)
         version = (table.schema.metadata or {}).get(_FORMAT_KEY, b"none").decode()
         if version != str(FORMAT):
             raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint, or move it")
-        found = table.column_names
-        columns = [table[item.name] if item.name in found else pa.nulls(len(table), item.type) for item in SCHEMA]
-        table = pa.table(columns, schema=SCHEMA)
-        rows_from(table)  # what no row can hold fails here
-        return table
+        return msgspec.convert(table.to_pylist(), list[HistoryRow])
 
 
-def read_rows(path: Path) -> list[HistoryRow]:
-    """Read summary rows; errors as `read_table`."""
-    return rows_from(read_table(path))
-
-
-def rows_from(table: pa.Table) -> list[HistoryRow]:
-    """Rows of a table of `SCHEMA`; TypeError for rows without key columns."""
-    return [
-        HistoryRow(**{name: value for name, value in row.items() if value is not None}) for row in table.to_pylist()
-    ]
-
-
-INDEX = ".history.parquet"
-"""Name of the cache"""
 CHECKS = "checks"
 """Folder of the checks, by arm"""
-
-_FILE = "file"
-_INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 
 
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
     """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
-    paths = {key: path for key, path in _files(folder).items() if _is_of(path.relative_to(folder), arm)}
-    known = _cached(folder)
-    known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
-    tables, problems = [known], list[str]()
-    for key in sorted(paths.keys() - {*known[_FILE].to_pylist()}):
-        try:
-            table = read_table(paths[key])
-            tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
-        except FileError as error:
-            problems.append(_plain(str(error)))
-    table = pa.concat_tables(tables).combine_chunks()
-    if len(tables) > 1 and arm is None:
-        with suppress(FileError):  # a folder that may only be read is read again the next time
-            _write_table(folder / INDEX, table)
-    rows = rows_from(table.select(SCHEMA.names))
+    rows, problems = list[HistoryRow](), list[str]()
+    for path in _files(folder):
+        if _is_of(path.relative_to(folder), arm):
+            try:
+                rows += read_rows(path)
+            except FileError as error:
+                problems.append(_plain(str(error)))
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), tuple(problems)  # joints stay in their order
 
 
-def _cached(folder: Path) -> pa.Table:
-    with suppress(FileError), reading(folder / INDEX, "damaged", "delete it"):
-        return read_parquet(folder / INDEX, "delete it").cast(_INDEXED)
-    return _INDEXED.empty_table()
-
-
-def _files(folder: Path) -> dict[str, Path]:
-    """Files of summary rows by name, size and time; links are followed, each folder counts once."""
-    found, seen = {}, set[str]()
+def _files(folder: Path) -> list[Path]:
+    """Files of summary rows, sorted; links are followed, each folder counts once."""
+    found, seen = [], set[str]()
     for where, below, names in os.walk(folder, followlinks=True):
         real = os.path.realpath(where)
         if real in seen:
             below.clear()
         elif SUMMARY in names:
-            path = Path(where, SUMMARY)
-            with suppress(OSError):  # it went meanwhile
-                state = path.stat()
-                found[f"{_plain(str(path.relative_to(folder)))} {state.st_size} {state.st_mtime_ns}"] = path
+            found.append(Path(where, SUMMARY))
         seen.add(real)
-    return found
+    return sorted(path for path in found if path.exists())
 
 
 def _plain(text: str) -> str:

@@ -145,8 +145,8 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     columns: dict[str, Array] = {}
     for name, one in numbers.items():
         if len(one) == rows:
-            parts = {name: one} if one.ndim == 1 else {f"{name}_{i}": part for i, part in enumerate(one.T)}
-            columns |= {title: part.astype(float) for title, part in parts.items()}
+            titles = [name] if one.ndim == 1 else [f"{name}_{i}" for i in range(one.shape[1])]
+            columns |= zip(titles, one.reshape(rows, -1).T.astype(float), strict=True)
     return columns, "a NumPy archive"
 
 

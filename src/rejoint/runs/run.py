@@ -184,10 +184,9 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
 
 def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
     """Return the newest run folder in ``home`` if interrupted, else a new one, and whether to resume it."""
-    numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
-    last = numbers[-1] if numbers else 0
+    last = max((int(p.name) for p in home.glob("*") if p.name.isdecimal()), default=0)
     newest = RunFolder(home / f"{last:03}")
-    if numbers and not is_finished(newest) and not is_of_another(newest, robot, arm):
+    if last and not is_finished(newest) and not is_of_another(newest, robot, arm):
         return newest.path, True
     return home / f"{last + 1:03}", False
 

@@ -29,12 +29,10 @@ class Table(msgspec.Struct, forbid_unknown_fields=True):
 
 def read_toml(path: Path, kind: type[T], remedy: str) -> T:
     """Read a TOML file as ``kind``; FileError names the key, or has the ``remedy``."""
+    with reading(path, "it cannot be read", remedy):
+        text = read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig")
     try:
-        return msgspec.toml.decode(read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig"), type=kind)
-    except FileNotFoundError as error:
-        raise FileError(path, "there is no such file", remedy) from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"it cannot be read ({error})", remedy) from error
+        return msgspec.toml.decode(text, type=kind)
     except (RecursionError, ValueError) as error:
         raise FileError(path, first_line(error), "correct the file") from error
 
