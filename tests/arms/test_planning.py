@@ -21,7 +21,7 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.collision import guarded_floors
-from rejoint.arms.planning import JointTrajectory, clearance, plan
+from rejoint.arms.planning import SLOWEST, JointTrajectory, clearance, plan
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import JointState
@@ -159,6 +159,23 @@ def test_a_joint_that_holds_more_than_it_lifts_is_lightened_before_it_lifts():
     straight, driven = np.array(lifted).T
     assert (driven <= np.maximum(straight, 0.5) + 0.02).all()
     assert (driven > 0.55).sum() < 0.5 * (straight > 0.55).sum()
+
+
+def test_a_way_asks_no_joint_for_more_speed_than_its_motor_has_left():
+    arm, rng = mycobot280(), np.random.default_rng(5)
+    free = comfortable_postures(arm)
+    motors = Motors(np.full(6, 1.5), np.full(6, 1.2), damping=np.full(6, 0.8))
+    slower = []
+    for start, goal in free[rng.integers(len(free), size=(40, 2))]:
+        way, usual = plan(arm, start, goal, motors=motors), plan(arm, start, goal)
+        time = np.linspace(0.0, way.duration, 200)
+        torque, speed = gravity_torque(arm, way.at(time)), way.at(time, 1)
+        left = motors.limit - np.where(torque * speed > 1e-9, np.abs(torque), 0.0).max(axis=0)
+        most = np.maximum(left / motors.damping, SLOWEST * arm.max_speed)
+        assert (np.abs(speed) <= 1.05 * most).all()  # the torque is looked at in some places
+        slower.append(way.duration / usual.duration)
+    assert min(slower) >= 1.0
+    assert np.median(slower) > 1.2
 
 
 def test_an_arm_that_touches_something_gets_out_of_it():

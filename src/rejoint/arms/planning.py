@@ -12,6 +12,7 @@ from functools import lru_cache
 from math import factorial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collision_shape, contact
@@ -32,6 +33,8 @@ STEP, LOW = 0.004, 0.001
 """[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _SHORTCUTS = 4000, 80
+SLOWEST = 0.2
+"""Share of an arm's speed that each motor is trusted with (chosen)"""
 LIGHTER, LONGER = 0.95, 0.05
 """Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
@@ -96,7 +99,8 @@ def plan(
     start, goal
         postures; the start may have a contact
     motors
-        their torques; where they may not lift the arm, the lightest detour is taken
+        their torques; where they may not lift the arm, the lightest detour is taken, and no joint is asked for more
+        speed than its motor has on the way
     speed
         share of ``arm.max_speed``
     clearance
@@ -139,7 +143,7 @@ def plan(
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
     _, field, way = min(found, key=lambda one: one[0])
-    return _timed(field, way, _limits(arm, speed))
+    return _timed(field, way, _limits(arm, way, motors, speed))
 
 
 def clearance(arm: Arm, q: Array) -> Array:
@@ -263,11 +267,17 @@ class _Field:
         return way
 
 
+def _torques(arm: Arm, ways: Array, parts: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Gravity (parts, W, k - 1, n) [N m] along ways (W, k, n), and where it is lifted."""
+    shares, moves = np.linspace(0.0, 1.0, parts)[:, None, None, None], np.diff(ways, axis=1)
+    torque = gravity_torque(arm, ways[:, :-1] + shares * moves)
+    return torque, torque * moves > 0.0
+
+
 def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
     """Largest share (W,) of what ``motors`` give on ways (W, k, n): less for lifting than for holding."""
-    parts, moves = np.linspace(0.0, 1.0, _PARTS)[:, None, None], np.diff(ways, axis=1)
-    torque = gravity_torque(arm, ways[:, :-1] + parts[:, None] * moves)
-    given = np.where(torque * moves > 0.0, motors.usable, motors.limit)
+    torque, lifted = _torques(arm, ways, _PARTS)
+    given = np.where(lifted, motors.usable, motors.limit)
     found: Array = (np.abs(torque) / given).max(axis=(0, 2, 3))
     return found
 
@@ -291,9 +301,13 @@ def _levers(arm: Arm) -> Array:
     return frozen(np.array([*far[1:], *pairs, *ends, *boxed]))
 
 
-def _limits(arm: Arm, speed: float) -> Array:
-    """Limits (3, n) of speed, acceleration and jerk."""
+def _limits(arm: Arm, way: Array, motors: Motors | None, speed: float) -> Array:
+    """Limits (3, n) of speed, acceleration and jerk on the way (k, n)."""
     fastest = _SPEED * speed * arm.max_speed
+    if motors is not None:
+        torque, lifted = _torques(arm, way[None], 4 * _PARTS)
+        left = motors.limit - np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
+        fastest = np.clip(left / np.maximum(motors.damping, 1e-9), SLOWEST * fastest, fastest)
     acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
     return np.stack([fastest, acceleration, acceleration / EASE])
 

@@ -60,6 +60,8 @@ class Motors(NamedTuple):
     """(n,) [N m] largest holding torque"""
     usable: Array
     """(n,) [N m] surely lifted, against friction"""
+    damping: Array | float = 0.0
+    """(n,) [N m s/rad] torque that is lost with speed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

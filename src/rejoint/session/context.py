@@ -120,7 +120,7 @@ def believed_motors(twin: Twin) -> Motors:
     seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
     limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
     usable = (BELIEVED * own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
-    return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit))
+    return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit), own.damping)
 
 
 def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
