@@ -35,7 +35,7 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
         now = reference.advance(state, since)
         place = way.at(float(since[0])) + share * (end[0] - way.goal)
         np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
-        np.testing.assert_allclose(now.goal[0], place + LEAD * way.at(float(since[0]), 1), atol=1e-9)
+        np.testing.assert_allclose(now.goal[0], way.at(since[0] + LEAD) + place - way.at(since[0]), atol=1e-9)
         assert now.since[0] == 0.0
         assert not now.arrived[0]
     late = reference.advance(state, np.array([way.duration + 0.5]))

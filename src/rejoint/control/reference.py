@@ -186,8 +186,9 @@ class TargetSequence(Reference):
             lead = np.zeros_like(goal)
             for b in rows:
                 way, now = ways[b], max(float(since[b]), 0.0)
-                goal[b] = way.at(now) + now / duration[b] * (self._goal[b] - way.goal)
-                lead[b] = LEAD * self._pace[b] * way.at(now, 1)
+                here, ahead = way.at(np.array([now, now + LEAD * self._pace[b]]))
+                goal[b] = here + now / duration[b] * (self._goal[b] - way.goal)
+                lead[b] = ahead - here
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
             goal += lead
         at_end = np.where(moving, 0.0, since - duration)

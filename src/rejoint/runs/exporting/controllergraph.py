@@ -18,7 +18,15 @@ from rejoint.arms import Arm
 from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
 from rejoint.arms.kinematics import GRAVITY, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
-from rejoint.control.controllers.feedforward import CALMER, CLOSE, HELD_BACK, SPEED_SMOOTHING, TAKEN_BACK
+from rejoint.control.controllers.feedforward import (
+    CALMER,
+    CLOSE,
+    GENTLE,
+    HELD_BACK,
+    LEAST_PUSH,
+    SPEED_SMOOTHING,
+    TAKEN_BACK,
+)
 from rejoint.control.controllers.law import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.controllers.law import PROJECTION_DAMPING
 from rejoint.control.controllers.observation import (
@@ -183,7 +191,7 @@ class _CycleGraph(nn.Module):
         self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
         self.factors, self.moves = _tensor(residual_factors(self.n)), _tensor(moves_tool(design.arm))
         self.unloaded = torch.as_tensor(unloaded_joints(design.arm))
-        self.close = CLOSE * length_size(design.arm)
+        self.close, self.gentle = CLOSE * length_size(design.arm), GENTLE * length_size(design.arm)
         load = heaviest_load(design.arm)
         self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
 
@@ -263,7 +271,8 @@ class _CycleGraph(nn.Module):
         eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
         share = step / step.abs().max().clamp(min=1e-9)
         sticks, loose = way == 0.0, way * old["pushed"] > 0.0
-        added = torch.where(sticks & (distance > self.close), span * self.law.loosen * eager * share, 0.0)
+        speed = self.law.loosen * (distance / self.gentle).clamp(LEAST_PUSH, 1.0)
+        added = torch.where(sticks & (distance > self.close), span * speed * eager * share, 0.0)
         taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
         return added - taken, {
             "pushed": torch.where(sticks, old["pushed"] + added, 0.0),
