@@ -181,7 +181,7 @@ class WireFaults:
 OVER_TEMPERATURE_BIT = 1 << 2
 BITS = {"voltage": 1 << 0, "current": 1 << 3, "overload": 1 << 5}
 """Bits of the servo status (pymycobot 4.0.7, robot_info)"""
-EXTREMES = {"voltage": 7.0, "current": 3.25}
+BROKEN_VOLTAGE, FULL_CURRENT = 7.0, 3.25
 """[V] of a broken supply (chosen), [A] full scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
 SUPPLY_VOLTAGE = 12.0
 """[V] (vendor's product parameters)"""
@@ -197,89 +197,68 @@ HEATING = 10.0
 """[K/s] (chosen: faster than real)"""
 HOT = 85.0
 """[deg C] final (chosen: 15 K above the protection threshold)"""
-_OF_SERVOS = ("freeze", "blind", "jump", "limit", "overheat", "current", "overload", "voltage")
-
-
-class ServoFaults:
-    """Faults of n joints, which begin in time and are added to measurements."""
-
-    def __init__(self, emulated: EmulatedArm) -> None:
-        self._emulated, joints = emulated, emulated.arm.joints
-        self.misreading = np.zeros(joints)
-        """(n,) [rad] encoder errors"""
-        self.warmth = np.zeros(joints)
-        """(n,) [K] extra heat"""
-        self.current = np.zeros(joints)
-        """(n,) [A] least current"""
-        self.voltage = np.full(joints, SUPPLY_VOLTAGE)
-        """(n,) [V] supply"""
-        self.alarms = np.zeros(joints, dtype=np.uint8)
-        """(n,) status bits, besides over-temperature"""
-        # (n,) which heat up, the direction in which a reading runs or 0, and [rad] jumps that were not read yet
-        self._heating, self._running, self._jumped = np.zeros((3, joints))
-        self._waiting: list[tuple[float, str, tuple[int, ...]]] = []
-        self._then = 0.0
-
-    def expect(self, faults: Faults) -> None:
-        """Begin these faults in time."""
-        self._waiting = sorted((one.after, kind, one.joints) for kind in _OF_SERVOS for one in faults.get(kind, ()))
-
-    def advance(self, elapsed: float) -> None:
-        """Advance to ``elapsed`` [s] after the first byte."""
-        passed, self._then = elapsed - self._then, elapsed
-        while self._waiting and self._waiting[0][0] <= elapsed:
-            after, kind, joints = self._waiting.pop(0)
-            self._begin(kind, np.isin(np.arange(len(self.warmth)), joints))
-            passed = np.inf if after == 0.0 else passed
-        arm, running = self._emulated.arm, self._running
-        if self._heating.any():
-            missing = np.maximum(HOT - self._emulated.temperature, 0.0)
-            self.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
-        if running.any():
-            end = np.where(running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
-            left = np.where(running == 0, 0.0, np.maximum(running * (end - self._emulated.angles), 0.0))
-            self.misreading += running * np.minimum(left, RUN_AWAY * passed)
-            running[left <= RUN_AWAY * passed] = 0.0
-
-    def was_read(self) -> None:
-        """End jumps after one reading."""
-        self.misreading -= self._jumped
-        self._jumped[:] = 0.0
-
-    def _begin(self, kind: str, joints: NDArray[np.bool_]) -> None:
-        arm = self._emulated.arm
-        inwards = np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
-        if kind in ("freeze", "blind"):
-            getattr(self._emulated.plant, kind)(joints[None])
-        elif kind == "jump":
-            self._jumped += JUMP * inwards * joints
-            self.misreading += JUMP * inwards * joints
-        elif kind == "limit":
-            self._running[joints] = -inwards[joints]
-        elif kind == "overheat":
-            self._heating[joints] = 1.0
-        else:
-            self.alarms[joints] |= BITS[kind]
-            if kind in EXTREMES:
-                getattr(self, kind)[joints] = EXTREMES[kind]
 
 
 class EmulatedArm(ABC):
-    """An emulated arm of n joints; ``plant`` holds one arm."""
+    """An emulated arm of n joints, with faults that begin in time; ``plant`` holds one arm."""
 
     def __init__(self, plant: Plant, arm: Arm) -> None:
         self.plant, self.arm = plant, arm
-        self.faults = ServoFaults(self)
+        self.faults: Faults = NONE
+        self._elapsed = -1.0
 
     @property
     def angles(self) -> Array:
         """(n,) [rad] by the encoders."""
-        return self.plant.encoder()[0] + self.faults.misreading
+        true, arm = self.plant.encoder()[0], self.arm
+        high = true >= 0.5 * (arm.lower + arm.upper)
+        outwards, end = np.where(high, 1.0, -1.0), np.where(high, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
+        run = np.minimum(RUN_AWAY * self._since("limit"), np.maximum(outwards * (end - true), 0.0))
+        return np.asarray(true + outwards * (np.maximum(run, 0.0) - JUMP * self._begun("jump")))
 
     @property
     def temperature(self) -> Array:
         """(n,) [deg C]."""
-        return self.plant.temperature[0] + self.faults.warmth
+        true = self.plant.temperature[0]
+        more = np.minimum(HEATING * self._since("overheat"), HOT - true)
+        return np.asarray(true + np.maximum(more, 0.0))
+
+    @property
+    def voltage(self) -> Array:
+        """(n,) [V] supply."""
+        return np.where(self._begun("voltage"), BROKEN_VOLTAGE, SUPPLY_VOLTAGE)
+
+    @property
+    def least_current(self) -> Array:
+        """(n,) [A]."""
+        return np.where(self._begun("current"), FULL_CURRENT, 0.0)
+
+    @property
+    def alarms(self) -> NDArray[np.uint8]:
+        """(n,) status bits of faults, besides over-temperature."""
+        return np.sum([bit * self._begun(kind) for kind, bit in BITS.items()], axis=0).astype(np.uint8)
+
+    def suffer(self, elapsed: float) -> None:
+        """Let faults begin; ``elapsed`` [s] after the first byte."""
+        self._elapsed = elapsed
+        self.plant.freeze(self._begun("freeze")[None])
+        self.plant.blind(self._begun("blind")[None])
+
+    def was_read(self) -> None:
+        """End jumps after one reading."""
+        if "jump" in self.faults:
+            later = tuple(fault for fault in self.faults["jump"] if fault.after > self._elapsed)
+            self.faults = {**self.faults, "jump": later}
+
+    def _since(self, kind: str) -> Array:
+        """(n,) [s] since a fault began: below 0 not yet, infinite if it was there from the first byte."""
+        since = np.full(self.arm.joints, -np.inf)
+        for fault in in_force(self.faults, kind, self._elapsed):
+            since[list(fault.joints)] = self._elapsed - fault.after if fault.after else np.inf
+        return since
+
+    def _begun(self, kind: str) -> NDArray[np.bool_]:
+        return self._since(kind) >= 0.0
 
     @abstractmethod
     def advance(self, duration: float) -> None:

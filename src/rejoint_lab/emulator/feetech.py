@@ -251,8 +251,8 @@ class ServoArm(EmulatedArm):
         self._owed -= steps * STEP
         drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
         settings = self.plant.settings
-        settings["voltage"][0] = np.maximum(self.faults.voltage - drop, 0.0)
-        settings["warmth"][0] = self.faults.warmth
+        settings["voltage"][0] = np.maximum(self.voltage - drop, 0.0)
+        settings["warmth"][0] = self.temperature - self.plant.temperature[0]
         self.gripper.settings["voltage"] = max(SUPPLY_VOLTAGE - drop, 0.0)
         self.plant.advance(steps * STEP)
         self.gripper.advance(steps * STEP)
@@ -282,7 +282,7 @@ class ServoArm(EmulatedArm):
         status, setting = self._status[index], self._settings[index]
         joint, shift = index < self.arm.joints, self._shift(index)
         heat = self.temperature[index] if joint else self.gripper.servos["temperature"][0]
-        least = self.faults.current[index] if joint else 0.0
+        least = self.least_current[index] if joint else 0.0
         current = round(max(abs(float(status["current"])), least) / CURRENT_UNIT)
         measured = {
             "Present_Position": (self._count(index) - shift) % COUNTS,
@@ -290,7 +290,7 @@ class ServoArm(EmulatedArm):
             "Present_Load": np.clip(status["output"], -1023, 1023),
             "Present_Voltage": round(float(setting["voltage"]) * 10),
             "Present_Temperature": min(heat, 255.0),
-            "Status": self.alarms(index),
+            "Status": self.status(index),
             "Moving": status["moving"],
             "Goal_In_Force": status["goal"] - shift,
             "Present_Current": -current if status["current"] < 0 else current,
@@ -299,10 +299,10 @@ class ServoArm(EmulatedArm):
         for name, value in measured.items():
             self.servos[index][name] = int(value)
 
-    def alarms(self, index: int) -> int:
+    def status(self, index: int) -> int:
         """Error bits of a servo."""
-        found = int(self._status[index]["alarms"])
-        return found | int(self.faults.alarms[index]) if index < self.arm.joints else found
+        own = int(self._status[index]["alarms"])
+        return own | int(self.alarms[index]) if index < self.arm.joints else own
 
     def _count(self, index: int) -> int:
         if index < self.arm.joints:
@@ -417,7 +417,7 @@ class EmulatedBus:
                 self._write(hearing[rest[start]], address, bytes(rest[start + 1 : start + 1 + size]))
 
     def _status(self, index: int, number: int, data: bytes, slot: float) -> Answer:
-        frame = encode(Packet(number, self.arm.alarms(index), data))
+        frame = encode(Packet(number, self.arm.status(index), data))
         delay = max(TURN, self.arm.servos[index]["Return_Delay_Time"] * DELAY_UNIT)
         return Answer(index, slot + delay + len(frame) * BYTE, frame)
 
@@ -457,7 +457,7 @@ class BusSession(EmulatedConversation[Packet]):
         if not answers:
             return
         if request.code in (READ, SYNC_READ):
-            self._emulated.faults.was_read()
+            self._emulated.was_read()
         pieces = [b""]
         for answer in answers:
             first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]

@@ -61,13 +61,13 @@ class Firmware(EmulatedArm, Mover):
 
     def sensed(self) -> Sensed:
         """Return what else is measured."""
-        heat, own = self.temperature, self.faults
+        heat = self.temperature
         return Sensed(
             speed=self.plant.speed[0],
-            current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, own.current),
-            voltage=own.voltage,
+            current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, self.least_current),
+            voltage=self.voltage,
             temperature=heat,
-            alarms=np.where(heat >= _OVER_TEMPERATURE, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | own.alarms,
+            alarms=np.where(heat >= _OVER_TEMPERATURE, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.alarms,
         )
 
     # --- moves ------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ class EmulatedConversation(Conversation[R]):
         self._timing = timing or Timing()
         self._emulated, self.tick, self._log = arm, self._timing.tick, log
         self._wire = WireFaults(faults, seed)
-        arm.faults.expect(faults)
+        arm.faults = faults
         # when the first byte came
         self._began: float | None = None
         # when the newest bytes came; those that came while a request was worked on count as come with that one
@@ -130,7 +130,7 @@ class EmulatedConversation(Conversation[R]):
         data = channel.receive()
         if data and self._began is None:
             self._began = self._clock()
-            self._emulated.faults.advance(0.0)
+            self._emulated.suffer(0.0)
         return data
 
     def _say(self, channel: ByteStream, pieces: list[bytes]) -> None:
@@ -161,7 +161,7 @@ class EmulatedConversation(Conversation[R]):
             self._now = now
         if now - self._now >= 1e-3:
             if self._began is not None:
-                self._emulated.faults.advance(self._elapsed(now))
+                self._emulated.suffer(self._elapsed(now))
             self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
             self._now = now
             if self._log is not None:
@@ -189,7 +189,7 @@ class WireSession(EmulatedConversation[Frame]):
         if reply is None:
             return
         if request.command in READINGS:
-            self._emulated.faults.was_read()
+            self._emulated.was_read()
         mean = self._timing.state if reply.is_state else self._timing.acknowledgement
         delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
         self.wait(None, self._clock() + delay + self._wire.delay)
