@@ -162,47 +162,44 @@ def _mobile_base(tree: Tree, joints: list[int]) -> list[int]:
 
 def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     """Last link of the longest chain of hinges below ``start`` (None: anywhere), without gripper."""
-    hinges, slid = _chains(tree, start)
-    parents = {tree.parent(body) for body in hinges if body not in (start, WORLD) and body not in slid}
-    leaves = [body for body in hinges if body not in parents and body not in slid]
-    most = max((hinges[body] for body in leaves), default=0)
-    ends = [body for body in leaves if hinges[body] == most]
+    hinges = _chains(tree, start)
+    leaves = hinges.keys() - {tree.parent(body) for body in hinges if body not in (start, WORLD)}
+    most = max(hinges[body] for body in leaves)
+    ends = [body for body in sorted(leaves) if hinges[body] == most]
     if most == 0:
-        found = tree.listed(body for body in hinges if body not in slid)
-        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {found}")
-    carried: dict[int, list[int]] = {}  # ends by the last body with a joint before them
+        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {tree.listed(hinges)}")
+    carried: dict[int, list[int]] = {}  # ends by the last joint before them
     for body in ends:
-        carried.setdefault(next((b for b in tree.path(body)[::-1] if tree.joints_of([b])), WORLD), []).append(body)
+        carried.setdefault(tree.joints_of(tree.path(body))[-1], []).append(body)
     if len(carried) > 1:
         names = tree.listed(_frame(tree, bodies) for bodies in carried.values())
         raise InputError(
             f"{tree.name}: several links could be the tip of the arm ({most} joints each): {names}; name the tip"
         )
     end = _frame(tree, ends)
-    sites = range(tree.model.nbody, len(tree.names))
-    others = [body for body in ends if body != end] + [site for site in sites if tree.parent(site) in (end, *ends)]
+    behind = [place for place in range(len(tree.names)) if place != WORLD and tree.parent(place) in (end, *ends)]
+    others = [body for body in ends if body != end] + [place for place in behind if place >= tree.model.nbody]
     more = f" (beside it are {tree.listed(others)}, which can be named instead)" if others else ""
     notes.append(f"tip: none given; {tree.names[end]} taken, the end of the longest chain{more}")
-    joints = range(tree.model.njnt)
-    bodies = tree.model.jnt_bodyid.tolist()
-    beyond = [j for j in joints if tree.kind(j) == "hinge" and tree.parent(bodies[j]) in (end, *ends)]
+    beyond = ", ".join(tree.joint_names[j] for j in tree.joints_of(behind) if tree.kind(j) == "hinge")
     if beyond:
-        names = ", ".join(tree.joint_names[j] for j in beyond)
-        notes.append(f"tip: {names} behind it taken for a gripper's and held; name a tip to drive it")
+        notes.append(f"tip: {beyond} behind it taken for a gripper's and held; name a tip to drive it")
     return end
 
 
-def _chains(tree: Tree, start: int | None) -> tuple[dict[int, int], set[int]]:
-    """Hinges before each body that a chain from ``start`` can go on to, and the bodies behind a slide."""
-    hinges, slid = {WORLD if start is None else start: 0}, set[int]()
-    for body in range(1, tree.model.nbody):
-        parent, own = tree.parent(body), tree.joints_of([body])
-        floating = start is None and parent == WORLD and [tree.kind(j) for j in own] == ["free"]
-        if body != start and parent in hinges and (floating or all(_passable(tree, j) for j in own)):
-            hinges[body] = hinges[parent] + sum(tree.kind(j) == "hinge" for j in own)
-            if tree.kind(own[-1]) == "slide" if own else parent in slid:
-                slid.add(body)
-    return hinges, slid
+def _chains(tree: Tree, start: int | None) -> dict[int, int]:
+    """Hinges before each body that a chain from ``start`` can end at: not behind a slide."""
+    hinges = {}
+    for body in range(tree.model.nbody):
+        path = tree.path(body)
+        if start not in (None, WORLD, *path):
+            continue
+        joints = tree.joints_of(path[path.index(start) + 1 :] if start in path else path)
+        if start is None and joints and tree.kind(joints[0]) == "free":
+            del joints[0]
+        if all(_passable(tree, j) for j in joints) and not (joints and tree.kind(joints[-1]) == "slide"):
+            hinges[body] = sum(tree.kind(j) == "hinge" for j in joints)
+    return hinges
 
 
 def _passable(tree: Tree, j: int) -> bool:
