@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from loneservo import lone_servo
 from rejoint.robots.feetech.gains import GAINS, DutyLaw
-from rejoint_lab.plant.sts3215 import BareServos
 
 
 @given(error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4))
 def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, startup, dead):
-    servo = BareServos(1)
+    servo = lone_servo(blocked=True)
     servo.settings["p"], servo.settings["startup"] = p, startup
     servo.settings["dead_cw"] = servo.settings["dead_ccw"] = dead
     servo.status["goal"] = error
-    servo.advance(0.4, blocked=True)
+    servo.advance(0.4)
     law = DutyLaw(p=p, startup=startup, above=dead, below=dead)
-    assert law.share(int(servo.status["output"][0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
+    assert law.share(int(servo.status["output"][0, 0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
 
 
 @given(duty=st.integers(-1023, 1023))

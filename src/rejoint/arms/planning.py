@@ -257,8 +257,9 @@ class _Field:
             places = np.sort(rng.uniform(0.0, len(way) - 1.0, 2))
             if rng.random() < 0.5:
                 places = np.array([np.floor(places[0]), np.ceil(places[1])])
-            first = np.minimum(places.astype(int), len(way) - 2)
-            ends = way[first] + (places - first)[:, None] * (way[first + 1] - way[first])
+            first = places.astype(int)
+            after = np.minimum(first + 1, len(way) - 1)
+            ends = way[first] + (places - first)[:, None] * (way[after] - way[first])
             trial = np.vstack([way[: int(np.ceil(places[0]))], ends, way[int(places[1]) + 1 :]])
             if self._time(trial) < SHORTER * self._time(way) and self.passes(*ends)[0] == 1.0:
                 way = trial

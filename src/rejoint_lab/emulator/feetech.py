@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -17,9 +18,8 @@ from rejoint.arms import Arm
 from rejoint.robots.wireserver import ByteStream, Finder
 from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
-from rejoint_lab.plant.plant import StsPlant
+from rejoint_lab.plant.plant import StsPlant, Truth
 from rejoint_lab.plant.servo import STEP
-from rejoint_lab.plant.sts3215 import BareServos
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
@@ -227,14 +227,14 @@ class ServoArm(EmulatedArm):
 
     plant: StsPlant
 
-    def __init__(self, plant: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``resistance`` [ohm] of the supply."""
+    def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
+        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
         super().__init__(plant, arm)
         self.resistance = resistance
-        self.gripper = BareServos(1, lower=_GRIPPER[0], upper=_GRIPPER[1])
+        self.gripper = gripper
         self.servos = [Servo(number) for number in range(1, arm.joints + 2)]
-        self._settings = [*plant.settings[0], *self.gripper.settings]
-        self._status = [*plant.status[0], *self.gripper.status]
+        self._settings = [*plant.settings[0], *gripper.settings[0]]
+        self._status = [*plant.status[0], *gripper.status[0]]
         self._owed = 0.0
         for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
@@ -281,7 +281,7 @@ class ServoArm(EmulatedArm):
         """Write a servo's measurements to its registers."""
         status, setting = self._status[index], self._settings[index]
         joint, shift = index < self.arm.joints, self._shift(index)
-        heat = self.temperature[index] if joint else self.gripper.servos["temperature"][0]
+        heat = self.temperature[index] if joint else self.gripper.temperature[0, 0]
         least = self.least_current[index] if joint else 0.0
         current = round(max(abs(float(status["current"])), least) / CURRENT_UNIT)
         measured = {
@@ -307,7 +307,7 @@ class ServoArm(EmulatedArm):
     def _count(self, index: int) -> int:
         if index < self.arm.joints:
             return round(float(self.angles[index]) / self.arm.encoder_step)
-        return int(self.gripper.status["position"][0])
+        return int(self.gripper.status["position"][0, 0])
 
     def _shift(self, index: int) -> int:
         return self.servos[index]["Homing_Offset"] - HOMING[index] - MIDDLE
@@ -323,10 +323,17 @@ class ServoArm(EmulatedArm):
 
 
 def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> ServoArm:
-    """Arm with the wear profile ``wear_name`` behind its servos, at rest."""
-    from rejoint_lab.plant.wear import load_wear
+    """Arm with the wear profile ``wear_name`` behind its servos, at rest; the gripper's is worn as the last joint's."""
+    from rejoint_lab.plant.wear import PARAMETERS, load_wear
 
-    built = ServoArm(StsPlant(arm, [load_wear(wear_name, arm)], seed=seed), arm, resistance=resistance)
+    wear, ends = load_wear(wear_name, arm), np.array(_GRIPPER)
+    own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia", "servos")
+    hinge = replace(
+        arm, **{name: getattr(arm, name)[-1:] for name in own}, lower=ends[:1], upper=ends[1:], rest=np.zeros(1)
+    )
+    worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
+    gripper = StsPlant(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
+    built = ServoArm(StsPlant(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
     built.advance(0.01)  # compiles the plant now instead of during the first request
     return built
 

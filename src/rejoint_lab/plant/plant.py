@@ -298,10 +298,7 @@ class Plant:
     def _checked(self, position: Array) -> Array:
         position = np.asarray(position, dtype=float)
         if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
-            found = "some that are not" if np.shape(position) == (self.count, self.arm.joints) else np.shape(position)
-            raise InputError(
-                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {found}"
-            )
+            raise InputError(f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad]")
         return position
 
 

@@ -10,11 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint_lab.plant import servo
 from rejoint_lab.plant.servo import STEP, record_of
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201, ANN202
+# ruff: noqa: ANN001, ANN201
 
 
 COUNTS = 4096
@@ -208,77 +207,3 @@ def tick_servo(setting, status, rings, joint, state, tick, count, speed):
         status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
         status.moving = status.rate != 0.0 or status.speed != 0
     return torque_of(setting, status, powered, speed, joint.no_load_speed)
-
-
-STEP_ANGLE = 2 * np.pi / COUNTS
-_NO_LOAD_SPEED = 4.71  # [rad/s] 45 rpm
-_FRICTION = 0.05  # [N m] of a bare servo (fits of Rhoban/bam: 0.051 and 0.053)
-_INERTIA = 0.0261  # [kg m^2] motor and gear, seen from the output (Rhoban/bam)
-
-
-class BareServos:
-    """n servos without an arm."""
-
-    def __init__(self, count: int, *, lower: float = -np.inf, upper: float = np.inf) -> None:
-        """``lower`` and ``upper`` [rad]: mechanical stops."""
-        self.settings = as_sold((count,))
-        self.status = np.zeros(count, STATUS)
-        self.joints, self.servos = np.zeros(count, servo.JOINT), np.zeros(count, servo.STATE)
-        known = {
-            "coulomb": _FRICTION,
-            "stiction": 1.1 * _FRICTION,
-            "reflected_inertia": _INERTIA,
-            "lower": lower,
-            "upper": upper,
-            "no_load_speed": _NO_LOAD_SPEED,
-            "stop_stiffness": 60.0,
-            "stop_damping": 0.5,
-        }
-        for name, value in known.items():
-            self.joints[name] = value
-        self.joints["ambient"] = servo.AMBIENT
-        self.joints["torque_limit"] = self.settings["stall"]
-        self.servos["temperature"], self.servos["powered"] = servo.AMBIENT, True
-        self.angle, self.speed, self.push = np.zeros(count), np.zeros(count), np.zeros(count)
-        """(n,) [rad], [rad/s] of the shafts, and external torque [N m]"""
-        self._errors = np.zeros((count, WINDOW), np.int64)
-        self._positions = np.zeros((count, WINDOW), np.int64)
-        self._tick = 0
-
-    def advance(self, duration: float, *, blocked: bool = False) -> None:
-        """Advance by ``duration`` [s], in whole milliseconds; ``blocked`` shafts do not move."""
-        steps = round(duration / STEP)
-        _turn(
-            steps,
-            self._tick,
-            (self.settings, self.status, self._errors, self._positions),
-            (self.joints, self.servos),
-            (self.angle, self.speed, self.push),
-            blocked,
-        )
-        self._tick += steps
-
-
-@njit(cache=True)
-def _turn(steps, tick, firmware, arms, shafts, blocked):
-    (settings, status, errors, positions), (joints, servos), (angle, speed, push) = firmware, arms, shafts
-    for step in range(steps):
-        for j in range(len(settings)):
-            joint, state = joints[j], servos[j]
-            state.torque = tick_servo(
-                settings[j],
-                status[j],
-                (errors[j], positions[j]),
-                joint,
-                state,
-                tick + step,
-                int(np.rint(angle[j] / STEP_ANGLE)),
-                speed[j],
-            )
-            servo.warm_up(joint, state)
-            if blocked:
-                continue
-            torque = state.torque + push[j] + servo.disturbance(joint, angle[j], speed[j], 0.5)
-            torque += servo.friction_torque(joint, state, speed[j], 0.0)
-            speed[j] += STEP * torque / joint.reflected_inertia
-            angle[j] += STEP * speed[j]

@@ -12,22 +12,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 from urllib.parse import parse_qsl
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, UnsetType
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, link_inertia
-from rejoint.arms.inverse import solve_position
+from rejoint.arms.arm import frozen
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.workspace import heaviest_load, length_size, reach, reference_arm
-from rejoint.system.errors import FileError, ProfileError, first_line
-from rejoint.system.files import TOML_MOST, read_bounded
+from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach, reference_arm
+from rejoint.system.errors import ProfileError, first_line
+from rejoint.system.tomltable import Number, Positive, Table, read_toml
 from rejoint_lab.plant.servo import AMBIENT, STEP
 
 FLOOR = 0.3
@@ -148,16 +146,14 @@ def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
 
 def severity(young: Wear, arm: Arm) -> Array:
     """Load times travel (n,) over its mean, at random targets."""
-    axes = [np.linspace(low, high, 4) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    posture = solve_position(arm, grid, arm.rest).q
+    posture = posture_grid(arm, 4).q
     travel = np.abs(posture[:, None] - posture[None]).mean(axis=(0, 1))
     load = (np.abs(gravity_torque(arm, posture)).mean(axis=0) + young.coulomb) / young.torque_limit
     rubbed: Array = travel * load / (travel * load).mean()
     return rubbed
 
 
-_PROFILES = files("rejoint_lab.plant") / "profiles"
+_PROFILES = Path(__file__).parent / "profiles"
 _SPREAD = 0.3
 # What a drawn arm has of the torque that lifts it (chosen).
 _LIFT_MARGIN = 1.03
@@ -202,19 +198,8 @@ class Wear:
     """[deg C]"""
 
     def __post_init__(self) -> None:
-        n = np.shape(self.position_gain)
         for name in (*PARAMETERS, "offset"):
-            value = np.array(getattr(self, name), dtype=float)
-            value = np.full(n, value) if name == "offset" and value.ndim == 0 else value
-            least = np.nextafter(0.0, 1.0) if name in _POSITIVE else -np.inf if name == "offset" else 0.0
-            if value.ndim != 1 or value.shape != n or not (np.isfinite(value) & (value >= least)).all():
-                wanted = "positive" if name in _POSITIVE else "finite" if name == "offset" else "at least 0"
-                raise ProfileError(
-                    f"wear {self.name}: {name} must be {wanted} for {' x '.join(map(str, n))} joints, "
-                    f"got {value.tolist()}"
-                )
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(np.broadcast_to(getattr(self, name), np.shape(self.position_gain))))
         if (self.stiction < self.coulomb).any():
             raise ProfileError(f"wear {self.name}: stiction must not be below coulomb friction")
         stiffest = self.position_gain * STEP**2 + self.damping_gain * STEP
@@ -230,34 +215,37 @@ PARAMETERS = tuple(
 )
 """Per-joint parameters of every profile"""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
-_FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
 def wear_names() -> tuple[str, ...]:
     """Names of the package's profiles."""
-    return tuple(
-        sorted(entry.name.removesuffix(".toml") for entry in _PROFILES.iterdir() if entry.name.endswith(".toml"))
-    )
+    return tuple(sorted(path.stem for path in _PROFILES.glob("*.toml")))
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name or a TOML file; ProfileError.
+    """Load a profile for ``arm``: a name or a TOML file; ProfileError, FileError.
 
     Options as ``worn?seed=3``: ``seed=N`` draws parameters within +-30 %, ``hours=H`` ages, ``ambient=C`` [deg C].
     """
     base, options = _options(name)
     wear = _fitted(base, arm)
     seed = options.seed or 0
-    if options.seed is not UNSET:
+    if options.seed is not None:
         wear = draw_wear(wear, arm, seed)
-    if options.hours is not UNSET:
+    if options.hours is not None:
         wear = aged(wear, arm, options.hours, seed=seed)
-    return wear if options.ambient is UNSET else warmed(wear, options.ambient, seed=seed)
+    return wear if options.ambient is None else warmed(wear, options.ambient, seed=seed)
+
+
+def wear_arm(name: str) -> str | None:
+    """Name of the one arm of a profile; None: for others too."""
+    found = _profile(_options(name)[0])
+    return None if found.scales else found.arm
 
 
 def _fitted(base: str, arm: Arm) -> Wear:
-    found = _profile(_text(base), base)
+    found = _profile(base)
     if found.scales:
         return scale_wear(found.wear(base, reference_arm().joints), arm)
     if found.arm not in (None, arm.name):
@@ -271,33 +259,19 @@ def _fitted(base: str, arm: Arm) -> Wear:
 class _Options(msgspec.Struct, forbid_unknown_fields=True):
     """What may stand behind the name of a profile."""
 
-    seed: Annotated[int, msgspec.Meta(ge=0)] | UnsetType = UNSET
-    hours: Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)] | UnsetType = UNSET
-    ambient: Annotated[float, msgspec.Meta(ge=-10.0, le=50.0)] | UnsetType = UNSET
+    seed: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    hours: Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)] | None = None
+    ambient: Annotated[float, msgspec.Meta(ge=-10.0, le=50.0)] | None = None
 
 
 def _options(name: str) -> tuple[str, _Options]:
     base, query, rest = name.partition("?")
     try:
-        given = parse_qsl(rest, keep_blank_values=True, strict_parsing=True) if query else []
-        if len(dict(given)) < len(given):
-            raise ValueError("an option stands there twice")
+        given = parse_qsl(rest, strict_parsing=True) if query else []
         return base, msgspec.convert(dict(given), _Options, strict=False)
     except ValueError as error:
         known = "seed=N (draws another arm), hours=N (of use), ambient=N (deg C of the room)"
         raise ProfileError(f"wear {name!r}: {first_line(error)}; options: {known}") from error
-
-
-def wear_arm(name: str) -> str | None:
-    """Name of the one arm of a profile; None: for others too."""
-    base, _ = _options(name)
-    found = _profile(_text(base), base)
-    return None if found.scales else found.arm
-
-
-def parse_wear(text: str, *, name: str, joints: int) -> Wear:
-    """Read a profile for ``joints`` joints from TOML text."""
-    return _profile(text, name).wear(name, joints)
 
 
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
@@ -332,32 +306,31 @@ def lifting_torque(wear: Wear, arm: Arm) -> Array:
     return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
-def _text(base: str) -> str:
-    known = f"known profiles: {', '.join(wear_names())}, each also with ?seed=N or ?hours=H, or a .toml file"
-    if base in wear_names():
-        return (_PROFILES / f"{base}.toml").read_text(encoding="utf-8")
-    if not base.endswith(".toml"):
-        raise ProfileError(f"no wear profile is called {base!r}; {known}")
-    try:
-        return read_bounded(Path(base), TOML_MOST, "take another file").decode()
-    except (OSError, ValueError, FileError) as error:
-        raise ProfileError(f"cannot read the wear profile {base!r} ({error}); {known}") from error
-
-
-_Numbers = float | list[float]
+_Size = Annotated[float, msgspec.Meta(ge=0.0, le=1e300)]
 _Joints = msgspec.defstruct(
     "_Joints",
-    [*((name, _Numbers) for name in _FILE_NAMES), ("offset_deg", _Numbers, 0.0)],
+    [
+        *(
+            ("play_deg" if name == "play" else name, kind | list[kind])  # type: ignore[valid-type]
+            for name in PARAMETERS
+            for kind in [Positive if name in _POSITIVE else _Size]
+        ),
+        ("offset_deg", Number | list[Number], 0.0),
+    ],
     forbid_unknown_fields=True,
 )
 
 
-class _WearFile(msgspec.Struct, forbid_unknown_fields=True):
+class _WearFile(Table):
     joints: _Joints  # type: ignore[valid-type]  # one number for all joints, or one per joint
     arm: str | None = None
     """the only arm"""
     scales: bool = False
     play_in_loop: bool = False
+
+    def __post_init__(self) -> None:
+        if self.scales and self.arm != _SCALING_ARM:
+            raise ValueError(f"only profiles with arm = '{_SCALING_ARM}' can scale, got arm {self.arm!r}")
 
     def wear(self, name: str, joints: int) -> Wear:
         """Return the wear of ``joints`` joints; ProfileError."""
@@ -370,12 +343,9 @@ class _WearFile(msgspec.Struct, forbid_unknown_fields=True):
         return Wear(name=name, play_in_loop=self.play_in_loop, **values)
 
 
-def _profile(text: str, name: str) -> _WearFile:
-    try:
-        found = msgspec.toml.decode(text, type=_WearFile)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        expected = "expected a table [joints] and, if wished, arm, scales and play_in_loop"
-        raise ProfileError(f"wear {name}: {first_line(error)}; {expected}") from error
-    if found.scales and found.arm != _SCALING_ARM:
-        raise ProfileError(f"wear {name}: only profiles with arm = '{_SCALING_ARM}' can scale, got arm {found.arm!r}")
-    return found
+def _profile(base: str) -> _WearFile:
+    """Return the profile of a name or a TOML file; ProfileError, FileError."""
+    known = f"known profiles: {', '.join(wear_names())}, each also with ?seed=N or ?hours=H, or a .toml file"
+    if base not in wear_names() and not base.endswith(".toml"):
+        raise ProfileError(f"no wear profile is called {base!r}; {known}")
+    return read_toml(_PROFILES / f"{base}.toml" if base in wear_names() else Path(base), _WearFile, known)

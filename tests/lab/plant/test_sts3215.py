@@ -3,22 +3,23 @@
 import numpy as np
 import pytest
 
+from loneservo import lone_servo
 from rejoint.arms import load_arm
 from rejoint_lab.plant import sts3215
 from rejoint_lab.plant.plant import StsPlant
-from rejoint_lab.plant.sts3215 import STEP_ANGLE, BareServos
 from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
+STEP_ANGLE = 2 * np.pi / sts3215.COUNTS
 
 
 def blocked(error, **settings):
     """A servo whose shaft stands ``error`` counts short of its goal."""
-    servo = BareServos(1)
+    servo = lone_servo(blocked=True)
     for name, value in settings.items():
         servo.settings[name] = value
     servo.status["goal"] = error
-    servo.advance(0.3, blocked=True)
+    servo.advance(0.3)
     return servo
 
 
@@ -34,7 +35,7 @@ def test_a_larger_error_ends_in_the_protection_and_a_smaller_one_does_not():
     over, under = blocked(100), blocked(95)
     for servo in (over, under):
         assert not servo.status["alarms"].any()
-        servo.advance(2.0, blocked=True)
+        servo.advance(2.0)
     assert over.status["alarms"][0] == sts3215.OVERLOAD
     assert over.status["output"][0] == 200
     assert under.status["alarms"][0] == 0
@@ -43,27 +44,27 @@ def test_a_larger_error_ends_in_the_protection_and_a_smaller_one_does_not():
 @pytest.mark.parametrize(("p", "degrees"), [(16, 3.20), (32, 1.63)])
 def test_one_load_sags_at_two_gains_as_an_owner_saw(p, degrees):
     """lerobot PR 4310: the counts of error that 157 per mille call for."""
-    servo = BareServos(1)
+    servo = lone_servo()
     servo.settings["p"] = p
     servo.joints["coulomb"] = servo.joints["stiction"] = 0.0
-    servo.push[:] = -0.157 * servo.settings["stall"]
+    servo.settings["bias"] = -0.157 * servo.settings["stall"]
     servo.advance(2.0)
-    assert np.degrees(-servo.angle[0]) == pytest.approx(degrees, rel=0.05)
+    assert np.degrees(-servo.qpos[0, 0]) == pytest.approx(degrees, rel=0.05)
 
 
 def test_an_integral_part_removes_the_sag_and_its_limit_bounds_it():
-    servo = BareServos(2)
+    servo = lone_servo(2)
     servo.settings["p"], servo.settings["i"] = 48, 4
-    servo.settings["integral_limit"] = [0, 10]
-    servo.push[:] = -0.157 * servo.settings["stall"]
+    servo.settings["integral_limit"] = [[0], [10]]
+    servo.settings["bias"] = -0.157 * servo.settings["stall"]
     servo.advance(6.0)
-    free, limited = np.degrees(-servo.angle)
+    free, limited = np.degrees(-servo.qpos[:, 0])
     assert abs(free) < 0.2
     assert limited > 0.6
 
 
 def test_a_bare_servo_turns_at_its_speed_limit_and_stops_at_its_goal():
-    servo = BareServos(1)
+    servo = lone_servo()
     servo.settings["speed"] = 1000.0
     servo.status["goal"] = 1000
     servo.advance(0.6)
@@ -78,29 +79,29 @@ def test_a_bare_servo_turns_at_its_speed_limit_and_stops_at_its_goal():
 @pytest.mark.parametrize("acceleration", [2_000.0, 10_000.0, 25_400.0])
 @pytest.mark.parametrize("goal", [1, 3, 57, -900])
 def test_the_ramp_arrives_and_never_runs_past_its_goal(acceleration, goal):
-    servo = BareServos(1)
+    servo = lone_servo(blocked=True)
     servo.settings["acceleration"], servo.status["goal"] = acceleration, goal
     seen = []
     for _ in range(1500):
-        servo.advance(0.001, blocked=True)
+        servo.advance(0.001)
         seen.append(servo.status["reference"][0] * np.sign(goal))
     assert max(seen) <= abs(goal) + 1
     assert seen[-1] == abs(goal)
 
 
 def test_torque_off_lets_go_and_torque_on_does_not_jump():
-    servo = BareServos(1)
+    servo = lone_servo()
     servo.status["goal"] = 200
     servo.advance(1.0)
     servo.settings["torque_on"] = 0
-    servo.push[:] = -0.3
+    servo.settings["bias"] = -0.3
     servo.advance(0.3)
-    fallen = servo.angle[0]
+    fallen = servo.qpos[0, 0]
     assert fallen < 150 * STEP_ANGLE
     servo.settings["torque_on"] = 1
-    servo.push[:] = 0.0
+    servo.settings["bias"] = 0.0
     servo.advance(1.0)
-    assert servo.angle[0] < fallen + 0.05
+    assert servo.qpos[0, 0] < fallen + 0.05
 
 
 def test_a_low_supply_is_told_and_weakens_the_motor():

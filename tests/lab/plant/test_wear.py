@@ -1,4 +1,6 @@
 import dataclasses
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -6,14 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280, so101
-from rejoint.system.errors import ProfileError
+from rejoint.system.errors import FileError, ProfileError
 from rejoint_lab.plant.wear import (
     PARAMETERS,
     draw_wear,
     largest_load,
     lifting_torque,
     load_wear,
-    parse_wear,
     wear_arm,
     wear_names,
 )
@@ -40,14 +41,17 @@ scalars = st.one_of(
 
 @settings(max_examples=150)
 @given(field=st.sampled_from(PARAMETERS), value=scalars)
-def test_any_value_of_a_field_is_a_wear_or_a_profile_error(field, value):
+def test_any_value_of_a_field_is_a_wear_or_an_error_that_names_it(field, value):
     name = "play_deg" if field == "play" else field
     written = {True: "true", False: "false"}.get(value) if isinstance(value, bool) else repr(value)
     lines = [f"{name} = {written}" if line.startswith(f"{name} =") else line for line in worn_text().splitlines()]
-    try:
-        wear = parse_wear("\n".join(lines), name="mine", joints=6)
-    except ProfileError:
-        return
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_text("\n".join(lines))
+        try:
+            wear = load_wear(str(path), ARM)
+        except (FileError, ProfileError):
+            return
     assert np.isfinite(getattr(wear, field)).all()
     assert (getattr(wear, field) >= 0).all()
 
