@@ -15,10 +15,9 @@ from rejoint.arms import (
     solve_position,
     tcp_pose,
 )
-from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
 from rejoint.arms.inertia import pseudo_inertia, rigid_body
-from rejoint.arms.modelfile import read_tree
+from rejoint.arms.modelfile import cut, read_tree
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
 # reference lies outside of its limits, and a gripper.

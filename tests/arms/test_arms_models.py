@@ -26,9 +26,8 @@ from rejoint.arms import (
     solve_position,
     tcp_pose,
 )
-from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
-from rejoint.arms.modelfile import read_tree
+from rejoint.arms.modelfile import cut, read_tree
 
 ROBOPAL = "assets/models/manipulators"
 FILES = {

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, load_arm, read_arm
-from rejoint.arms.chain import cut
-from rejoint.arms.modelfile import read_tree
+from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.workspace import reach, reference_arm
 from rejoint.system.errors import InputError
 

@@ -1,7 +1,6 @@
 """Arms: geometry, limits, masses; kinematics; the catalogue and arms from files."""
 
-from rejoint.arms.arm import Arm, Array, Box, differing
-from rejoint.arms.catalogue import mycobot280, so101
+from rejoint.arms.arm import Arm, Array, Box, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -176,3 +178,20 @@ def _freeze(instance: object) -> None:
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray | list):
             object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))
+
+
+def mycobot280() -> Arm:
+    """Return the myCobot 280 Pi."""
+    return _described("mycobot280")
+
+
+def so101() -> Arm:
+    """Return the SO-101, joints named as in LeRobot."""
+    return _described("so101")
+
+
+@cache
+def _described(name: str) -> Arm:
+    from rejoint.arms.loading import read_arm  # late: what a description leaves open goes by the measures of a myCobot
+
+    return read_arm(Path(__file__).parent / "models" / f"{name}.toml").arm

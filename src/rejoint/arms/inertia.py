@@ -134,11 +134,9 @@ def _wrong_inertia(mass: float, inertia: Array, reach: float) -> str:
     if not usable(inertia):
         return "no usable inertia"
     largest = float(np.linalg.eigvalsh(inertia)[-1])
-    if largest < ball_moment(mass, DENSEST):
-        return f"an inertia of {largest:.2g} kg m^2, less than {mass:.3g} kg of any metal can have"
-    if largest > mass * (reach / 2) ** 2:
-        return f"an inertia of {largest:.2g} kg m^2, more than {mass:.3g} kg within the arm's reach can have"
-    return ""
+    if ball_moment(mass, DENSEST) <= largest <= mass * (reach / 2) ** 2:
+        return ""
+    return f"an inertia of {largest:.2g} kg m^2, which {mass:.3g} kg of metal within the arm's reach cannot have"
 
 
 def _balanced(inertia: Array) -> Array:

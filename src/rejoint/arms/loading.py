@@ -17,13 +17,11 @@ import msgspec
 import numpy as np
 import tomlkit
 
-from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
-from rejoint.arms.catalogue import mycobot280, so101
-from rejoint.arms.chain import cut
+from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain, mycobot280, so101
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import UNKNOWN, Loaded, finish
 from rejoint.arms.inertia import inertia_matrix, inertia_values
-from rejoint.arms.modelfile import read_tree, xacro_error
+from rejoint.arms.modelfile import cut, read_tree, xacro_error
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import posture_grid
 from rejoint.system.errors import InputError

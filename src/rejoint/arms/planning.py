@@ -18,12 +18,9 @@ from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collision_shape, contact
 from rejoint.arms.inertia import link_ends
 from rejoint.arms.kinematics import gravity_torque, tcp_position
-from rejoint.arms.postures import Motors, body_of, pool_of
+from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
-
-rrt = Late("rejoint.arms.rrt")
 
 RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
@@ -188,7 +185,7 @@ class _Field:
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
         """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
         body = body_of(self.arm)
-        share, item = rrt.passable(body, start, goal, self.levers, self.least, self.step, leaving)
+        share, item = redundancy.passable(body, start, goal, self.levers, self.least, self.step, leaving)
         return share, item
 
     def blocked(self, item: int, q: Array) -> str:
@@ -212,7 +209,7 @@ class _Field:
         spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
         drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
         drawn = np.clip(drawn, body.inner[0], body.inner[1])
-        way = rrt.connect(body, begin, goal, drawn, self.levers, self.least, self.step)
+        way = redundancy.connect(body, begin, goal, drawn, self.levers, self.least, self.step)
         if not len(way):
             return None
         corners = self._shortened(way, rng)

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, Box
-from rejoint.arms.catalogue import mycobot280
+from rejoint.arms.arm import Arm, Array, Box, mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import Solution, solve_position
 from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position

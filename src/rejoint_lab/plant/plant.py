@@ -121,13 +121,13 @@ class Plant:
         self.batch = Batch(build_model(arm, self._pull), self.count, worth)
         armature = self.batch.expand("dof_armature")
         armature[:, 0::2] = self.joints["reflected_inertia"]
-        armature[:, 1::2] = servo.gear_armature(self.joints["link_stiffness"])
+        armature[:, 1::2] = self.joints["link_stiffness"] * (servo.GEAR_STEPS * STEP) ** 2
         self._load_tools()
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         """(B, 2 n) [rad] and [rad/s]: servo output and gear in turn"""
         self._applied = self.batch.bind("qfrc_applied")
         self._bodies = self.qpos, self.qvel, self._applied
-        self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
+        self.servos["speed_limit"] = servo.RAMP_SHARE * arm.max_speed
         self.servos["temperature"] = self.joints["ambient"]
         self._equip()
         self.reset(np.tile(arm.rest, (self.count, 1)))
@@ -321,9 +321,8 @@ def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
     records["lower"], records["upper"] = arm.lower, arm.upper
     records["ambient"] = wear.ambient
-    records["no_load_speed"] = servo.no_load_speed(arm.max_speed)
     scale = scale_of(arm)
-    servo.fill_constants(records, scale.torque, scale.time)
+    servo.fill_constants(records, arm.max_speed, scale.torque, scale.time)
     return records
 
 
@@ -375,9 +374,9 @@ class StsPlant(Plant):
         goal, here = (
             np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
         )
-        fresh = {"goal": goal, "reference": goal, "filtered": here, "position": here}
-        for name in (*fresh, "rate", "speed", "sum", "alarms", "blocked", "over_current", "hot"):
-            self.status[name][ids] = fresh[name][ids] if name in fresh else 0
+        self.status[ids] = 0
+        for name, value in {"goal": goal, "reference": goal, "filtered": here, "position": here}.items():
+            self.status[name][ids] = value[ids]
         raw = goal - here
         error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
         self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]

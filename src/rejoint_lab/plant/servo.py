@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, uint64, vectorize
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
@@ -34,7 +34,7 @@ def stream_keys(seed: int, count: int, *, first: int = 0, purpose: int = 0) -> K
     return np.array([sequence.generate_state(1, np.uint64)[0] for sequence in sequences], dtype=np.uint64)
 
 
-@njit(cache=True)
+@vectorize([float64(uint64, int64)], cache=True)
 def uniform(key, counter):
     """Return number ``counter`` of a stream, uniform in [0, 1)."""
     z = key + np.uint64(counter + 1) * _STEP
@@ -52,12 +52,11 @@ QUEUE = 8
 """Pending commands per arm (chosen)"""
 NEVER = np.iinfo(np.int64).max
 """Due step of an empty slot"""
-RAMP_SPEED = np.radians(120.0)
-"""[rad/s] of references (chosen: 80 % of the vendor's 150 deg/s)"""
+RAMP_SHARE = 0.8
+"""Default speed of references over the joint's largest (chosen)"""
 
 _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without its own friction
 _NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
-_RAMP_SHARE_OF = np.radians(150.0)  # [rad/s] the joint speed that RAMP_SPEED belongs to
 _SPEED_FILTER = 0.1  # weight of the newest encoder difference: a time constant of 10 ms (chosen)
 LOAD_FILTER = 0.1  # weight of the newest torque in the load that is told: a time constant of 10 ms (chosen)
 _STRIBECK_SPEED = 0.06  # [rad/s] chosen
@@ -68,7 +67,8 @@ _RIPPLE_PERIODS = 30.0  # periods of the gear ripple per output turn (chosen: te
 _GREASE = 0.02  # [N m s/rad] viscous torque inside the play (chosen)
 _GREASE_TIME = 0.002  # [s] its largest ratio to the stiffness of the gear: more is unstable in steps of 1 ms
 _GEAR_DAMPING_TIME = 0.0012  # [s] damping of a loaded gear over its stiffness (chosen)
-_GEAR_STEPS = 2.0  # steps per radian of the fastest gear oscillation
+GEAR_STEPS = 2.0
+"""Steps per radian of the fastest gear oscillation"""
 _STOP_MARGIN = np.radians(3.0)  # [rad] mechanical stops lie beyond the joint limits (chosen)
 _STOP_STIFFNESS = 60.0  # [N m/rad] of a myCobot 280, as the viscous torques (chosen)
 _STOP_DAMPING = 0.5  # [N m s/rad] chosen
@@ -99,23 +99,9 @@ STATE = record_of(
 """State; ``frozen``: reports an old reading, ``blind``: also controls by it"""
 
 
-def gear_armature(stiffness: Array) -> Array:
-    """Inertia [kg m^2] of the gear hinge: `_GEAR_STEPS` steps per radian of its oscillation."""
-    return stiffness * (_GEAR_STEPS * STEP) ** 2
-
-
-def ramp_speed(max_speed: Array) -> Array:
-    """Default speed (n,) [rad/s] of references; ``max_speed`` (n,) [rad/s]."""
-    return np.asarray(RAMP_SPEED * (max_speed / _RAMP_SHARE_OF))
-
-
-def no_load_speed(max_speed: Array) -> Array:
-    """Speed (n,) [rad/s] of motors without torque."""
-    return np.maximum(_NO_LOAD_SPEED, _NO_LOAD_MARGIN * max_speed)
-
-
-def fill_constants(records: NDArray[np.void], torque: Array, time: float) -> None:
-    """Fill JOINT records (n,) with what profiles lack; ``torque`` (n,) and ``time``: scales."""
+def fill_constants(records: NDArray[np.void], max_speed: Array, torque: Array, time: float) -> None:
+    """Fill JOINT records (n,) with what profiles lack; ``max_speed`` (n,) [rad/s]; ``torque`` (n,) and ``time``: scales."""
+    records["no_load_speed"] = np.maximum(_NO_LOAD_SPEED, _NO_LOAD_MARGIN * max_speed)
     records["grease"] = np.minimum(_GREASE * (torque * time), _GREASE_TIME * records["link_stiffness"])
     records["stop_stiffness"] = _STOP_STIFFNESS * torque
     records["stop_damping"] = _STOP_DAMPING * (torque * time)
@@ -243,18 +229,9 @@ class Channel(NamedTuple):
 
     def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
         """Delays of ``cycle`` (B,) by stream keys (B,)."""
-        unit = _draw_units(keys, cycle)
+        unit = uniform(keys[:, None], cycle[:, None] * _DRAWS + np.arange(_DRAWS))
         low, high = np.array([self.latency, self.age, self.period]).T
         return Delays(*(low + unit * (high - low)).T)
-
-
-@njit(cache=True)
-def _draw_units(keys, cycle):  # noqa: ANN202
-    unit = np.empty((len(keys), _DRAWS))
-    for i in range(len(keys)):
-        for k in range(_DRAWS):
-            unit[i, k] = uniform(keys[i], cycle[i] * _DRAWS + k)
-    return unit
 
 
 def has_these_servos(arm: Arm) -> bool:
