@@ -166,7 +166,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
         gripper.serve()
         assert servo.writes == []
         gripper.goal = 150.0
-        for _ in range(40):
+        for _ in range(60):
             robot.step(ARM.rest[None])
             gripper.serve()
         goal = servo["Goal_Position"], servo["Torque_Limit"], servo["Torque_Enable"]
