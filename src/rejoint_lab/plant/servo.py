@@ -100,7 +100,7 @@ STATE = record_of(
 
 
 def fill_constants(records: NDArray[np.void], max_speed: Array, torque: Array, time: float) -> None:
-    """Fill JOINT records (n,) with what profiles lack; ``max_speed`` (n,) [rad/s]; ``torque`` (n,), ``time``: scales."""
+    """Fill JOINT records (n,) with what profiles lack; ``max_speed`` (n,) [rad/s]; scales ``torque`` (n,), ``time``."""
     records["no_load_speed"] = np.maximum(_NO_LOAD_SPEED, _NO_LOAD_MARGIN * max_speed)
     records["grease"] = np.minimum(_GREASE * (torque * time), _GREASE_TIME * records["link_stiffness"])
     records["stop_stiffness"] = _STOP_STIFFNESS * torque
