@@ -29,7 +29,6 @@ def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path, width, medium):
         found=WHY,
         todo="mend that, then give the same command again",
         steps=(("diagnose", 3.0),),
-        lost=0,
         folder=tmp_path,
         code=4,
     )

@@ -114,7 +114,6 @@ def fleet(
     file: Path,
     only: str = "",
     somebody: bool = False,
-    wait: bool = False,
     fresh: bool = False,
     needed: bool = False,
     cpus: int | None = None,
@@ -145,7 +144,6 @@ def fleet(
     trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
     rules = Rules(
         somebody=somebody,
-        stay=wait,
         at_once=cpus or os.cpu_count() or 1,
         fresh=fresh,
         needed=needed,

@@ -23,7 +23,7 @@ from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.shell import command
-from rejoint.system.stopping import Interrupted, check, noted, pause, shielded
+from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 Step: TypeAlias = Literal["check"] | StageName
 
@@ -34,8 +34,6 @@ class Rules:
 
     somebody: bool = False
     """whether a person is present"""
-    stay: bool = False
-    """whether to wait for later hours"""
     at_once: int = 1_000_000
     """most tasks at once"""
     fresh: bool = False
@@ -82,7 +80,7 @@ class WorkOutcome:
     trace: str = ""
     """of an unexpected error"""
     lost: bool = False
-    """whether its process or node died"""
+    """whether its process died"""
 
 
 def do_work(work: Work) -> WorkOutcome:
@@ -236,14 +234,10 @@ End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
 """[s] between looks at clock and signals; chosen"""
-TRIES = 4
-"""for one arm's lost tasks; chosen"""
 ROOM = timedelta(minutes=5)
 """Least time for a motion before hours end; chosen: a diagnosis takes four minutes"""
 HOLDING = 15.0
 """[s] to come to a hold at the end; chosen"""
-IDLE = 30.0
-"""[s] between looks at hours when idle; chosen"""
 
 
 class Executor(Protocol):
@@ -271,8 +265,6 @@ class Standing:
     """reason of a failure or refusal"""
     outcome: WorkOutcome | None = None
     """of a failure"""
-    lost: int = 0
-    """tasks whose process was lost"""
     left: tuple[Step, ...] | None = None
     """remaining steps; None: unknown"""
     running: Work | None = None
@@ -292,16 +284,13 @@ class _Lead:
         rules = self.campaign.rules
         while True:
             check()
-            waiting = self._begin()
-            if any(one.running for one in self.standings):
-                for one in self.standings:
-                    if not one.arm.hours.is_open(rules.now()):
-                        self._hold(one)
-                self._wait()
-            elif waiting:
-                pause(IDLE)
-            else:
+            self._begin()
+            if not any(one.running for one in self.standings):
                 return
+            for one in self.standings:
+                if not one.arm.hours.is_open(rules.now()):
+                    self._hold(one)
+            self._wait()
 
     def hold_all(self) -> None:
         """Bring real arms to a hold."""
@@ -321,15 +310,14 @@ class _Lead:
             one = next(one for one in self.standings if one.running is work)
             one.running = one.left = None
             self._end(one, work, outcome)
-            kind = "lost" if outcome.lost else "failed" if one.end else f"done in {outcome.seconds:.0f} s"
+            kind = "failed" if one.end else f"done in {outcome.seconds:.0f} s"
             self.tell(f"{one.arm.name}: {work.step} {kind}{one.why and f': {one.why}'}")
 
-    def _begin(self) -> bool:
-        """Begin what may begin; returns whether an arm waits for its hours."""
-        rules, waiting = self.campaign.rules, False
+    def _begin(self) -> None:
+        """Begin what may begin."""
+        rules = self.campaign.rules
         now = rules.now()
-        idle = [one for one in self.standings if one.end is None and one.running is None]
-        for one in sorted(idle, key=lambda one: one.arm.hours.closes(now) or datetime.max):  # else in their order
+        for one in [one for one in self.standings if one.end is None and one.running is None]:
             if one.left is None:
                 one.left = self.campaign.left(one.arm)
             if not one.left:
@@ -339,16 +327,13 @@ class _Lead:
             if work.moves:
                 refusal, opens = refused(work, rules), opening(one.arm, now)
                 if refusal or opens != now:
-                    one.why = refusal or _begins(opens)
-                    later = not refusal and opens is not None and rules.stay
-                    one.end, waiting = None if later else "left", waiting or later
+                    one.end, one.why = "left", refusal or _begins(opens)
                     continue
             if not self._has_room(work):
                 continue
             one.running, one.why = work, ""
             self.tell(f"{one.arm.name}: {work.step} begun")
             self.executor.begin(work)
-        return waiting
 
     def _has_room(self, work: Work) -> bool:
         running = [one.running for one in self.standings if one.running is not None]
@@ -359,12 +344,8 @@ class _Lead:
         """Note how a step of an arm ended."""
         step, problem = work.step, outcome.problem
         if outcome.lost:
-            one.lost, one.why = one.lost + 1, problem
-            if work.held:
-                one.end = "failed"
-                one.why = f"what held it was lost during {step} ({problem}): look at the arm, then go on"
-            elif one.lost >= TRIES:
-                one.end, one.why = "failed", f"{step} was lost {TRIES} times ({problem})"
+            look = ": look at the arm, then go on" * work.held
+            one.end, one.why = "failed", f"what did {step} was lost ({problem}){look}"
         elif one.held and problem:
             one.end = "left"
             one.why = f"held during {step}; {_begins(opening(one.arm, self.campaign.rules.now()))}"
@@ -382,7 +363,7 @@ def drive(
 ) -> list[Standing]:
     """Do all remaining steps; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
-    Arms whose hours end first come first. Returns their states, in the order of ``arms``.
+    Returns their states, in the order of ``arms``.
     """
     standings = [Standing(arm=arm) for arm in arms]
     lead = _Lead(campaign=campaign, executor=executor, tell=tell, standings=standings)
@@ -447,8 +428,6 @@ class FleetRow:
     """advice to the user"""
     steps: tuple[tuple[str, float], ...]
     """steps of this call, with [s]"""
-    lost: int
-    """tasks whose process was lost"""
     folder: Path
     code: int
     """its exit code"""
@@ -458,9 +437,8 @@ class FleetRow:
         """Row of the table `HEADERS`."""
         seconds = sum(took for _, took in self.steps)
         done = ", ".join(name for name, _ in self.steps) + (f" ({seconds:.0f} s)" if self.steps else "")
-        again = f"; {self.lost} lost" if self.lost else ""
         error = "" if self.error_mm is None else f"{self.error_mm:.1f}"
-        return [self.name, self.state, error, f"{done}{again}", self.todo]
+        return [self.name, self.state, error, done, self.todo]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -502,7 +480,6 @@ def _row(campaign: Campaign, one: Standing) -> FleetRow:
         found=one.why,
         todo="mend that, then give the same command again" if end == "failed" else "once that is so: the same command",
         steps=tuple(one.steps),
-        lost=one.lost,
         folder=run,
         code=code if code in _ORDER else ROBOT,  # held, since the call had ended
     )
