@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm, write_arm_toml
-from rejoint.runs.fleet.file import DAYS, read_fleet, read_hours
+from rejoint.runs.fleet.file import DAYS, ROOM, read_fleet, read_hours
 from rejoint.system.errors import FileError
 
 OWN = replace(load_arm("mycobot280"), name="own")
@@ -123,16 +123,15 @@ spans = st.builds(
     day=st.integers(0, 13),
     now=st.datetimes(datetime(2026, 11, 23), datetime(2026, 12, 7)),
 )
-def test_hours_open_and_close_when_they_say(texts, day, now):
-    """Between now and the next change nothing changes, minute by minute; then it does."""
+def test_motions_begin_at_the_first_minute_that_leaves_them_room(texts, day, now):
     hours = read_hours(texts, [f"{datetime(2026, 11, 23) + timedelta(days=day):%Y-%m-%d}"])
     now = now.replace(second=0, microsecond=0)
-    open_now = hours.is_open(now)
-    change = hours.closes(now) if open_now else hours.opens(now)
-    if change is None:
-        assert open_now
-        return
-    assert change > now
-    assert hours.is_open(change) != open_now
-    minutes = min(int((change - now).total_seconds() // 60), 3000)
-    assert all(hours.is_open(now + timedelta(minutes=i)) == open_now for i in range(minutes))
+
+    def leaves_room(at):
+        return all(hours.is_open(at + timedelta(minutes=k)) for k in range(ROOM))
+
+    begins = hours.begins(now)
+    end = now + timedelta(minutes=3000) if begins is None else begins
+    assert begins is None or (begins >= now and leaves_room(begins))
+    minutes = min(int((end - now).total_seconds() // 60), 3000)
+    assert not any(leaves_room(now + timedelta(minutes=k)) for k in range(0, minutes, 7))

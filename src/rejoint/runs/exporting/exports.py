@@ -103,20 +103,30 @@ def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
 
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:
+    """Write a controller and its description (``.yaml``), alone or in a package for ROS 2."""
     require(f"rejoint export --format {kind}", "onnx", "torch")
+    from onnx import helper
+
+    from rejoint.runs.exporting.controllergraph import controller_graph
 
     name, why = choice(run, run.arm, None) if wanted is None else (wanted, "as asked for")
-    chosen = f"Controller: {name} ({why})."
-    if kind == "ros2":
-        folder = out or run.path / "ros2"
-        design = write_package(run, folder, name)
-        return folder, f"{chosen} The controller in it is the {design.name}. {notice(design)}"
-    path = out or run.path / "controller.onnx"
+    design = design_of(run, name)
+    # lower case, digits and underscores
+    package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())
+    place = out or run.path / ("ros2" if kind == "ros2" else "controller.onnx")
+    path = place / package / "controller.onnx" if kind == "ros2" else place
     if path.suffix != ".onnx":
         raise InputError(f"{path}: expected a file that ends with .onnx")
-    design = write_controller(run, path, name)
-    described = path.with_suffix(".yaml").name
-    return path, f"{chosen} The controller is the {design.name}; {described} describes it. {notice(design)}"
+    model = controller_graph(design)
+    helper.set_model_props(model, metadata(design))
+    data = model.SerializeToString()
+    text = leapp_text(design, path.name, data)
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
+    write_text(path.with_suffix(".yaml"), text)
+    if kind == "ros2":
+        write_package(run, place, package, design)
+    described = f"{path.with_suffix('.yaml').name} describes it"
+    return place, f"Controller: {name} ({why}). What is written is the {design.name}; {described}. {notice(design)}"
 
 
 OUTSIDE = (
@@ -180,31 +190,11 @@ def notice(design: Design) -> str:
     return f"{design.instead} {OUTSIDE}".strip()
 
 
-def write_controller(run: Run, out: Path, best: str) -> Design:
-    """Write controller ``best`` to ``out``, and its description (``.yaml``)."""
-    require("rejoint export --format onnx", "onnx", "torch")
-    from onnx import helper
-
-    from rejoint.runs.exporting.controllergraph import controller_graph
-
-    design = design_of(run, best)
-    model = controller_graph(design)
-    helper.set_model_props(model, metadata(design))
-    data = model.SerializeToString()
-    text = leapp_text(design, out.name, data)
-    write_whole(out, lambda temporary: temporary.write_bytes(data))
-    write_text(out.with_suffix(".yaml"), text)
-    return design
-
-
 def metadata(design: Design) -> dict[str, str]:
     """Metadata: the keys of C++ policy runtimes, and a description."""
-    from rejoint.runs.exporting.controllergraph import memory_slots
-
-    arm, n = design.arm, design.arm.joints
-    low, high = design.periods
+    n, (low, high) = design.arm.joints, design.periods
     return {
-        "joint_names": ",".join(arm.joint_names),
+        "joint_names": ",".join(design.arm.joint_names),
         "joint_stiffness": _list(design.law.stiffness),
         **({"joint_damping": _list(design.damping)} if design.damping else {}),
         "default_joint_pos": _list([0.0] * n),
@@ -212,19 +202,14 @@ def metadata(design: Design) -> dict[str, str]:
         "command_names": "target",
         "observation_names": "joint_pos,target,period,state_in",
         "rejoint.controller": design.name,
-        "rejoint.arm": arm.name,
-        "rejoint.rest_joint_pos": _list(arm.rest),
-        "rejoint.joint_lower": _list(arm.lower),
-        "rejoint.joint_upper": _list(arm.upper),
+        "rejoint.arm": design.arm.name,
         "rejoint.period_s": f"{low:g},{high:g}",
-        "rejoint.memory": ",".join(f"{name}:{size}" for name, size in memory_slots(n).items()),
         "rejoint.memory_use": (
-            "zeros begin again; where a command was limited on its way, write what was sent into the entries 'sent' of "
-            "state_out before it goes back as state_in"
+            "zeros begin again; where a command was limited on its way, write what was sent into the first "
+            f"{n} entries of state_out before it goes back as state_in"
         ),
         **({"rejoint.servo_gains": design.gains} if design.gains else {}),
-        **({"rejoint.instead": design.instead} if design.instead else {}),
-        "rejoint.not_inside": OUTSIDE,
+        "rejoint.not_inside": notice(design),
         "rejoint.software": __version__,
     }
 
@@ -297,11 +282,8 @@ _FILES = {
 }
 
 
-def write_package(run: Run, folder: Path, best: str) -> Design:
-    """Write the package with controller ``best`` into ``folder``."""
-    # lower case, digits and underscores
-    package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())
-    design = write_controller(run, folder / package / "controller.onnx", best)
+def write_package(run: Run, folder: Path, package: str, design: Design) -> None:
+    """Write the texts of a package around its controller into ``folder``."""
     low, high = design.periods
     words = {
         "PACKAGE": package,
@@ -327,4 +309,3 @@ def write_package(run: Run, folder: Path, best: str) -> Design:
         write_urdf(
             folder / "urdf" / f"{run.arm.name}.urdf", unit, "This unit: the corrections are in the joint origins."
         )
-    return design

@@ -234,8 +234,6 @@ End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
 """[s] between looks at clock and signals; chosen"""
-ROOM = timedelta(minutes=5)
-"""Least time for a motion before hours end; chosen: a diagnosis takes four minutes"""
 HOLDING = 15.0
 """[s] to come to a hold at the end; chosen"""
 
@@ -325,7 +323,7 @@ class _Lead:
                 continue
             work = self.campaign.work(one.arm, one.left[0])
             if work.moves:
-                refusal, opens = refused(work, rules), opening(one.arm, now)
+                refusal, opens = refused(work, rules), one.arm.hours.begins(now)
                 if refusal or opens != now:
                     one.end, one.why = "left", refusal or _begins(opens)
                     continue
@@ -348,7 +346,7 @@ class _Lead:
             one.end, one.why = "failed", f"what did {step} was lost ({problem}){look}"
         elif one.held and problem:
             one.end = "left"
-            one.why = f"held during {step}; {_begins(opening(one.arm, self.campaign.rules.now()))}"
+            one.why = f"held during {step}; {_begins(one.arm.hours.begins(self.campaign.rules.now()))}"
         elif problem:
             one.end, one.why, one.outcome = "failed", f"{step}: {problem}", outcome
         elif step in self.campaign.left(one.arm)[:1]:
@@ -387,15 +385,6 @@ def refused(work: Work, rules: Rules) -> str:
     if arm.needs_somebody and not rules.somebody:
         return "somebody has to be there: say --somebody-is-there when somebody is"
     return ""
-
-
-def opening(arm: FleetArm, now: datetime) -> datetime | None:
-    """Return ``now`` if an arm may begin to move, else its next opening."""
-    opens = arm.hours.opens(now)
-    closes = None if opens is None else arm.hours.closes(opens)
-    if opens == now and closes is not None and closes - now < ROOM:
-        return arm.hours.opens(closes)
-    return opens
 
 
 def _begins(opens: datetime | None) -> str:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -21,12 +22,14 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.tomltable import Positive, Table, Text, Texts, read_toml
 
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+ROOM = 5
+"""[min] for which hours go on at least when a motion begins; chosen: a diagnosis takes four"""
 HORIZON = 400
 """[days] to search for the next opening; chosen"""
 
 _SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):(\d\d)\s*-\s*(\d\d):(\d\d)\s*")
 _DATES = re.compile(r"\s*(\d{4}-\d\d-\d\d)(?:\s+to\s+(\d{4}-\d\d-\d\d))?\s*")
-_DAY = timedelta(days=1)
+_DAY, _MINUTE = timedelta(days=1), timedelta(minutes=1)
 _FULL = 24 * 60  # minutes of a day
 
 
@@ -46,15 +49,10 @@ class Hours:
         minute = _FULL * now.weekday() + 60 * now.hour + now.minute
         return not self.spans or any((minute - first) % (7 * _FULL) < length for first, length in self.spans)
 
-    def opens(self, now: datetime) -> datetime | None:
-        """Return ``now`` if open, else the next opening; None beyond `HORIZON`."""
-        if self.is_open(now):
-            return now
-        return next((one for one in self._changes(now) if self.is_open(one)), None)
-
-    def closes(self, now: datetime) -> datetime | None:
-        """End of the present opening; None beyond `HORIZON`."""
-        return next((one for one in self._changes(now) if not self.is_open(one)), None)
+    def begins(self, now: datetime) -> datetime | None:
+        """Return ``now`` if a motion may begin, else when it may next; None beyond `HORIZON`."""
+        times = chain([now], self._changes(now))
+        return next((at for at in times if all(self.is_open(at + one * _MINUTE) for one in range(ROOM))), None)
 
     def _changes(self, now: datetime) -> Iterator[datetime]:
         minutes = {0, *(edge % _FULL for first, length in self.spans for edge in (first, first + length))}
