@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.columns import ColumnFrame, Motion, RecordedMotion, begun
-from rejoint.logs.joints import ImportOptions, match_joints
+from rejoint.logs.columns import ColumnFrame, Motion, RecordedMotion, angles_of, begun
+from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, begins_with, reading, require_file
-from rejoint.system.textfile import ANGLES, shown
+from rejoint.system.textfile import shown
 
 NANOSECONDS = 1_000_000_000
 REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
@@ -34,16 +34,17 @@ _CHUNK_MOST = 1000 * MEGABYTE
 """[bytes] (chosen: a thousand times recorded chunks)"""
 
 
+Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
+"""Topics and their types; and decoded messages of some topics, with topic and time of recording [ns]"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Store:
     """A kind of file with messages; a `Reader` of bags, each with one motion."""
 
     magic: dict[str, bytes]
     """first bytes by ending; empty: any"""
-    topics: Callable[[Path], dict[str, str]]
-    """topics and their types"""
-    messages: Callable[[Path, set[str]], Iterator[tuple[str, int, Any]]]
-    """decoded messages of some topics, with topic and time of recording [ns]"""
+    open: Callable[[Path], AbstractContextManager[Opened]]
 
     def found(self, source: Path, _: ImportOptions) -> list[Path]:
         """Files of this kind, sorted by name."""
@@ -57,7 +58,7 @@ class Store:
 
 
 @contextmanager
-def _mcap(file: Path) -> Iterator[Any]:
+def _open_mcap(file: Path) -> Iterator[Opened]:
     from mcap.decoder import DecoderFactory
     from mcap.reader import SeekingReader
     from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
@@ -69,29 +70,25 @@ def _mcap(file: Path) -> Iterator[Any]:
 
     factories = [Ros2Factory(), ProtobufFactory(), JsonFactory()]
     with file.open("rb") as stream:
-        yield SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
-
-
-def _mcap_topics(file: Path) -> dict[str, str]:
-    with _mcap(file) as reader:
+        reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
         summary = reader.get_summary()
         if summary is None or summary.statistics is None:
-            messages = reader.iter_messages(log_time_order=False)
-            return {channel.topic: schema.name if schema else "" for schema, channel, _ in messages}
-        largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
-        if largest > _CHUNK_MOST:
-            raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
-        schemas = {number: schema.name for number, schema in summary.schemas.items()}
-        return {channel.topic: schemas.get(channel.schema_id, "") for channel in summary.channels.values()}
+            channels = ((schema, channel) for schema, channel, _ in reader.iter_messages(log_time_order=False))
+        else:
+            largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
+            if largest > _CHUNK_MOST:
+                raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
+            channels = ((summary.schemas.get(one.schema_id), one) for one in summary.channels.values())
+
+        def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+            for _, channel, message, content in reader.iter_decoded_messages(topics=[*topics], log_time_order=False):
+                yield channel.topic, message.log_time, content
+
+        yield {channel.topic: schema.name if schema else "" for schema, channel in channels}, messages
 
 
-def _mcap_messages(file: Path, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-    with _mcap(file) as reader:
-        for _, channel, message, content in reader.iter_decoded_messages(topics=[*topics], log_time_order=False):
-            yield channel.topic, message.log_time, content
-
-
-def _bag(file: Path) -> Any:  # noqa: ANN401
+@contextmanager
+def _open_rosbag(file: Path) -> Iterator[Opened]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -100,26 +97,19 @@ def _bag(file: Path) -> Any:  # noqa: ANN401
     if unwritten.is_file() and unwritten.stat().st_size:
         raise FileError(file, f"was not closed: part of it is still in {unwritten.name}", "run `ros2 bag reindex`")
     # bags that hold no definitions: messages about joints are the same in all distributions
-    return AnyReader([file], default_typestore=get_typestore(Stores.LATEST))
+    with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as bag:
 
+        def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+            chosen = [connection for connection in bag.connections if connection.topic in topics]
+            for connection, time, data in bag.messages(connections=chosen):
+                yield connection.topic, time, bag.deserialize(data, connection.msgtype)
 
-def _bag_topics(file: Path) -> dict[str, str]:
-    with _bag(file) as bag:
-        return {name: info.msgtype or "" for name, info in bag.topics.items()}
-
-
-def _bag_messages(file: Path, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-    with _bag(file) as bag:
-        chosen = [connection for connection in bag.connections if connection.topic in topics]
-        for connection, time, data in bag.messages(connections=chosen) if chosen else ():
-            yield connection.topic, time, bag.deserialize(data, connection.msgtype)
+        yield {name: info.msgtype or "" for name, info in bag.topics.items()}, messages
 
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-MCAP = Store(magic={"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}, topics=_mcap_topics, messages=_mcap_messages)
-ROSBAG = Store(
-    magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, topics=_bag_topics, messages=_bag_messages
-)
+MCAP = Store(magic={"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}, open=_open_mcap)
+ROSBAG = Store(magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, open=_open_rosbag)
 
 STATES = ("JointState", "JointStates")
 """Message types with joint positions and names"""
@@ -153,14 +143,14 @@ def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
     notes: list[str] = []
     found: dict[str, list[Message]] = {}
     try:
-        held = store.topics(file)
-        groups = _topics(held, options, file, notes)
-        for topic, time, content in store.messages(file, {*groups}):
-            messages = found.setdefault(topic, [])
-            number = len(messages) + 1
-            said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
-            with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                messages.append(_message(content, groups[topic], number=number, logged=time))
+        with store.open(file) as (held, read):
+            groups = _topics(held, options, file, notes)
+            for topic, time, content in read({*groups}):
+                messages = found.setdefault(topic, [])
+                number = len(messages) + 1
+                said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
+                with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
+                    messages.append(_message(content, groups[topic], number=number, logged=time))
     except FileError:
         raise
     # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
@@ -334,11 +324,12 @@ def _planned(
     for index in np.unique(active[active >= 0]):
         start, rows = starts[order[index]], np.flatnonzero(active == index)
         goal = goals[order[index]]
-        match = match_joints(goal.names, arm, motion.path, f"{what}, message {goal.number}", options)
-        scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
-        knots, times = scale * np.stack(goal.orders, axis=1)[..., match.columns], start + goal.after
-        knots[:, 0] += offset
-        knots *= ANGLES[options.angle_unit or "rad"]
+        place = f"{what}, message {goal.number}"
+        orders = np.stack([*goal.orders, np.zeros_like(goal.orders[0])])
+        columns = {f"command.{name}": orders[..., i].ravel() for i, name in enumerate(goal.names)}
+        frame = ColumnFrame.of(motion.path, columns, place=place, found=place, angle_unit="rad")
+        *found, zero = angles_of(frame, "command", arm, options).reshape(*orders.shape[:2], arm.joints)
+        knots, times = np.stack([found[0], *(one - zero for one in found[1:])], axis=1), start + goal.after
         if times[0] > start:  # a first point at the beginning leaves no way to it
             present = _present(motion, start)[:, : knots.shape[1]]
             knots, times = np.concatenate([present, knots]), np.concatenate([[start], times])

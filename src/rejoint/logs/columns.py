@@ -260,10 +260,8 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
             "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT and "
             "command.JOINT are expected",
         )
-    raw, columns = state.joints("position")
-    seen = np.asarray(np.isfinite(raw).any(axis=1))
-    half = state.half_ranges(raw[seen])
-    position, units = state.radians(raw, columns, half)
+    half = state.half_ranges()
+    position, columns, units = state.values("position", half)
     more, measured = state.measured()
     found = RecordedMotion(
         name=motion.name,
@@ -272,15 +270,16 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
         number=state.frame.number,
         time=state.clock(),
         position=position,
-        command=sent.radians(*sent.joints("command"), half)[0] if sent is state else None,
+        command=sent.values("command", half)[0] if sent is state else None,
         columns=tuple(column.title for column in columns),
-        angle_unit="/".join(sorted(units)),
+        angle_unit="/".join(sorted({*units})),
         half=half,
         more=more,
         units=measured,
         robot=f"{kind}:{source.stem}",
         extra={"source": source.name, "format": kind, **motion.extra},
     )
+    seen = np.asarray(np.isfinite(position).any(axis=1))
     if seen.any() and not seen.all():
         state.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
@@ -289,6 +288,11 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
     notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
     found = replace(found, notes=(*notes, *found.notes))
     return found if motion.complete is None else motion.complete(found, arm, options)
+
+
+def angles_of(frame: ColumnFrame, group: str, arm: Arm, options: ImportOptions) -> Array:
+    """Return a group (T, n) [rad] of a frame in the arm's order; errors as `read_motion`."""
+    return _Table(frame, arm, options).values(group)[0]
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
@@ -370,16 +374,19 @@ class _Table:
             found.append((ours, Column(place, titles[place], group, name, unit or said, scale, offset)))
         return found
 
-    def _unit(self, column: Column, default: str | None) -> str:
-        declarable = {"time": "time", "position": "angle", "command": "angle"}.get(column.group)
+    def _unit(self, column: Column) -> str:
+        group, known = column.group, next(iter(UNITS[column.group]), "")
+        usual = dict.fromkeys(("position", "command"), self.recorder[0] or self.frame.angle_unit)
+        usual |= {"time": self.recorder[1], **dict.fromkeys(POINTS)}
+        declarable = {"time": "time", "position": "angle", "command": "angle"}.get(group)
         option = declarable and f"--{declarable}-unit"
         declared = getattr(self.options, f"{declarable}_unit", None)
         if column.unit and declared and column.unit != declared:
             said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
             raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
-        unit = column.unit or declared or default
+        unit = column.unit or declared or usual.get(group, known if self.recorder[0] else "")
         if unit is None:
-            endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
+            endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[group])
             remedy = f"rename it {endings}" + f" or set {option}" * bool(option)
             raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
@@ -405,31 +412,52 @@ class _Table:
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
             )
-        return self._read(times)[:, 0] / TIME_UNITS[self._unit(times[0], self.recorder[1])]
+        return self._read(times)[:, 0] / TIME_UNITS[self._unit(times[0])]
 
-    def joints(self, group: str) -> tuple[Array, list[Column]]:
-        """Return a group (T, n) in the arm's order and file units, and its columns."""
+    def _columns(self, group: str) -> list[Column]:
+        """Columns of a group: of the joints in the arm's order, or of x, y and z."""
         columns = self.of(group)
-        if len(columns) == 1 and not columns[0].name and (self.arm.joints == 1 or group in ("gain", "powered")):
-            columns = columns * self.arm.joints
-        else:
-            names, titles = [column.name for column in columns], [column.title for column in columns]
-            match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
-            columns = [columns[i] for i in match.columns]
-            if match.dropped and group in ("position", "command"):
-                self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
-            if match.numbered:
-                told = f"{columns[0].title} to {columns[-1].title} taken as the joints from the base on"
-                self.notes.append(f"{group}: {told}")
-        return self._read(columns), columns
+        names, titles = [column.name for column in columns], [column.title for column in columns]
+        if group in POINTS:
+            if sorted(names) != [*AXES]:
+                said = f"columns of {group} are not x, y and z, once each"
+                raise FileError(self.frame.path, said, "name all three or none")
+            return sorted(columns, key=lambda column: column.name)
+        if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
+            return columns * self.arm.joints
+        match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
+        columns = [columns[i] for i in match.columns]
+        if match.dropped and group in ("position", "command"):
+            self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
+        if match.numbered:
+            told = f"{columns[0].title} to {columns[-1].title} taken as the joints from the base on"
+            self.notes.append(f"{group}: {told}")
+        return columns
 
-    def half_ranges(self, raw: Array) -> Array | None:
-        """Half ranges (n,) [rad] of normalised values, by the calibration, or by the steps of ``raw`` (T, n)."""
+    def values(self, group: str, half: Array | None = None) -> tuple[Array, list[Column], list[str]]:
+        """Return a group (T, n) in SI units and the arm's order, its columns and their units.
+
+        LeRobot's normalised -100 and 100 are ``half`` (n,) [rad] from the middle of the calibrated range
+        (``MotorsBus._normalize`` in huggingface/lerobot).
+        """
+        columns = self._columns(group)
+        units, raw = [self._unit(column) for column in columns], self._read(columns)
+        if half is None:
+            return raw * np.array([UNITS[group].get(unit, 1.0) for unit in units]), columns, units
+        if (np.abs(raw) > NORMALISED_MOST).any():
+            worst = float(raw.flat[int(np.nanargmax(np.abs(raw)))])
+            said = f"{worst:g} is no normalised value, which lie in -100..100"
+            raise FileError(self.frame.path, said, "set another --angle-unit")
+        return raw * (half / 100.0), columns, units
+
+    def half_ranges(self) -> Array | None:
+        """Half ranges (n,) [rad] of normalised values, by the calibration, or by the steps of the readings."""
         if self.options.angle_unit != "normalised":
             return None
         if self.options.calibration is not None:
             return half_ranges(self.options.calibration, self.arm, self.options)
-        counts = calibrated_ranges(raw, self.arm, self.frame.path)
+        raw = self._read(self._columns("position"))
+        counts = calibrated_ranges(raw[np.isfinite(raw).all(axis=1)], self.arm, self.frame.path)
         told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(self.arm.joint_names, counts, strict=True))
         self.notes.append(
             f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
@@ -437,23 +465,9 @@ class _Table:
         )
         return counts * np.pi / COUNTS_PER_TURN
 
-    def radians(self, raw: Array, columns: Sequence[Column], half: Array | None) -> tuple[Array, set[str]]:
-        """Angles (T, n) [rad] of ``raw`` ones, and their units.
-
-        LeRobot's normalised -100 and 100 are ``half`` (n,) [rad] from the middle of the calibrated range
-        (``MotorsBus._normalize`` in huggingface/lerobot).
-        """
-        units = [self._unit(column, self.recorder[0] or self.frame.angle_unit) for column in columns]
-        factor = np.array([ANGLES.get(unit, 1.0 if half is None else half[i] / 100.0) for i, unit in enumerate(units)])
-        if half is not None and (np.abs(raw) > NORMALISED_MOST).any():
-            worst = float(raw.flat[int(np.nanargmax(np.abs(raw)))])
-            said = f"{worst:g} is no normalised value, which lie in -100..100"
-            raise FileError(self.frame.path, said, "set another --angle-unit")
-        return raw * factor, {*units}
-
     def held(self, motion: RecordedMotion, half: Array | None) -> RecordedMotion:
         """Add the commands of this table's clock to a motion: for each state the last before it; FileError."""
-        command = self.radians(*self.joints("command"), half)[0]
+        command = self.values("command", half)[0]
         known = np.isfinite(command).any(axis=1)
         times, command, path = self.clock()[known], command[known], self.frame.path
         for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
@@ -480,31 +494,20 @@ class _Table:
         found: dict[str, Array] = {}
         units: dict[str, str] = {}
         for group in (group for group in _MEASURED if self.of(group)):
-            points, usual = group in POINTS, self.recorder[0] and next(iter(UNITS[group]), None)
             try:
-                raw, columns = self._axes(group) if points else self.joints(group)
-                named = [self._unit(column, None) if points else column.unit or usual or "" for column in columns]
+                values, columns, named = self.values(group)
             except FileError as error:
                 self.notes.append(f"{group} left out: {error.problem}")
                 continue
             if group == "powered":
-                found["gain"] = np.where(raw > 0, found.get("gain", np.nan), 0.0)
-                continue
-            if group in SI and ("" in named or len({*named}) > 1):
-                self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
-                named = [""] * len(named)
-            found[group] = raw * np.array([UNITS[group].get(unit, 1.0) for unit in named])
-            if group in SI:
-                units[group] = SI[group] if named[0] else ""
+                group, values = "gain", np.where(values > 0, found.get("gain", np.nan), 0.0)
+            elif group in SI:
+                units[group] = SI[group] if len({*named}) == 1 and named[0] else ""
+                if not units[group]:
+                    values = self._read(columns)
+                    self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
+            found[group] = values
         return found, units
-
-    def _axes(self, group: str) -> tuple[Array, list[Column]]:
-        """Places (T, 3) in file units."""
-        axes = sorted(self.of(group), key=lambda column: column.name)
-        if [column.name for column in axes] != [*AXES]:
-            said = f"columns of {group} are not x, y and z, once each"
-            raise FileError(self.frame.path, said, "name all three or none")
-        return self._read(axes), axes
 
 
 def _classified(title: str) -> tuple[str, str, str, str | None] | None:

@@ -137,8 +137,6 @@ class Match(NamedTuple):
 
     columns: list[int]
     """(n,) columns in the arm's order"""
-    linear: list[Linear]
-    """(n,) of `ImportOptions.columns`"""
     dropped: tuple[str, ...]
     """other columns"""
     numbered: bool
@@ -153,34 +151,16 @@ def joint_of(name: str, arm: Arm) -> str | None:
     return short if short in arm.joint_names else None
 
 
-def meanings(names: Sequence[str], arm: Arm, options: ImportOptions | None = None) -> list[tuple[str, Linear] | None]:
-    """Joint and scale of each name, by ``options.columns`` or its own."""
-    found = {name: (joint, Linear(column=name)) for name in names if (joint := joint_of(name, arm))}
-    for ours, theirs in ((options and options.columns) or {}).items():
-        linear = Linear.of(theirs, names)
-        if joint := joint_of(ours, arm):
-            found[linear.column] = joint, linear
-    return [found.get(name) for name in names]
-
-
-def match_joints(
-    names: Sequence[str],
-    arm: Arm,
-    path: Path,
-    what: str,
-    options: ImportOptions | None = None,
-    titles: Sequence[str] | None = None,
-) -> Match:
-    """Find every joint of the arm exactly once in a file: by `meanings`, else by numbers from 0 or 1.
+def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: Sequence[str] | None = None) -> Match:
+    """Find every joint of the arm exactly once in a file: by `joint_of`, else by numbers from 0 or 1.
 
     ``titles`` are full column names. FileError.
     """
     titles = names if titles is None else titles
-    found = meanings(names, arm, options)
-    numbered = not any(found)
+    joints = [joint_of(name, arm) for name in names]
+    numbered = not any(joints)
     if numbered:
-        found = _numbers(names, arm)
-    joints = [one and one[0] for one in found]
+        joints = _numbers(names, arm)
     for joint in arm.joint_names:
         twice = [title for title, meaning in zip(titles, joints, strict=True) if meaning == joint]
         if len(twice) > 1:
@@ -191,12 +171,11 @@ def match_joints(
             f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
             "say with --arm which arm it is of, or with --map which name means which joint: --map JOINT=NAME",
         )
-    columns = [joints.index(joint) for joint in arm.joint_names]
     dropped = tuple(title for title, joint in zip(titles, joints, strict=True) if joint is None)
-    return Match(columns, [one[1] for i in columns if (one := found[i])], dropped, numbered)
+    return Match([joints.index(joint) for joint in arm.joint_names], dropped, numbered)
 
 
-def _numbers(names: Sequence[str], arm: Arm) -> list[tuple[str, Linear] | None]:
+def _numbers(names: Sequence[str], arm: Arm) -> list[str | None]:
     """Joints of plain numbers; m1 only if the arm's names end in numbers."""
     parts = [_NUMBERED.fullmatch(name) for name in names]
     counted = all(name[-1:].isdigit() for name in arm.joint_names)
@@ -204,8 +183,7 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[tuple[str, Linear] | None]:
         own = {i: int(part[2]) for i, part in enumerate(parts) if part and part[1] == stem}
         first = min(own.values(), default=-1)
         if first in (0, 1) and sorted(own.values()) == [*range(first, first + arm.joints)]:
-            columns = enumerate(names)
-            return [(arm.joint_names[own[i] - first], Linear(column=name)) if i in own else None for i, name in columns]
+            return [arm.joint_names[own[i] - first] if i in own else None for i in range(len(names))]
     return [None] * len(names)
 
 
@@ -243,9 +221,9 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
     """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
     motors = read_homing(source, turned=True)
-    chosen = [
-        [*motors.values()][column] for column in match_joints([*motors], arm, source, "calibration", options).columns
-    ]
+    mapped = {Linear.of(theirs, motors).column: ours for ours, theirs in (options.columns or {}).items()}
+    names = [mapped.get(name, name) for name in motors]
+    chosen = [[*motors.values()][column] for column in match_joints(names, arm, source, "calibration").columns]
     counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]
     return np.array(counts) * np.pi / COUNTS_PER_TURN
 

@@ -24,7 +24,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
 from rejoint.system.stopping import noted
-from rejoint.system.textfile import head
+from rejoint.system.textfile import head, shown
 
 Array = NDArray[np.float64]
 
@@ -42,9 +42,6 @@ TWO_TURNS = 4.0 * np.pi
 
 _PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ")
 """First bytes of ZIP (also spreadsheets), gzip, zstd, bzip2 and xz; source: the program `file`"""
-_SHOWN = 8
-"""Named files of a folder (chosen)"""
-
 _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
 """Column names of a place"""
@@ -299,26 +296,17 @@ def _digest(log: RunLog) -> str:
 def describe(path: Path) -> str:
     """Kind of a file or folder, in words."""
     if path.is_dir():
-        return _folder(path)
+        names = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
+        return f"a folder with {shown(names)}"
     if not path.is_file():
         return "neither a file nor a folder"
     with path.open("rb") as file:
         start = file.read(4096)
-    if not start:
-        return "an empty file"
-    if start.startswith(b"PAR1"):
-        return "a Parquet table"
     if start.startswith(_PACKED):
         return "a packed file or a spreadsheet: unpack it, or save it as CSV"
     sheet = head(path)
     if sheet is not None:
         return f"text in {sheet.found}: {sheet.shown}"
-    return "binary data" if b"\x00" in start else "text without columns"
-
-
-def _folder(path: Path) -> str:
-    names = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
-    if not names:
-        return "an empty folder"
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return f"a folder with {', '.join(names[:_SHOWN])}{more}"
+    if start.startswith(b"PAR1"):
+        return "a Parquet table"
+    return "binary data" if b"\x00" in start else "text without columns" if start else "an empty file"

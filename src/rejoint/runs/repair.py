@@ -354,20 +354,21 @@ class _Chain:
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
         emulated = is_batchable(robot)
         gauge = None if plan.gauge == NO_GAUGE else plan.gauge
-        self.do("diagnose", lambda watch: diagnose(robot, run=run, quick=quick, settings=settings, observer=watch))
-        self.do("calibrate", lambda watch: calibrate(robot, run=run, gauge=gauge, settings=settings, observer=watch))
+        moving: dict[str, Any] = {"run": run, "settings": settings}
+        self.do("diagnose", partial(diagnose, robot, quick=quick, **moving))
+        self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
         fresh, why = quick or (emulated if plan.fresh is None else plan.fresh), None
         if not fresh and isinstance(plan.preset, str):
             why = keep_what_holds(run, plan.preset)
-        self.do("identify", lambda watch: identify(run=run, quick=quick, observer=watch), why)
-        self.do("gains", lambda watch: gains(robot, run, settings=settings, observer=watch), why)
+        self.do("identify", partial(identify, run=run, quick=quick), why)
+        self.do("gains", partial(gains, robot, **moving), why)
         early = emulated and self.only is None and not self.controllers
         early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
         ahead = self._comparison(Observer()).begin_ahead() if early else None
         with nullcontext() if ahead is None else closing(ahead):
-            self.do("train", lambda watch: train(run=run, preset=plan.preset, quick=quick, observer=watch), why)
-            self.do("compare", lambda watch: self._compare(watch, ahead))
-        self.do("report", lambda _: report(run))
+            self.do("train", partial(train, run=run, preset=plan.preset, quick=quick), why)
+            self.do("compare", partial(self._compare, ahead))
+        self.do("report", lambda observer: report(run))  # noqa: ARG005
 
     def _comparison(self, observer: Observer) -> ComparisonJob:
         plan, run, quick, emulated = self.plan, self.run, self.quick, is_batchable(self.robot)
@@ -386,11 +387,11 @@ class _Chain:
         about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
         return comparison_job(self.robot, self.controllers, targets, **about)
 
-    def _compare(self, observer: Observer, ahead: HelperProcess | None) -> Compared:
+    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
         with exclusive(self.run):
             return self._comparison(observer).drive(observer.progress, ahead)
 
-    def do(self, name: StageName, work: Callable[[Observer], object], why: Kept | None = None) -> None:
+    def do(self, name: StageName, work: Callable[..., object], why: Kept | None = None) -> None:
         """Do a stage, or report that it is done, and ``why`` it is kept."""
         if name not in self.files or self.only not in (None, name):
             return
@@ -404,7 +405,7 @@ class _Chain:
         begun = time.monotonic()
         share = (number / total, (number + 1) / total) if self.only is None else (0.0, 1.0)
         try:
-            result = work(StageObserver(self.observer, *share))
+            result = work(observer=StageObserver(self.observer, *share))
         finally:
             add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
             give_back()
