@@ -1,8 +1,9 @@
 """Compiled dynamics of some dozen serial arms at once.
 
-Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
-whose z axis is the joint. To vectorize, loops over the arms need arrays without overlap (`NoAlias`), one row per
-quantity of a joint, no calls but of `INLINE` functions, and an unknown number of lanes.
+Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), all in the
+base's axes and about its origin, so that bodies simply add. Link frames have their joint as z axis. To vectorize, loops
+over the arms need arrays without overlap (`NoAlias`), one row per quantity of a joint, no calls but of `INLINE`
+functions, and an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -18,16 +19,14 @@ LANES, GROUP = 64, 8
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
 """Indices of a link's constants: rotation and place of its joint; mass, first moment and inertia about it; the mass
 behind it; their number"""
-# Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each: rotation R, angular
-# velocity W, angular and linear acceleration A and L, force F, moment N; of all that it carries first moment H and
-# inertia I.
-R0, R1, R2, R3, R4, R5, R6, R7, R8 = (LANES * k for k in range(9))
-WX, WY, WZ, AX, AY, AZ, LX, LY, LZ = (LANES * k for k in range(9, 18))
-FX, FY, FZ, NX, NY, NZ, HX, HY, HZ = (LANES * k for k in range(18, 27))
-IXX, IYY, IZZ, IXY, IXZ, IYZ, KEPT_ROW = (LANES * k for k in range(27, 34))
-_X, _Y, _Z, _U, _V, _T, REACH_ROW = (LANES * k for k in range(7))  # of a force and a moment that are carried on
-ACCELERATION, TORQUE = LX, NZ
-"""Indices of a joint's linear acceleration (base: minus gravity) and bias torque"""
+# Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each element: columns of its
+# rotation, place, moment of its axis about the origin, angular and linear velocity and acceleration, torque; and, of
+# all that it carries, force, moment, first moment and inertia (xx, yy, zz, xy, xz, yz).
+_ROWS = (0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 28, 31, 34, 37, 43)
+X, Y, Z, AT, AXIS, SPIN, SPEED, TURN, ACCELERATION, TORQUE, FORCE, MOMENT_OF, FIRST, SPREAD, KEPT_ROW = (
+    LANES * k for k in _ROWS
+)
+_LINEAR, _ANGULAR, REACH_ROW = 0, 3 * LANES, 6 * LANES  # momentum of a joint's unit motion
 
 
 class NoAlias(Compiler):  # type: ignore[misc]
@@ -65,28 +64,45 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
 
 
 @njit(**INLINE)
-def _cross(ax, ay, az, bx, by, bz):
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+def _load(row, first, l):
+    return row[first + l], row[first + LANES + l], row[first + 2 * LANES + l]
 
 
 @njit(**INLINE)
-def _turned(here, l, x, y, z):
-    """Turn a vector of the frame ``here`` to the one before."""
+def _store(row, first, l, a):
+    row[first + l], row[first + LANES + l], row[first + 2 * LANES + l] = a
+
+
+@njit(**INLINE)
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(**INLINE)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(**INLINE)
+def _plus(a, b, factor):
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@njit(**INLINE)
+def _combined(x, y, z, a):
+    """Turn a vector by the rotation with columns x, y and z, or multiply it by such a matrix."""
     return (
-        here[R0 + l] * x + here[R1 + l] * y + here[R2 + l] * z,
-        here[R3 + l] * x + here[R4 + l] * y + here[R5 + l] * z,
-        here[R6 + l] * x + here[R7 + l] * y + here[R8 + l] * z,
+        x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
+        x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
+        x[2] * a[0] + y[2] * a[1] + z[2] * a[2],
     )
 
 
 @njit(**INLINE)
-def _back(here, l, x, y, z):
-    """Turn a vector of the frame before to ``here``."""
-    return (
-        here[R0 + l] * x + here[R3 + l] * y + here[R6 + l] * z,
-        here[R1 + l] * x + here[R4 + l] * y + here[R7 + l] * z,
-        here[R2 + l] * x + here[R5 + l] * y + here[R8 + l] * z,
-    )
+def _spun(row, l, a):
+    """Multiply a vector by the inertia in a row."""
+    (xx, yy, zz), (xy, xz, yz) = _load(row, SPREAD, l), _load(row, SPREAD + 3 * LANES, l)
+    return _combined((xx, xy, xz), (xy, yy, yz), (xz, yz, zz), a)
 
 
 @njit(**OPTIONS)
@@ -114,104 +130,68 @@ def turn(lanes, q, sine, cosine):
 
 @njit(**OPTIONS)
 def forward(lanes, link, before, here, speed, sine, cosine):
-    """Carry motion from the joint ``before``; store the inertial force and moment."""
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = link[0], link[1], link[2], link[3], link[4], link[5], link[6], link[7], link[8]
-    px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
-    mass, hx, hy, hz = link[MASS], link[MOMENT], link[MOMENT + 1], link[MOMENT + 2]
-    ixx, iyy, izz = link[INERTIA], link[INERTIA + 1], link[INERTIA + 2]
-    ixy, ixz, iyz = link[INERTIA + 3], link[INERTIA + 4], link[INERTIA + 5]
+    """Carry motion from the joint ``before``; store the link's inertia, inertial force and moment."""
+    x0, y0, z0 = (link[0], link[3], link[6]), (link[1], link[4], link[7]), (link[2], link[5], link[8])
+    place, first = (link[PLACE], link[PLACE + 1], link[PLACE + 2]), (link[MOMENT], link[MOMENT + 1], link[MOMENT + 2])
+    xx, yy, zz = link[INERTIA], link[INERTIA + 1], link[INERTIA + 2]
+    xy, xz, yz = link[INERTIA + 3], link[INERTIA + 4], link[INERTIA + 5]
+    mass, none = link[MASS], (0.0, 0.0, 0.0)
     for l in range(lanes):
         s, c, v = sine[l], cosine[l], speed[l]
-        # Rotation from here to before: that of the frame, then about z.
-        here[R0 + l], here[R1 + l], here[R2 + l] = r0 * c + r1 * s, r1 * c - r0 * s, r2
-        here[R3 + l], here[R4 + l], here[R5 + l] = r3 * c + r4 * s, r4 * c - r3 * s, r5
-        here[R6 + l], here[R7 + l], here[R8 + l] = r6 * c + r7 * s, r7 * c - r6 * s, r8
-        wx, wy, wz = before[WX + l], before[WY + l], before[WZ + l]
-        ax, ay, az = before[AX + l], before[AY + l], before[AZ + l]
-        lx, ly, lz = before[LX + l], before[LY + l], before[LZ + l]
-        # Acceleration of the joint's place, seen before: linear + angular x p + w x (w x p).
-        cx, cy, cz = _cross(wx, wy, wz, px, py, pz)
-        lx += ay * pz - az * py + wy * cz - wz * cy
-        ly += az * px - ax * pz + wz * cx - wx * cz
-        lz += ax * py - ay * px + wx * cy - wy * cx
-        ux, uy, uz = _back(here, l, wx, wy, wz)
-        bx, by, bz = _back(here, l, ax, ay, az)
-        dx, dy, dz = _back(here, l, lx, ly, lz)
-        bx, by, uz = bx + uy * v, by - ux * v, uz + v
-        here[WX + l], here[WY + l], here[WZ + l] = ux, uy, uz
-        here[AX + l], here[AY + l], here[AZ + l] = bx, by, bz
-        here[LX + l], here[LY + l], here[LZ + l] = dx, dy, dz
-        # Force: mass * place + angular x first moment + w x (w x first moment); moment about the joint.
-        ex, ey, ez = _cross(ux, uy, uz, hx, hy, hz)
-        here[FX + l] = mass * dx + by * hz - bz * hy + uy * ez - uz * ey
-        here[FY + l] = mass * dy + bz * hx - bx * hz + uz * ex - ux * ez
-        here[FZ + l] = mass * dz + bx * hy - by * hx + ux * ey - uy * ex
-        kx, ky, kz = ixx * ux + ixy * uy + ixz * uz, ixy * ux + iyy * uy + iyz * uz, ixz * ux + iyz * uy + izz * uz
-        here[NX + l] = ixx * bx + ixy * by + ixz * bz + uy * kz - uz * ky + hy * dz - hz * dy
-        here[NY + l] = ixy * bx + iyy * by + iyz * bz + uz * kx - ux * kz + hz * dx - hx * dz
-        here[NZ + l] = ixz * bx + iyz * by + izz * bz + ux * ky - uy * kx + hx * dy - hy * dx
-        here[HX + l], here[HY + l], here[HZ + l] = hx, hy, hz
-        here[IXX + l], here[IYY + l], here[IZZ + l] = ixx, iyy, izz
-        here[IXY + l], here[IXZ + l], here[IYZ + l] = ixy, ixz, iyz
+        bx, by, bz = _load(before, X, l), _load(before, Y, l), _load(before, Z, l)
+        a, b, z = _combined(bx, by, bz, x0), _combined(bx, by, bz, y0), _combined(bx, by, bz, z0)
+        x, y = _plus(_plus(none, a, c), b, s), _plus(_plus(none, b, c), a, -s)
+        _store(here, X, l, x)
+        _store(here, Y, l, y)
+        _store(here, Z, l, z)
+        at = _plus(_load(before, AT, l), _combined(bx, by, bz, place), 1.0)
+        axis = _cross(at, z)
+        _store(here, AT, l, at)
+        _store(here, AXIS, l, axis)
+        w, u = _plus(_load(before, SPIN, l), z, v), _plus(_load(before, SPEED, l), axis, v)
+        _store(here, SPIN, l, w)
+        _store(here, SPEED, l, u)
+        dw = _plus(_load(before, TURN, l), _cross(w, z), v)
+        du = _plus(_plus(_load(before, ACCELERATION, l), _cross(w, axis), v), _cross(u, z), v)
+        _store(here, TURN, l, dw)
+        _store(here, ACCELERATION, l, du)
+        # First moment h; inertia: R I R', then the parallel axis.
+        h = _combined(x, y, z, first)
+        g = _plus(h, at, 0.5 * mass)
+        h = _plus(h, at, mass)
+        _store(here, FIRST, l, h)
+        a, b, d = _combined(x, y, z, (xx, xy, xz)), _combined(x, y, z, (xy, yy, yz)), _combined(x, y, z, (xz, yz, zz))
+        p, q, r = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+        e, f, t = _combined(a, b, d, p), _combined(a, b, d, q), _combined(a, b, d, r)
+        sx, sy, sz = at[0] * g[0], at[1] * g[1], at[2] * g[2]
+        _store(here, SPREAD, l, _plus((e[0], f[1], t[2]), (sy + sz, sx + sz, sx + sy), 2.0))
+        cross = at[0] * g[1] + at[1] * g[0], at[0] * g[2] + at[2] * g[0], at[1] * g[2] + at[2] * g[1]
+        _store(here, SPREAD + 3 * LANES, l, _plus((e[1], e[2], f[2]), cross, -1.0))
+        # Momentum p and k, and what changes it: force and moment.
+        p = _plus(_cross(w, h), u, mass)
+        k = _plus(_spun(here, l, w), _cross(h, u), 1.0)
+        _store(here, FORCE, l, _plus(_plus(_cross(dw, h), du, mass), _cross(w, p), 1.0))
+        moment = _plus(_spun(here, l, dw), _cross(h, du), 1.0)
+        _store(here, MOMENT_OF, l, _plus(_plus(moment, _cross(w, k), 1.0), _cross(u, p), 1.0))
 
 
 @njit(**OPTIONS)
-def backward(lanes, link, before, here):
-    """Add a joint's force, moment and mass to those before."""
-    px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
+def coupling(lanes, mass, j, kept, reach, inertia):
+    """Fill row ``j`` of the ``inertia`` (n, n, LANES) and its torque; add what it carries to the joint before."""
+    here, before = kept[j + 1], kept[j]
     for l in range(lanes):
-        r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
-        r3, r4, r5 = here[R3 + l], here[R4 + l], here[R5 + l]
-        r6, r7, r8 = here[R6 + l], here[R7 + l], here[R8 + l]
-        fx, fy, fz = _turned(here, l, here[FX + l], here[FY + l], here[FZ + l])
-        x, y, z = _turned(here, l, here[NX + l], here[NY + l], here[NZ + l])
-        before[FX + l] += fx
-        before[FY + l] += fy
-        before[FZ + l] += fz
-        before[NX + l] += x + py * fz - pz * fy
-        before[NY + l] += y + pz * fx - px * fz
-        before[NZ + l] += z + px * fy - py * fx
-        hx, hy, hz = _turned(here, l, here[HX + l], here[HY + l], here[HZ + l])
-        before[HX + l] += hx + mass * px
-        before[HY + l] += hy + mass * py
-        before[HZ + l] += hz + mass * pz
-        ixx, iyy, izz = here[IXX + l], here[IYY + l], here[IZZ + l]
-        ixy, ixz, iyz = here[IXY + l], here[IXZ + l], here[IYZ + l]
-        # R I R', then the parallel axis: for p and the first moment h of what is moved.
-        a0, b0, c0 = _turned(here, l, ixx, ixy, ixz)
-        a1, b1, c1 = _turned(here, l, ixy, iyy, iyz)
-        a2, b2, c2 = _turned(here, l, ixz, iyz, izz)
-        gx, gy, gz = hx + 0.5 * mass * px, hy + 0.5 * mass * py, hz + 0.5 * mass * pz
-        before[IXX + l] += a0 * r0 + a1 * r1 + a2 * r2 + 2.0 * (py * gy + pz * gz)
-        before[IYY + l] += b0 * r3 + b1 * r4 + b2 * r5 + 2.0 * (px * gx + pz * gz)
-        before[IZZ + l] += c0 * r6 + c1 * r7 + c2 * r8 + 2.0 * (px * gx + py * gy)
-        before[IXY + l] += a0 * r3 + a1 * r4 + a2 * r5 - px * gy - py * gx
-        before[IXZ + l] += a0 * r6 + a1 * r7 + a2 * r8 - px * gz - pz * gx
-        before[IYZ + l] += b0 * r6 + b1 * r7 + b2 * r8 - py * gz - pz * gy
-
-
-@njit(**OPTIONS)
-def coupling(lanes, links, j, kept, reach, inertia):
-    """Fill row ``j`` of the ``inertia`` (n, n, LANES)."""
-    here = kept[j + 1]
-    for l in range(lanes):
-        reach[_X + l], reach[_Y + l], reach[_Z + l] = -here[HY + l], here[HX + l], 0.0
-        reach[_U + l], reach[_V + l], reach[_T + l] = here[IXZ + l], here[IYZ + l], here[IZZ + l]
-        inertia[j, j, l] = here[IZZ + l]
-    for i in range(j, 0, -1):
-        _carry(lanes, links[i], kept[i + 1], reach, inertia[j, i - 1])
-
-
-@njit(**OPTIONS)
-def _carry(lanes, link, here, reach, moment):
-    px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
-    for l in range(lanes):
-        fx, fy, fz = _turned(here, l, reach[_X + l], reach[_Y + l], reach[_Z + l])
-        x, y, z = _turned(here, l, reach[_U + l], reach[_V + l], reach[_T + l])
-        reach[_X + l], reach[_Y + l], reach[_Z + l] = fx, fy, fz
-        reach[_U + l] = x + py * fz - pz * fy
-        reach[_V + l] = y + pz * fx - px * fz
-        reach[_T + l] = moment[l] = z + px * fy - py * fx
+        z, axis, h = _load(here, Z, l), _load(here, AXIS, l), _load(here, FIRST, l)
+        _store(reach, _LINEAR, l, _plus(_cross(z, h), axis, mass))
+        _store(reach, _ANGULAR, l, _plus(_spun(here, l, z), _cross(h, axis), 1.0))
+        here[TORQUE + l] = _dot(z, _load(here, MOMENT_OF, l)) + _dot(axis, _load(here, FORCE, l))
+    for i in range(j + 1):
+        there, row = kept[i + 1], inertia[j, i]
+        for l in range(lanes):
+            turning = _dot(_load(there, Z, l), _load(reach, _ANGULAR, l))
+            row[l] = turning + _dot(_load(there, AXIS, l), _load(reach, _LINEAR, l))
+    for k in range(FORCE, KEPT_ROW, LANES):
+        for l in range(lanes):
+            before[k + l] += here[k + l]
 
 
 @njit(**OPTIONS)

@@ -19,13 +19,13 @@ from rejoint.twin.backlash import cross
 from rejoint.twin.chain import dynamics
 from rejoint.twin.chain.dynamics import (
     ACCELERATION,
+    CARRIED,
     GROUP,
     KEPT_ROW,
     LANES,
     OPTIONS,
     REACH_ROW,
     TORQUE,
-    backward,
     coupling,
     forward,
     invert,
@@ -47,7 +47,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
     ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
-    ``work``: `workspace` with minus gravity in its first row.
+    ``work``: `workspace` with minus gravity in its first row, the base's.
     """
     position, speed, impulse = state
     kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
@@ -58,9 +58,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
         turn(lanes, scratch, sine, cosine)
         forward(lanes, links[j], kept[j], kept[j + 1], speed[j], sine, cosine)
     for j in range(joints - 1, -1, -1):
-        coupling(lanes, links, j, kept, reach, inertia)
-        if j > 0:
-            backward(lanes, links[j], kept[j], kept[j + 1])
+        coupling(lanes, links[j, CARRIED], j, kept, reach, inertia)
         for l in range(lanes):
             h = timestep[l]
             inertia[j, j, l] += servo[ARMATURE, j, l] + h * servo[DAMPING, j, l]
@@ -112,7 +110,9 @@ def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
     """Allocate the scratch arrays of a block."""
     square, row = (joints, joints, LANES), (joints, LANES)
     shapes = ((joints + 1, KEPT_ROW), square, square, square, REACH_ROW, row, row, LANES, LANES, LANES)
-    return tuple(np.zeros(shape) for shape in shapes)
+    arrays = tuple(np.zeros(shape) for shape in shapes)
+    arrays[0][0, : 9 * LANES] = np.repeat(np.eye(3).ravel(), LANES)  # the base is not turned
+    return arrays
 
 
 _dry_friction = njit(inline="always")(friction.dry_friction)
