@@ -10,7 +10,6 @@ functions, and an unknown number of lanes.
 # ruff: noqa: ANN001, ANN201, ANN202, E741 - compiled functions take their types from their arguments; l is a lane
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 from numba.core.compiler import Compiler
 
@@ -195,51 +194,26 @@ def coupling(lanes, mass, j, kept, reach, inertia):
 
 
 @njit(**OPTIONS)
-def invert(lanes, joints, inertia, half, inverse, scratch):
-    """Invert symmetric matrices (n, n, LANES), given as lower half, by Cholesky factors."""
-    for j in range(joints):
+def invert(lanes, joints, inertia, inverse, column, factor):
+    """Invert positive definite matrices (n, n, LANES), given as lower half, by sweeps (Goodnight 1979)."""
+    for k in range(joints):
         for l in range(lanes):
-            scratch[l] = inertia[j, j, l]
-        for k in range(j):
+            factor[l] = -1.0 / inertia[k, k, l]
+        for i in range(joints):
+            row = inertia[i, k] if i > k else inertia[k, i]
             for l in range(lanes):
-                scratch[l] -= half[j, k, l] * half[j, k, l]
-        for l in range(lanes):
-            half[j, j, l] = 1.0 / np.sqrt(scratch[l])  # of the factor's diagonal: the inverse
-        for i in range(j + 1, joints):
-            for l in range(lanes):
-                scratch[l] = inertia[i, j, l]
-            for k in range(j):
+                column[i, l] = row[l]
+        for i in range(joints):
+            for j in range(i + 1):
                 for l in range(lanes):
-                    scratch[l] -= half[i, k, l] * half[j, k, l]
+                    inertia[i, j, l] += factor[l] * column[i, l] * column[j, l]
+        for i in range(joints):
+            row = inertia[i, k] if i > k else inertia[k, i]
             for l in range(lanes):
-                scratch[l] *= half[j, j, l]
-            for l in range(lanes):
-                half[i, j, l] = scratch[l]
-    for j in range(joints):  # the factor's inverse, into the lower half of `inverse`, transposed: [j, i] is of row i
-        for l in range(lanes):
-            inverse[j, j, l] = half[j, j, l]
-        for i in range(j + 1, joints):
-            for l in range(lanes):
-                scratch[l] = 0.0
-            for k in range(j, i):
-                for l in range(lanes):
-                    scratch[l] -= half[i, k, l] * inverse[j, k, l]
-            for l in range(lanes):
-                inverse[j, i, l] = scratch[l] * half[i, i, l]
-    for i in range(joints):  # W' W, where W is that inverse
-        for j in range(i + 1):
-            for l in range(lanes):
-                scratch[l] = 0.0
-            for k in range(i, joints):
-                for l in range(lanes):
-                    scratch[l] += inverse[i, k, l] * inverse[j, k, l]
-            for l in range(lanes):
-                half[i, j, l] = scratch[l]
+                row[l] = factor[l] if i == k else -factor[l] * column[i, l]
     for i in range(joints):
         for j in range(i + 1):
             for l in range(lanes):
-                scratch[l] = half[i, j, l]
+                inverse[i, j, l] = -inertia[i, j, l]
             for l in range(lanes):
-                inverse[i, j, l] = scratch[l]
-            for l in range(lanes):
-                inverse[j, i, l] = scratch[l]
+                inverse[j, i, l] = -inertia[i, j, l]

@@ -50,7 +50,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
     ``work``: `workspace` with minus gravity in its first row, the base's.
     """
     position, speed, impulse = state
-    kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
+    kept, inertia, inverse, reach, column, free, next_speed, scratch, sine, cosine = work
     joints = len(links)
     for j in range(joints):
         for l in range(lanes):
@@ -68,7 +68,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
             torque = -limit if torque < -limit else torque
             # The impulse of everything but friction, and with that of the step before as a first guess.
             free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
-    invert(lanes, joints, inertia, half, inverse, scratch)
+    invert(lanes, joints, inertia, inverse, column, scratch)
     for i in range(joints):
         for l in range(lanes):
             scratch[l] = speed[i, l]
@@ -109,7 +109,7 @@ def _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch):
 def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
     """Allocate the scratch arrays of a block."""
     square, row = (joints, joints, LANES), (joints, LANES)
-    shapes = ((joints + 1, KEPT_ROW), square, square, square, REACH_ROW, row, row, LANES, LANES, LANES)
+    shapes = ((joints + 1, KEPT_ROW), square, square, REACH_ROW, row, row, row, LANES, LANES, LANES)
     arrays = tuple(np.zeros(shape) for shape in shapes)
     arrays[0][0, : 9 * LANES] = np.repeat(np.eye(3).ravel(), LANES)  # the base is not turned
     return arrays
