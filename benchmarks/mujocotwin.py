@@ -20,7 +20,7 @@ from mujoco.batch import Batch
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import dry_friction, is_steady
+from rejoint.twin.friction import dry_friction
 from rejoint.twin.parameters import TwinParameters
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -116,7 +116,7 @@ class TableBatch:
 
         ``terms`` (t, m, n): friction by speed (`rejoint.twin.friction.friction_terms`).
         """
-        if terms is None or is_steady(terms):
+        if terms is None or (terms[-1] == 1.0).all():
             return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
         path = np.empty_like(control)
         for k in range(control.shape[1]):

@@ -8,7 +8,6 @@ import numpy as np
 from benchmarks.mujocotwin import TableBatch
 from rejoint.arms import mycobot280
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import SUBSTEPS
 
@@ -21,16 +20,14 @@ def main(arms: int = 1024) -> None:
     twins = replace(twins, stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape))
     chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
     start = np.tile(arm.rest, (arms, 1))
-    chain.write(twins)
+    chain.write(twins, stiction=1.5)
     for batch in (chain, judge):
         batch.restart(start)
     goals = start[:, None] + rng.normal(0.0, 0.2, (CYCLES, arms, 1, arm.joints)).repeat(SUBSTEPS, axis=2)
-    steady, speedy = friction_terms(twins, 1.0), friction_terms(twins, 1.5)
     took: dict[str, list[float]] = {}
     for k in range(ROUNDS + 1):  # in turns, so that other load hits all alike; the first compiles
         for name, roll in {
-            "compiled": lambda goal: chain.rollout(goal, steady),
-            "compiled, friction by speed": lambda goal: chain.rollout(goal, speedy),
+            "compiled": chain.rollout,
             "MuJoCo": judge.rollout,
         }.items():
             begun = time.process_time()

@@ -48,17 +48,17 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceler
     """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on."""
     twin = truth.repeat(1)
     arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP)
+    terms = () if table is None else (friction_terms(twin, stiction),)
     if table is None:
-        arm.write(twin)
+        arm.write(twin, stiction=stiction)
     arm.restart(command[:1])
-    terms = friction_terms(twin, stiction)
     reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed))
     if acceleration < np.inf:
         reference = ServoReference(time, command, np.ones(1), acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
-    arm.rollout(np.tile(control[:1], (1, 400, 1)), terms)
-    path = np.vstack([arm.qpos.copy(), arm.rollout(control[None], terms)[0]])
+    arm.rollout(np.tile(control[:1], (1, 400, 1)), *terms)
+    path = np.vstack([arm.qpos.copy(), arm.rollout(control[None], *terms)[0]])
     clock = time[0] + np.arange(len(path)) * STEP
     position = np.stack([np.interp(time, clock, column) for column in path.T], axis=1)
     position = np.round(position / ARM.encoder_step) * ARM.encoder_step

@@ -43,8 +43,3 @@ def dry_friction(terms: Array, speed: Array) -> Array:
     """
     coulomb, stiction = terms[0], terms[-1]
     return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
-
-
-def is_steady(terms: Array) -> bool:
-    """Whether dry friction is the same at every speed."""
-    return bool((terms[-1] == 1.0).all())

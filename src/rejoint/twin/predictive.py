@@ -18,7 +18,6 @@ from rejoint.control.controllers.catalogue import PREDICTIVE
 from rejoint.control.controllers.law import Pace, limit_lead, limit_position
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
@@ -226,8 +225,7 @@ class Planner:
         self.shadow.time = inputs.state.time.copy()
         self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
         samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
-        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
-        self._friction = friction_terms(samples.twin, samples.stiction)
+        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale, stiction=samples.stiction)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
@@ -261,7 +259,7 @@ class Planner:
         control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
-        passed = self._rollouts.rollout(control, self._friction).reshape(count, samples, steps, n)
+        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
         return self._judge(inputs, candidates, passed)
 
     def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:

@@ -21,7 +21,6 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import ServoReference
 
@@ -117,9 +116,9 @@ class Replay:
         if m * count not in self._batches:
             self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
         twins = self._batches[m * count]
-        twins.write(arms)
+        twins.write(arms, stiction=self.stiction)
         twins.restart(start, velocity)
-        passed = twins.rollout(self._control(parameters), friction_terms(arms, self.stiction))
+        passed = twins.rollout(self._control(parameters))
         path = np.concatenate([start[:, None], passed], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.robot import JointState, Mask
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.friction import DRY, friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import Latency, LiveReference
 
@@ -79,7 +78,7 @@ class Simulation:
         """(N,) [s]"""
         self.measured = np.zeros((count, n))
         """(N, n) [rad] newest readings, in encoder steps"""
-        self._friction, self._feed = np.ones((len(DRY) + 1, count, n)), np.zeros((count, n))
+        self._feed = np.zeros((count, n))
 
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
@@ -87,13 +86,12 @@ class Simulation:
         At ``position`` with constant ``command`` (m, n) [rad].
         """
         where = np.ones(len(self.time), dtype=bool) if where is None else where
-        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
+        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale, stiction=draw.stiction)
         self.twins.restart(position, ids=where)
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
         self.latency.clear(where, command, position)
         self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
         self.twins.loosen(draw.backlash, draw.grease, where)
-        self._friction[:, where] = friction_terms(draw.twin, draw.stiction)
         self._feed[where] = draw.twin.compensation / draw.twin.stiffness
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
@@ -117,7 +115,7 @@ class Simulation:
 
     def rollout(self, reference: Array) -> Array:
         """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
-        return self.twins.rollout(reference, self._friction)
+        return self.twins.rollout(reference)
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step

@@ -14,12 +14,12 @@ from rejoint.arms.workspace import unloaded_joints
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
 from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import dry_friction, is_steady
+from rejoint.twin.friction import DRY, friction_terms
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
-ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
+ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
 """Rows of parameters for `rejoint.twin.chain.step`"""
 
 
@@ -34,6 +34,7 @@ class ChainBatch:
         """(nsim,) [s]"""
         self._links = chain_links(arm)
         self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS), *shape))
+        self._terms = np.zeros((len(DRY) + 1, *shape))
         self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
         self._gear = np.zeros((5, *shape))
         """half of the backlash, place of the motor, its speed, flank, and grease, see `rejoint.twin.backlash.cross`"""
@@ -43,14 +44,23 @@ class ChainBatch:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self.write(nominal_parameters(arm))
 
-    def write(self, parameters: TwinParameters, ids: Ids = None, *, gravity_scale: float | Array = 1.0) -> None:
+    def write(
+        self,
+        parameters: TwinParameters,
+        ids: Ids = None,
+        *,
+        gravity_scale: float | Array = 1.0,
+        stiction: float | Array = 1.0,
+    ) -> None:
         """Set parameters (m,) of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``gravity_scale``: a number or (m,).
+        ``gravity_scale``: a number or (m,). ``stiction``: static over kinetic friction, a number or (m, n).
         """
         chosen = slice(None) if ids is None else ids
         for row, name in zip(self._parameters, ROWS, strict=True):
             row[chosen] = getattr(parameters, name)
+        for row, term in zip(self._terms, friction_terms(parameters, stiction), strict=True):
+            row[chosen] = term
         self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)
 
     def loosen(self, backlash: Array, grease: Array, ids: Ids = None) -> None:
@@ -66,19 +76,11 @@ class ChainBatch:
         still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
         self._gear[:, chosen] = np.stack([half, still, still, flank, still + grease[:, None]])
 
-    def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions.
-
-        ``terms`` (t, nsim, n): friction by speed (`rejoint.twin.friction.friction_terms`).
-        """
+    def rollout(self, control: Array) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
-        steady = terms is None or is_steady(terms)
-        still = (
-            self._parameters[ROWS.index("coulomb")] if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
-        )
-        given = np.ascontiguousarray(still[None] if steady else terms)
-        motors, state = (self._parameters, given, steady), (self.qpos, self.qvel, self._impulse)
+        motors, state = (self._parameters, self._terms), (self.qpos, self.qvel, self._impulse)
         gears = (self._gear, self._carried, bool(self._gear[0].any()))
         arrays = (self._links, motors, gears, (self._gravity, self.timestep), control, state, path)
         if self._pool is None:

@@ -124,11 +124,11 @@ def _compiled(sources):
     @njit(**OPTIONS)
     def advance(links, motors, gears, world, control, state, path, part):
         """Advance the arms of a ``part``; copies of the last arm fill the last group."""
-        (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
+        (parameters, terms), (qpos, qvel, impulse), (first, last, work) = motors, state, part
         (gear, carried, geared), (gravity, timestep) = gears, world
         joints = len(links)
         h = np.empty(LANES)
-        servo = np.empty((len(parameters), joints, LANES))
+        servo = np.empty((len(parameters) + 1, joints, LANES))
         dry = np.empty((len(terms), joints, LANES))
         reference, position = np.empty((joints, LANES)), np.empty((joints, LANES))
         speed, push = np.empty((joints, LANES)), np.empty((joints, LANES))
@@ -145,16 +145,13 @@ def _compiled(sources):
                         servo[k, j, lane] = parameters[k, i, j]
                     for k in range(len(terms)):
                         dry[k, j, lane] = terms[k, i, j]
-                    if steady:
-                        servo[FRICTION, j, lane] = dry[0, j, lane]
                     position[j, lane], speed[j, lane], push[j, lane] = qpos[i, j], qvel[i, j], impulse[i, j]
             for k in range(control.shape[1]):
                 for lane in range(lanes):
                     i = min(begin + lane, last - 1)
                     for j in range(joints):
                         reference[j, lane] = control[i, k, j]
-                        if not steady:
-                            servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
+                        servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
                 if geared:
                     for lane in range(count):
                         for j in range(joints):
@@ -163,7 +160,7 @@ def _compiled(sources):
                             if half == 0.0:
                                 continue
                             turned = speed[j, lane] if flank != 0.0 else v
-                            friction = dry[0, j, lane] if steady else _dry_friction(dry[:, j, lane], turned)
+                            friction = _dry_friction(dry[:, j, lane], turned)
                             motor = parameters[:, i, j]
                             place, v, flank, free, speed[j, lane] = cross(
                                 (half, place, v, flank, carried[j]),
@@ -181,8 +178,6 @@ def _compiled(sources):
                             servo[DAMPING, j, lane] = motor[DAMPING] * (grease if alone else 1.0)
                             if alone:
                                 servo[FRICTION, j, lane] = 0.0
-                            elif steady:
-                                servo[FRICTION, j, lane] = friction
                 step_block(lanes, links, h, servo, reference, (position, speed, push), work)
                 for lane in range(count):
                     for j in range(joints):
