@@ -363,15 +363,17 @@ class _Table:
             names *= len(places)
         found = []
         for place, name in zip(places, names, strict=False):
-            before = self.columns.get(place)
-            said = (before and before.unit) or split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
-            group, unit, scale, offset = own[1] if own else "", own and own[3], linear.scale, linear.offset
-            if joint is not None:
-                group, unit = before.group if before else "position", split_unit(ours, ANGLES)[1]
-                if group not in ("position", "command"):  # the gear's torque, the motor's current, and what has no gear
-                    scale = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0)
-                    offset, unit = 0.0, None
-            found.append((ours, Column(place, titles[place], group, name, unit or said, scale, offset)))
+            unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
+            column = self.columns.get(place) or Column(place, titles[place], "position", "", unit)
+            scale, offset, unit = linear.scale, linear.offset, own and own[3]
+            if own is not None and joint is None:
+                column = column._replace(group=own[1])
+            elif column.group in ("position", "command"):
+                unit = split_unit(ours, ANGLES)[1]
+            else:  # the gear's torque, the motor's current, and what has no gear
+                scale, offset = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(column.group, 1.0), 0.0
+            unit = unit or column.unit
+            found.append((ours, column._replace(name=name, unit=unit, scale=scale, offset=offset)))
         return found
 
     def _unit(self, column: Column) -> str:

@@ -102,20 +102,15 @@ _FILES = ("diagnosis", "calibration", "twin", "gains", "policy", "comparison", "
 
 
 def stages_of(
-    robot: RobotLike,
-    arm: Arm,
-    files: RunFolder,
-    *,
-    controllers: Controllers = (),
-    gauge: GaugeLike | None = None,
-    quick: bool = False,
+    robot: RobotLike, arm: Arm, files: RunFolder, plan: RepairPlan | None = None, *, quick: bool = False
 ) -> dict[StageName, Path]:
     """Name the stages of a repair in order, each with its file."""
+    what = plan or RepairPlan()
     found: dict[StageName, Path] = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
-    if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
+    if what.gauge == NO_GAUGE or (what.gauge is None and not is_batchable(robot)):
         del found["calibrate"]
-    rivals = not controllers and not quick
-    if not (_is_tunable(robot, arm) and (rivals or any_geared(controllers))):
+    rivals = not what.controllers and not quick
+    if not (_is_tunable(robot, arm) and (rivals or any_geared(listed(what.controllers)))):
         del found["gains"]
     return found
 
@@ -347,7 +342,7 @@ class _Chain:
         self.robot, self.run, self.plan, self.settings, self.observer = robot, run, plan, settings, observer
         self.quick, self.only = quick, only
         self.controllers = listed(plan.controllers)
-        self.files = stages_of(robot, run.arm, run.folder, controllers=self.controllers, gauge=plan.gauge, quick=quick)
+        self.files = stages_of(robot, run.arm, run.folder, plan, quick=quick)
 
     def do_all(self) -> None:
         """Do the stages in order; a comparison of an emulated arm begins during the training."""

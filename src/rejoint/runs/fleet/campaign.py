@@ -170,7 +170,7 @@ class Campaign:
         if files.finished.exists():
             return ()
         built = arm_of(arm.address, arm.description)
-        stages = stages_of(arm.address, built, files, controllers=rules.plan.controllers, quick=rules.quick)
+        stages = stages_of(arm.address, built, files, rules.plan, quick=rules.quick)
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:
