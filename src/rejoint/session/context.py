@@ -473,7 +473,8 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
         return partial(_geared, given, run=run, twin=twin, period=period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
-        return lambda arm: make_controller(given, arm, policy=file, stiffness=_stiffness(twin))
+        stiffness = None if twin is None else twin.parameters.stiffness
+        return lambda arm: make_controller(given, arm, policy=file, stiffness=stiffness)
     if isinstance(given, Path | str):
         return as_policy(given).controller
     if hasattr(given, "controller"):
@@ -488,18 +489,10 @@ def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None, period: 
     if run is None or found is None:
         where = "RUN" if run is None else str(run.path)
         raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
-    inner, stiffer = inner_name(name), None if twin is None else twin_under(twin, found.found, found.under)
     if name == GEARED_POLICY and not trained_for_tuned(run):
         raise ContractError(
             f"{run.path} has no policy for the gains that its search found ({in_words(found.under)}); train one with: "
             f"rejoint train {run.path}"
         )
-    if name == GEARED_PREDICTIVE and stiffer is not None:
-        controller = _predictive(arm, stiffer, period)
-    else:
-        controller = make_controller(inner, arm, policy=run.folder.policy, stiffness=_stiffness(stiffer))
-    return Geared(controller, found.alone if name == GEARED else found.under)
-
-
-def _stiffness(twin: Twin | None) -> Array | None:
-    return None if twin is None else twin.parameters.stiffness
+    stiffer = None if twin is None else twin_under(twin, found.found, found.under)
+    return Geared(_factory(inner_name(name), run, stiffer, period)(arm), found.alone if name == GEARED else found.under)

@@ -188,31 +188,38 @@ class ArmMotion:
 
 
 class GoalCheck:
-    """Decides whether the encoders stay at the goal for `CALM`."""
+    """Tells the loop whether the encoders stay at the goal for `CALM`."""
 
-    def __init__(self, motion: ArmMotion, arm: Arm, within: float, within_turn: float = np.inf) -> None:
-        """Take bounds: of the tool in metres and radians."""
-        self._motion, self._arm, self._within, self._within_turn = motion, arm, within, within_turn
+    def __init__(
+        self, motion: ArmMotion, arm: Arm, within: float, within_turn: float, joints: Array | None = None
+    ) -> None:
+        """Take bounds: of the tool in metres and radians, or of ``joints`` (n,) [rad] in radians."""
+        self._motion, self._arm, self._within, self._within_turn, self._joints = (
+            motion,
+            arm,
+            within,
+            within_turn,
+            joints,
+        )
         self._since: float | None = None
         self._reached, self._left = False, ""
 
-    def at_point(self, inputs: ControlInput) -> Mask:
-        """Whether the tool is at its target; for the loop."""
-        error = float(np.linalg.norm(inputs.target[0] - tcp_position(self._arm, inputs.state.position[0])))
-        turned = float(turned_off(self._arm, inputs)[0])
-        self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
-        return self._judge(inputs, near=error < self._within and not turned > self._within_turn)
-
-    def at_joints(self, goal: Array) -> Callable[[ControlInput], Mask]:
-        """Return a check of joints at ``goal`` (n,) [rad]; for the loop."""
-
-        def at_goal(inputs: ControlInput) -> Mask:
-            away = np.abs(inputs.state.position[0] - goal)
+    def __call__(self, inputs: ControlInput) -> Mask:
+        """See `rejoint.control.loop.Schedule`."""
+        now, position = float(inputs.state.time[0]), inputs.state.position[0]
+        if self._joints is None:
+            error = float(np.linalg.norm(inputs.target[0] - tcp_position(self._arm, position)))
+            turned = float(turned_off(self._arm, inputs)[0])
+            near = error < self._within and not turned > self._within_turn
+            self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
+        else:
+            away = np.abs(position - self._joints)
             worst = int(away.argmax())
+            near = bool(away[worst] < self._within_turn)
             self._left = f"{np.degrees(away[worst]):.1f} deg at {self._arm.joint_names[worst]}"
-            return self._judge(inputs, near=bool(away[worst] < self._within_turn))
-
-        return at_goal
+        self._since = (now if self._since is None else self._since) if near else None
+        self._reached = self._since is not None and now - self._since >= CALM
+        return np.array([self._reached or self._motion.ended.is_set()])
 
     def require(self, wanted: str, seconds: float) -> None:
         """Raise NotReachedError unless it arrived or was asked to end."""
@@ -221,12 +228,6 @@ class GoalCheck:
                 f"the arm did not come within {wanted} of {self._motion.goal} in {seconds:g} s, still {self._left} "
                 "off; it holds. Give it more time or room, or look whether something is in its way"
             )
-
-    def _judge(self, inputs: ControlInput, *, near: bool) -> Mask:
-        now = float(inputs.state.time[0])
-        self._since = (now if self._since is None else self._since) if near else None
-        self._reached = self._since is not None and now - self._since >= CALM
-        return np.array([self._reached or self._motion.ended.is_set()])
 
 
 class GoalStream(Reference):

@@ -166,7 +166,7 @@ class ArmSession(ArmDriver):
             self.begin(controller)
             self.recorder.begin(self.robot, "move", f"move/{name}")
             arrival = GoalCheck(motion, self.arm, within, within_rad)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_point), reference)
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival), reference)
             turned = "" if turns is None else f" and {np.degrees(within_rad):g} deg"
             arrival.require(f"{1e3 * within:g} mm{turned}", timeout)
 
@@ -211,8 +211,8 @@ class ArmSession(ArmDriver):
             self.begin(rest=False)
             controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
-            arrival = GoalCheck(motion, self.arm, np.inf, within)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)), unloaded)
+            arrival = GoalCheck(motion, self.arm, np.inf, within, goal)
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival), unloaded)
             arrival.require(f"{np.degrees(within):g} deg", timeout)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
