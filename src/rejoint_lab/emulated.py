@@ -10,8 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.feetech.gains import FULL, GAINS, LIMIT, REGISTERS, RUNGS, Gains, duty_laws, for_all
-from rejoint.robots.servobus import Tuning, Values
+from rejoint.robots.feetech.gains import FULL, LIMIT, REGISTERS, RUNGS, Gains, Tuning, Values, duty_laws, for_all
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera, EmulatedEye
 from rejoint_lab.plant.plant import Plant, StsPlant, Truth
@@ -30,7 +29,7 @@ class EmulatedServos:
         self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
         for name, values in for_all(gains, plant.arm.joints).items():
             self.write_gain(name, values)
-        self.tuning = Tuning(self, GAINS, {})
+        self.tuning = Tuning(self, {})
         self.tuning.look_up()
 
     @property

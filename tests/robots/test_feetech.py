@@ -14,10 +14,9 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.feetech.bus import FeetechBus, Gripper
-from rejoint.robots.feetech.gains import GAINS, LIMIT
+from rejoint.robots.feetech.bus import FeetechBus, Gripper, Zeros, read_calibration, zeros_of
+from rejoint.robots.feetech.gains import LIMIT, Tuning
 from rejoint.robots.feetech.wire import Wire
-from rejoint.robots.servobus import Tuning, Zeros, read_calibration, zeros_of
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
     AddressError,
@@ -124,7 +123,7 @@ def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
             pass
 
     memory = Memory()
-    tuning = Tuning(memory, GAINS, {})
+    tuning = Tuning(memory, {})
     tuning.prepare()
     before = dict(tuning.values)
     tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})

@@ -5,15 +5,18 @@ An STS3215 gives P / 4 per mille of duty per count of error beyond its dead zone
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from rejoint.control.servogains import Rung, ServoGains
+import numpy as np
+
+from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, ServoGains
 from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
-from rejoint.robots.servobus import GainTable, Values
+from rejoint.system.errors import RobotError
+from rejoint.system.stopping import ending
 
 
 class Knob(NamedTuple):
@@ -39,11 +42,7 @@ LIMIT, LIMITED = "limit", 50
 """Limit of the I part, and its value: 20 % of PWM (chosen: beyond friction)"""
 REGISTERS = {LIMIT: 25, "p": 21, "d": 22, "i": 23, "startup": 24, "dead_cw": 26, "dead_ccw": 27}
 """Addresses, one byte each, side by side"""
-GAINS = GainTable(
-    strides={name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED},
-    falling=frozenset(KNOBS["dead"].names),
-    limit=LIMIT,
-)
+_STRIDES = {name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED}
 RUNGS = (
     Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
     Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
@@ -53,6 +52,8 @@ RUNGS = (
 """Search order (chosen: within `KNOBS`)"""
 
 Gains = Mapping[str, int]
+Values = dict[str, tuple[int, ...]]
+"""One per joint, by name"""
 
 
 def read_gains(given: Mapping[str, str]) -> Gains:
@@ -70,6 +71,98 @@ def for_all(gains: Gains, joints: int) -> Values:
     """Equal gains for all ``joints``, with the I part's limit."""
     found = {name: (value,) * joints for knob, value in gains.items() for name in KNOBS[knob].names}
     return {LIMIT: (LIMITED,) * joints, **found} if gains.get("i") else found
+
+
+PAUSE = 0.05
+"""[s] between steps (chosen: longer than a servo rings)"""
+
+
+def steps(before: ServoGains, wanted: ServoGains) -> Iterator[dict[str, list[int]]]:
+    """Yield values to write in small steps, by name, one per joint; the I part's limit rises first and falls last."""
+    ways = [(name, before[name], wanted[name]) for name in before if name in wanted and name != LIMIT]
+    if LIMIT in wanted:
+        most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
+        ways = [(LIMIT, before[LIMIT], most), *ways, (LIMIT, most, wanted[LIMIT])]
+    for name, here, there in ways:
+        now, stride = list(here), _STRIDES[name]
+        while now != list(there):
+            now = [min(max(end, value - stride), value + stride) for value, end in zip(now, there, strict=True)]
+            yield {name: now}
+
+
+class GainMemory(Protocol):
+    """Where the gains of n servos are."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """(n,) names of the servos, in messages."""
+
+    def read_gains(self) -> Values:
+        """Gains in force."""
+
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all servos."""
+
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Share of the largest torque, and temperature [deg C]."""
+
+    def wait(self, duration: float) -> None:
+        """Wait [s]."""
+
+
+class Tuning:
+    """Gains of servos; ``wanted`` ones hold on every connection."""
+
+    def __init__(self, memory: GainMemory, wanted: ServoGains) -> None:
+        self.values: Values = {}
+        """in force"""
+        self._memory, self._wanted = memory, wanted
+
+    def prepare(self) -> None:
+        """Read the gains, and set the wanted ones."""
+        self.look_up()
+        self._walk(self._wanted, hottest=HOTTEST)
+
+    def tune(self, gains: ServoGains) -> None:
+        """Set gains, also on later connections; RobotError where a servo does not bear them."""
+        self._walk(gains)
+        self._wanted = {name: tuple(values) for name, values in gains.items()}
+
+    def look_up(self) -> None:
+        """Read the gains."""
+        self.values = self._memory.read_gains()
+
+    def _walk(self, wanted: ServoGains, *, hottest: float = np.inf) -> None:
+        before, joints = self.values, len(self._memory.names)
+        strange = [name for name in wanted if name not in before or len(wanted[name]) != joints]
+        if strange:
+            known = f"{', '.join(before)} of {joints} joints"
+            raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
+        there = self._memory.read_gains()
+        for step in steps(there, wanted):  # a walk that a lost connection cut short goes on
+            self._take(step)
+            problem = "" if ending() else self._problem(step, there, hottest)
+            if problem:
+                for back in steps(self._memory.read_gains(), before):
+                    self._take(back)
+                raise RobotError(f"{problem}; the gains are as before")
+        self.look_up()
+
+    def _take(self, step: Mapping[str, Sequence[int]]) -> None:
+        for name, values in step.items():
+            self._memory.write_gain(name, values)
+        self._memory.wait(PAUSE)
+
+    def _problem(self, step: Mapping[str, Sequence[int]], there: Values, hottest: float) -> str:
+        ((name, values),) = step.items()
+        for joint, (old, value) in enumerate(zip(there[name], values, strict=True)):
+            if not (value < old if name in KNOBS["dead"].names else value > old):
+                continue  # else one that labours could not be relieved
+            load, heat = self._memory.strain(joint)
+            if load > HEAVIEST or heat > hottest:
+                servo = self._memory.names[joint]
+                return f"{servo} does not bear {name}={value}: load {100 * load:.0f} %, {heat:.0f} deg C"
+        return ""
 
 
 FULL = 1000.0
