@@ -83,8 +83,6 @@ def history(
     from rejoint.logs.history import find_rows
     from rejoint.runs.history import HEADERS, arms_of, cells, write_history
 
-    if page is not None:
-        require("rejoint history --page", "report")
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     rows, unread = find_rows(folder)
@@ -100,6 +98,8 @@ def history(
     try:
         require("the page of the history", "report")
     except MissingExtraError as error:
+        if page is not None:
+            raise
         call.say(f"No page: {error}")
         return value | {"page": None}
     write_history(path, arms)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 INK = "#1b1f24"
 """Text and axes"""
-GROUND = "#ffffff"
-"""Inside of hollow markers"""
 
 
 class Look(NamedTuple):
@@ -31,21 +29,19 @@ class Look(NamedTuple):
     """on light ground"""
     dark: str
     """on dark ground"""
-    marker: str
     dash: str | tuple[float, tuple[float, ...]]
-    hatch: str
 
 
-GREY = Look("#6b7280", "#a3abb8", "o", (0, (1, 1.4)), "")
-ORANGE = Look("#c47a00", "#f0ad33", "s", (0, (5, 1.5)), "///")
-RED = Look("#c44e00", "#f57c3a", "D", (0, (4, 1.2, 1, 1.2)), "xxx")
-GREEN = Look("#00815f", "#2cc79b", "^", (0, (7, 1.5)), "...")
-PURPLE = Look("#a8487c", "#df8fbb", "v", (0, (3, 1, 1, 1, 1, 1)), "\\\\\\")
-BLUE = Look("#0069a8", "#56b4e9", "P", "-", "")
-BROWN = Look("#7a5c2e", "#c9a56b", "X", (0, (2, 1)), "+++")
-INDIGO = Look("#5a52c4", "#a9a3f5", "*", (0, (6, 1, 1, 1)), "ooo")
-TEAL = Look("#0f7c86", "#4cc3cd", "p", (0, (2, 1, 4, 1)), "---")
-OLIVE = Look("#6f7a00", "#bcc73e", "h", (0, (5, 1, 1, 1, 5, 1)), "**")
+GREY = Look("#6b7280", "#a3abb8", (0, (1, 1.4)))
+ORANGE = Look("#c47a00", "#f0ad33", (0, (5, 1.5)))
+RED = Look("#c44e00", "#f57c3a", (0, (4, 1.2, 1, 1.2)))
+GREEN = Look("#00815f", "#2cc79b", (0, (7, 1.5)))
+PURPLE = Look("#a8487c", "#df8fbb", (0, (3, 1, 1, 1, 1, 1)))
+BLUE = Look("#0069a8", "#56b4e9", "-")
+BROWN = Look("#7a5c2e", "#c9a56b", (0, (2, 1)))
+INDIGO = Look("#5a52c4", "#a9a3f5", (0, (6, 1, 1, 1)))
+TEAL = Look("#0f7c86", "#4cc3cd", (0, (2, 1, 4, 1)))
+OLIVE = Look("#6f7a00", "#bcc73e", (0, (5, 1, 1, 1, 5, 1)))
 
 LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL, OLIVE)
 
@@ -60,13 +56,11 @@ CONTROLLERS = {
     "predictive": TEAL,
 }
 
-UNDER_GAINS = {name: CONTROLLERS[inner_name(name)]._replace(marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS}
-"""Controllers under tuned servo gains: the same colours, with stars"""
-
 
 def look_of(controller: str) -> Look:
-    """Look of a controller; unknown: brown."""
-    return UNDER_GAINS.get(controller) or CONTROLLERS.get(controller, BROWN)
+    """Look of a controller, under tuned servo gains with other dashes; unknown: brown."""
+    look = CONTROLLERS.get(inner_name(controller), BROWN)
+    return look._replace(dash=(0, (9, 2, 1.5, 2))) if controller in RIVALS else look
 
 
 def colour_number(controller: str) -> int:

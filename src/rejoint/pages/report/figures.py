@@ -26,7 +26,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
-from rejoint.pages.html import BLUE, GREY, GROUND, INK, LOOKS, ORANGE, RED, Look, look_of
+from rejoint.pages.html import BLUE, GREY, INK, LOOKS, ORANGE, RED, Look, look_of
 from rejoint.pages.report.contents import Curves
 from rejoint.pages.words import MM, cycles, number, short
 from rejoint.system.files import write_whole
@@ -78,7 +78,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = _ID.sub(lambda match: f"{match[1]}{key}-", _NOISE.sub("", buffer.getvalue()))
-    text = text.replace(INK, "currentColor").replace(GROUND, "var(--ground)")
+    text = text.replace(INK, "currentColor")
     for i, look in enumerate(LOOKS):
         text = text.replace(look.colour, f"var(--look-{i})")
     label, width = str(escape(alt)).replace("\\", "\\\\"), f"{figure.get_figwidth() * 96:.0f}px"
@@ -356,7 +356,7 @@ def arrows(seen: Array, way: Array, wrong: NDArray[np.bool_]) -> Figure:
         for label, (rows, look) in groups.items():
             if rows.any():
                 start, away = in_view(seen[rows], view), in_view(way[rows], view)
-                axes.plot(*(start + away), look.marker, markersize=4, color=look.colour, label=label, linestyle="")
+                axes.plot(*(start + away), "s", markersize=4, color=look.colour, label=label, linestyle="")
                 how = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0035, "headwidth": 4}
                 axes.quiver(*start, *away, color=look.colour, **how)
         axes.margins(0.12)

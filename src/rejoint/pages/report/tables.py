@@ -95,20 +95,6 @@ def _guard(row: ControllerRow) -> Cell:
     return Cell(first, "\n".join(more))
 
 
-def directions(comparison: Comparison) -> tuple[str, ...]:
-    """Report vAP: variation with the direction of approach."""
-    found = comparison.directions
-    if found is None:
-        return ()
-    ends = [(measured(one), whose) for one, whose in ((found.encoders, "by the encoders"), (found.tool, "of the tool"))]
-    said = [f"{text} mm {whose}{f' ({note})' if note else ''}" for (text, note), whose in ends if text != UNKNOWN]
-    return (
-        f"vAP of {found.controller}: {' and '.join(said)}, the largest distance between the mean places attained from "
-        f"three directions; mean over {plural(found.poses, 'pose')}, {plural(found.cycles, 'cycle')} from each "
-        "direction, where the norm asks for 30.",
-    )
-
-
 def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
     """Offset, compliance and play per joint [deg, deg/(N m), deg], with the fit's intervals."""
     sigma, rows = np.sqrt(np.diag(found.covariance)), []
