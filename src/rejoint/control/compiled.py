@@ -10,7 +10,7 @@ import numpy as np
 from numba import bool_, float64, from_dtype, int64, njit, types, void
 
 IN1, IN2, IN3 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3))
-OUT1, OUT2, OUT3 = float64[::1], float64[:, ::1], float64[:, :, ::1]
+OUT3 = float64[:, :, ::1]
 
 OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
 

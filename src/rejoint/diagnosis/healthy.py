@@ -11,7 +11,7 @@ arm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -89,8 +89,7 @@ def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
 
 def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
     """Return the package's reference for an arm, if any."""
-    path = reference_path(arm, p)
-    return read_json(path, HealthyReference) if path.exists() else None
+    return _measured(arm, p) if reference_path(arm, p).exists() else None
 
 
 def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
@@ -117,11 +116,13 @@ def as_set(
     share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
     if not ((p > 0.0) & (share > 0.0)).all():
         return reference
-    found = [_nearest(arm, one) for one in p]
-    rows = [_stiffer(entry.joints[joint], p[joint] / of * share[joint]) for joint, (of, entry) in enumerate(found)]
+    rows = []
+    for joint, of in enumerate(map(_nearest, p)):
+        rows.append(_stiffer(_measured(arm, of).joints[joint], p[joint] / of * share[joint]))
     typical = float(np.exp(np.log(p).mean()))
-    of, whole = _nearest(arm, typical)
-    setting = f" with P = {_by_joint(gains['p'], arm.joint_names)}"
+    of = _nearest(typical)
+    whole = _measured(arm, of)
+    setting = f" with P = {', '.join(map(str, dict.fromkeys(gains['p'])))}"
     if voltage is not None:
         setting += f" and a supply of {np.median(voltage):.1f} V"
     return replace(
@@ -133,19 +134,17 @@ def as_set(
     )
 
 
-def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
-    most = max(dict.fromkeys(values), key=list(values).count)
-    others = [f"{name} {value}" for name, value in zip(names, values, strict=True) if value != most]
-    return f"{most} ({', '.join(others)})" if others else str(most)
-
-
 def _new(arm: Arm) -> str | None:
     return NEW.get(arm.name) if arm.servos else None
 
 
-def _nearest(arm: Arm, p: float) -> tuple[int, HealthyReference]:
-    of = min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
-    return of, read_json(reference_path(arm, of), HealthyReference)
+def _nearest(p: float) -> int:
+    """P of the reference nearest to ``p``."""
+    return min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
+
+
+def _measured(arm: Arm, p: int) -> HealthyReference:
+    return read_json(reference_path(arm, p), HealthyReference)
 
 
 def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
@@ -220,31 +219,30 @@ def _typical(values: Sequence[float | None]) -> float | None:
 
 def _factor(found: Sequence[Estimate]) -> Estimate:
     """Range of positive quantities: `SIGMAS` of their logarithms, or one interval, and `TOLERANCE`."""
-    value, low, high = _spread([_mapped(one, lambda x: float(np.log(max(x, 1e-12)))) for one in found])
+    value, low, high = _spread(np.log(np.maximum(_ends(found), 1e-12)))
     half = float(np.log1p(TOLERANCE))
-    return Estimate(float(np.exp(value)), float(np.exp(low - half)), float(np.exp(high + half)))
+    return Estimate(np.exp(value), np.exp(low - half), np.exp(high + half))
 
 
 def _margin(found: Sequence[Estimate], allowed: float) -> Estimate:
     """Range of quantities about zero: `SIGMAS`, or one interval, `TOLERANCE` and ``allowed``."""
-    value, low, high = _spread(found)
+    value, low, high = _spread(_ends(found))
     margin = TOLERANCE * abs(value) + allowed
     return Estimate(value, low - margin, high + margin)
 
 
-def _mapped(found: Estimate, function: Callable[[float], float]) -> Estimate:
-    low, high = (None if end is None else function(end) for end in (found.low, found.high))
-    return Estimate(function(found.value), low, high)
+def _ends(found: Sequence[Estimate]) -> Array:
+    """Values and ends (N, 3); an open end is the value."""
+    known = np.array([(one.value, one.low, one.high) for one in found], dtype=float)
+    return np.where(np.isnan(known), known[:, :1], known)
 
 
-def _spread(found: Sequence[Estimate]) -> tuple[float, float, float]:
-    """Mean and ends of several values, or of the interval of one."""
-    if len(found) == 1:
-        value, low, high = found[0].value, found[0].low, found[0].high
-        return value, value if low is None else low, value if high is None else high
-    values = np.array([one.value for one in found])
-    mean, half = float(values.mean()), SIGMAS * float(values.std(ddof=1))
-    return mean, mean - half, mean + half
+def _spread(ends: Array) -> Array:
+    """Mean and ends (3,) of several values, or of the interval of one."""
+    if len(ends) == 1:
+        return ends[0]
+    mean, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
+    return np.array([mean, mean - half, mean + half])
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")

@@ -182,9 +182,8 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
         times.append(time)
         begin = float(time[-1]) + _APART
     names = [name for name in ("torque", "current") if all(getattr(log, name) is not None for log in logs)]
-    arrays: dict[str, Any] = {
-        name: _stacked(logs, name) for name in (*names, "position", "command", "target", "true_tcp")
-    }
+    names += ["position", "command", "target", "true_tcp"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(log, name) for log in logs]) for name in names}
     everything = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -202,10 +201,6 @@ def log_of(segment: Segment) -> int:
     return int(segment.name.partition("/")[0])
 
 
-def _stacked(logs: Sequence[RunLog], name: str) -> Array:
-    return np.concatenate([getattr(log, name) for log in logs])
-
-
 def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segment]:
     def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
         name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
@@ -219,8 +214,7 @@ def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segmen
         for a, b in pairwise(edges):
             yield segment(FREE, a, b, everyone)
     for first, last in free_runs(free & still.all(axis=1), time, QUIET):
-        yield segment(HOLD, first, last, everyone)
-        yield segment(STILL, first, last, everyone)
+        yield from (segment(kind, first, last, everyone) for kind in (HOLD, STILL))
     for joint in everyone:
         for first, last in _steps(log, free, still[:, joint], joint):
             yield segment(STEP, first, last, (joint,))
