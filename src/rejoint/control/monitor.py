@@ -389,6 +389,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
     The balance is fitted to slow motion in both directions. The width is the largest push of a joint stationary for
     `HELD`; the reach minimises it.
     """
+    logs = [log for log in logs if len(log) > FEWEST]
     slope, offset, lifted, known = _balances(arm, logs)
     endless = np.full(arm.joints, np.inf)
     found = Bands(slope=slope, offset=offset, reach=endless, width=endless, lifted=lifted)
@@ -445,9 +446,6 @@ def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, ND
 def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
     """Mean lead, gravity torque, speed (T, n), and slow motion (1 or 0)."""
     low, high = commands_in_force(log)
-    if len(log) < AVERAGED:
-        nothing = np.empty((0, arm.joints))
-        return nothing, nothing, nothing, nothing
     speed = np.gradient(log.position, log.time, axis=0)
     mean = np.ones(AVERAGED) / AVERAGED
     speed = np.stack([np.convolve(speed[:, j], mean, "same") for j in range(arm.joints)], axis=-1)
@@ -466,9 +464,7 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tupl
 
 def _held(log: RunLog, push: Array) -> Array:
     """Largest push (n,) [rad] of joints stationary for `HELD`."""
-    readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time))))) if len(log) > 1 else 1
-    if len(log) <= readings:
-        return np.zeros(push.shape[1])
+    readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time)))))
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))

@@ -176,21 +176,10 @@ _POINTS = 200
 """Newest checks that count; chosen: the work is cubic"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Remaining:
-    """Use left until the tolerance is reached."""
-
-    early: float
-    """10 % quantile"""
-    middle: float
-    late: float
-    """90 % quantile; infinite if perhaps never"""
-
-
 def remaining(
     use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float
-) -> Remaining | None:
-    """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm].
+) -> Array | None:
+    """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm]: its quantiles `SHARES`.
 
     ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as in `chart`. None for too few
     checks or no wear.
@@ -224,8 +213,7 @@ def remaining(
     far = np.where(passes, way, 1.0)
     times = rng.wald(far / np.maximum(np.abs(drift), 1e-9 * diffusion), far**2 / diffusion**2)
     times = np.where(passes, times, np.where(way <= 0.0, 0.0, np.inf))
-    early, middle, late = (span * float(np.quantile(times, share, method="higher")) for share in SHARES)
-    return Remaining(early=early, middle=middle, late=late)
+    return np.asarray(span * np.quantile(times, SHARES, method="higher"))
 
 
 def _fit(design: Array, value: Array, covariance: Array, believed: Array) -> tuple[float, Array, Array]:

@@ -249,7 +249,7 @@ def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | N
     )
     if left is None:
         return None
-    early, middle, late = (_after(visits[-1].time, one / pace) for one in (left.early, left.middle, left.late))
+    early, middle, late = (_after(visits[-1].time, float(one / pace)) for one in left)
     return None if early is None else Due(early=early, middle=middle, late=late)
 
 
