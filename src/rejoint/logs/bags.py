@@ -8,6 +8,7 @@ decoded to dicts or objects with fields.
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
@@ -160,8 +161,8 @@ def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
     if silent := [topic for topic in groups if topic not in found]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
     # an empty stamp of a trajectory asks for a start at once
-    bare = [topic for topic, messages in found.items() if any(not (one.stamp or one.groups) for one in messages)]
-    bare += [topic for topic, messages in found.items() if not any(one.stamp for one in messages)]
+    needed = {topic: any if messages[0].groups else all for topic, messages in found.items()}
+    bare = [topic for topic, messages in found.items() if not needed[topic](one.stamp for one in messages)]
     stamped = options.stamp == "header" or (options.stamp is None and not bare)
     if options.stamp is None and bare:
         notes.append(f"times are those of the recording, messages on {bare[0]} have no stamps")
@@ -247,12 +248,12 @@ def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
 
 def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
     """Return times (K,) [s] and orders of a trajectory's points; ValueError."""
-    after = np.array([_nanoseconds(_field(point, ["time_from_start"])) / NANOSECONDS for point in points])
-    if not len(after) or (np.diff(after) <= 0).any():
+    after = np.array([_nanoseconds(one) for one in _field(points, ["time_from_start"])]) / NANOSECONDS
+    if (np.diff(after) <= 0).any():
         raise ValueError("its points are not one after another in time")
     orders: list[Array] = []
     for key in ("positions", "velocities", "accelerations"):
-        values = [_field(point, [key]) for point in points]
+        values = _field(points, [key])
         if any(one is None or not len(one) for one in values):
             break
         orders.append(np.array(values, dtype=float).reshape(len(points), joints))
@@ -278,10 +279,11 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     """Time or duration [ns], or 0."""
     if stamp is None:
         return 0
-    for names in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs")):
-        seconds, rest = (_field(stamp, [name]) for name in names)
-        if seconds is not None and rest is not None:
-            return int(seconds) * NANOSECONDS + int(rest)
+    seconds, rest = (
+        _some(stamp, names) for names in (("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs"))
+    )
+    if seconds is not None and rest is not None:
+        return int(seconds) * NANOSECONDS + int(rest)
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
 
 
@@ -289,18 +291,15 @@ def _frame(
     messages: list[Message], times: Array, file: Path, topic: str, options: ImportOptions, notes: list[str]
 ) -> ColumnFrame:
     """Columns of messages at ``times`` (T,) [s]."""
-    rows: list[dict[str, float]] = []
-    for one in messages:
+    columns: dict[str, Array] = defaultdict(lambda: np.full(len(messages), np.nan))
+    for row, one in enumerate(messages):
         names = one.names or options.names or ()
-        row: dict[str, float] = {}
         for group, given in one.groups.items():
             if len(names) != len(given):
                 said = f"topic {topic}, message {one.number}: {len(names)} names for {len(given)} {group}s"
                 raise FileError(file, said, REMEDY if one.names else "set --order if the messages hold no names")
-            row |= {f"{group}.{name}": value for name, value in zip(names, given, strict=True)}
-        rows.append(row)
-    titles = dict.fromkeys(title for row in rows for title in row)
-    columns = {title: np.array([row.get(title, np.nan) for row in rows]) for title in titles}
+            for name, value in zip(names, given, strict=True):
+                columns[f"{group}.{name}"][row] = value
     about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
     return ColumnFrame.of(file, columns, time=times, notes=notes, **about)
 
