@@ -19,8 +19,7 @@ import numpy as np
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.compare import BLOCK, Settings, TrialRunner
-from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.compare import BLOCK, Ledger, Settings, TrialRunner
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven

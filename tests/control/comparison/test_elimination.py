@@ -7,8 +7,7 @@ import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
 
 import rejoint
-from rejoint.control.comparison.compare import BLOCK, LEVEL, worse
-from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.compare import BLOCK, LEVEL, Ledger, worse
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.compare import Settings, TrialRunner
-from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.compare import Ledger, Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import BASELINES
 from rejoint.control.guard import Reason

@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
-from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import (
     RISING_AHEAD,
     direction_variation,
@@ -53,9 +53,52 @@ from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import beyond_reach, in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
+from rejoint.system.files import read_json, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import spread
 from rejoint.system.stopping import pause
+
+Numbers = list[list[float | None]]
+
+
+@dataclass(frozen=True)
+class _File:
+    """Content; columns stand beside their trials."""
+
+    name: str
+    trials: list[tuple[Driven, dict[str, Numbers]]]
+
+
+class Ledger:
+    """Finished trials of the comparison ``name``; without a path in memory. Those of another one are set aside."""
+
+    def __init__(self, path: Path | None = None, name: str = "") -> None:
+        self.path, self._name, self.done = path, name, dict[Key, Driven]()
+        if path is None or not path.exists():
+            return
+        found = read_json(path, _File)
+        if found.name != name:
+            set_aside(path)
+            return
+        for driven, columns in found.trials:
+            arrays = {key: np.array(values, dtype=float) for key, values in columns.items()}
+            self.done[driven.key] = replace(driven, columns=arrays)
+
+    def add(self, driven: Driven) -> None:
+        """Store a trial; FileError."""
+        self.done[driven.key] = driven
+        if self.path is not None:
+            trials = [
+                (replace(one, columns={}), {name: values.tolist() for name, values in one.columns.items()})
+                for one in self.done.values()
+            ]
+            write_json(self.path, _File(self._name, trials))
+
+    def close(self) -> None:
+        """Remove the file."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
 
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""

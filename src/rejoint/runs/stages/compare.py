@@ -23,9 +23,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import BLOCK, OpenRobot, Result, TrialRunner, vary_directions
+from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
-from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
@@ -215,11 +214,11 @@ class ComparisonJob:
         """Compare; in a run, resume and write. Closes ``helper``."""
         run = self.run
         if run is None:
-            return self._drive(Ledger(), [], on_progress, helper)
+            return self._drive(Ledger(), on_progress, helper)
         require_space(run.path)
         ledger = Ledger(run.folder.trials, self._digest(run))
         try:
-            found = self._drive(ledger, [] if ledger.done else list(run.folder.trial_logs()), on_progress, helper)
+            found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
             if ledger.done:
                 kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
@@ -232,9 +231,8 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(
-        self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: HelperProcess | None
-    ) -> Compared:
+    def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
+        earlier = [] if self.run is None or ledger.done else list(self.run.folder.trial_logs())
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
