@@ -18,9 +18,9 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
 
 def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint_lab.research.evaluation.trials.own_twin", lambda *_: a_twin())
-    held = "--variants", "anywhere", "--controllers", "feedforward,predictive", "--crossings", "0", "--seed", "1"
+    held = "--variants", "anywhere,known", "--controllers", "feedforward,predictive", "--crossings", "0", "--seed", "1"
     rows = rows_of(cli, "evaluate", tmp_path, "--arms", "2", "--targets", "1", *held)
-    assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
+    assert [row["controller"] for row in rows] == 2 * ["feedforward", "predictive"]
     settled = [row["settled"]["mean"]["value"] for row in rows]
     assert max(settled) < 0.002, settled
 

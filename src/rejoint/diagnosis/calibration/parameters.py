@@ -202,7 +202,7 @@ def _by_twist(arm: Arm, joints: Array) -> Array:
     lever = f.tcp_position[:, None] - np.concatenate([first, f.position], axis=1)
     swing = np.cross(lever[..., None], before, axisa=-2, axisb=-2, axisc=-2) * -1.0
     both = np.block([[before, swing], [np.zeros_like(before), before]])  # (M, n + 1, 6, 6)
-    return np.moveaxis(both, 1, 2).reshape(len(joints), 6, -1)
+    return np.moveaxis(both, 1, 2).reshape(len(joints), 6, 6 * (arm.joints + 1))
 
 
 def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float = 0.0) -> Array:
