@@ -22,7 +22,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
+from rejoint_lab.research.evaluation.calibrating import SIGMA, fitted, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
 from rejoint_lab.research.evaluation.trials import TrialArms, try_on
 
@@ -49,13 +49,13 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
         [*map(int, points.split(","))],
     )
     begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
-    first = begun.fitted(arm, FIRST)
+    first = fitted(arm, begun, FIRST)
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
     for change in changes.split(","):
         measured = measure(changed(change, family), suggest(arm, max(counts), visits=1, sigma=SIGMA, seed=1), 1)
         found = {"first calibration as it is": first}
         for count in counts:
-            parts = [measured.first(i, count) for i in range(arms)]
+            parts = [one.rows(np.arange(count)) for one in measured]
             found[f"{count} points alone"] = [fit(arm, part) for part in parts]
             found[f"{count} points after the first"] = [
                 fit(arm, part, prior=one) for part, one in zip(parts, first, strict=True)

@@ -18,7 +18,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
+from rejoint_lab.research.evaluation.calibrating import SIGMA, fitted, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
 from rejoint_lab.research.evaluation.trials import TrialArms, try_on
 
@@ -32,7 +32,7 @@ def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2") -> None:
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=90 + family)
     for slope in map(float, slopes.split(",")):
         opened = partial(open_family, arm, replace(WORN, tilt=np.radians(slope)), drawn)
-        found = measure(opened(), plan, family).fitted(arm, POINTS)
+        found = fitted(arm, measure(opened(), plan, family), POINTS)
         fresh = TrialArms(open=opened, targets=targets, wear_seeds=drawn.wear_seeds, calibrations=found)
         tried = try_on(arm, fresh, partial(make_controller, "feedforward"), drawn)
         corrected(f"{slope:g} degrees", tried, found)

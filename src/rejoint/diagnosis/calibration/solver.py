@@ -126,7 +126,7 @@ class Problem:
         by_device = (
             approx_fprime(vector[body:], device, _STEP) if self.layout.outside else np.zeros((by_arm[..., 0].size, 0))
         )
-        return np.concatenate([by_arm, by_device.reshape(*by_arm.shape[:2], -1)], axis=-1)
+        return np.concatenate([by_arm, by_device.reshape(*by_arm.shape[:2], by_device.shape[-1])], axis=-1)
 
     def _misfit(self, vector: Array, predicted: Array) -> Array:
         off = difference(inverse(self.outside(vector)[0]) @ predicted, self.tool(vector))
@@ -171,7 +171,7 @@ def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitte
     for step in range(_ROUNDS):
         whitener, white, weight = problem.weighed(vector)
         slips = np.linalg.norm(white, axis=1) > SLIP
-        if step and slips.mean() <= MOST_SLIPS:
+        if step and slips.sum() <= MOST_SLIPS * len(slips):
             weight = np.where(slips, 0.0, weight)
         whitener = whitener * np.sqrt(weight)[:, None, None]
 

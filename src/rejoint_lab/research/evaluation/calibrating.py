@@ -42,34 +42,6 @@ SPEED, WAIT = 0.5, 1.5
 """[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Measured:
-    """What was measured on A arms at P postures."""
-
-    position: Array
-    """(A, P, n) [rad] encoders"""
-    approach: Array
-    """(A, P, n) [rad] encoders before the last motion"""
-    point: Array
-    """(A, P, 3) [m] with noise"""
-    posture: NDArray[np.int64]
-    """(P,) numbers of the postures"""
-
-    def first(self, arm: int, count: int) -> Measurements:
-        """Return the first measurements of one arm."""
-        return Measurements(
-            position=self.position[arm, :count],
-            approach=self.approach[arm, :count],
-            point=self.point[arm, :count],
-            sigma=np.full(count, SIGMA),
-            posture=self.posture[:count],
-        )
-
-    def fitted(self, arm: Arm, count: int) -> list[Calibration]:
-        """Calibrations of all arms from their first measurements; none for 0."""
-        return [fit(arm, self.first(i, count)) for i in range(len(self.point))] if count else []
-
-
 @dataclass(frozen=True, kw_only=True)
 class Accused:
     """Whether a wrong point among ten, 5 to 10 mm off, is found."""
@@ -104,15 +76,15 @@ def evaluate_calibrations(
     ]
 
     @cache
-    def measured(condition: Variant) -> Measured:
+    def measured(condition: Variant) -> list[Measurements]:
         return measure(open_family(arm, condition, family), suggestion, family.seed)
 
     @cache
-    def fitted(condition: Variant, count: int) -> list[Calibration]:
-        return measured(condition).fitted(arm, count)
+    def calibrated(condition: Variant, count: int) -> list[Calibration]:
+        return fitted(arm, measured(condition), count) if count else []
 
     def drive(condition: Variant, where: str, count: int, on_targets: OnTargets) -> Columns:
-        (targets, ways), found = places[where], fitted(condition, count)
+        (targets, ways), found = places[where], calibrated(condition, count)
         opened = partial(open_family, arm, condition, family)
         arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds, calibrations=found)
         return try_on(arm, arms, contestant.on(()), family, on_targets)
@@ -141,8 +113,8 @@ def evaluate_calibrations(
     ]
 
 
-def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured:
-    """Bring all arms to the postures and measure their tools with noise."""
+def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Measurements]:
+    """Bring all arms to the postures and measure their tools with noise; measurements of each arm."""
     rng = np.random.default_rng([seed, 3])
     sent, found = robot.read().position, []
     for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
@@ -151,16 +123,24 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured
         last = [robot.step(sent).position for _ in range(8)]
         point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
         found.append((np.mean(last, axis=0), came, point))
-    position, approach, point = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
-    return Measured(position=position, approach=approach, point=point, posture=suggestion.posture)
+    sigma, posture = np.full(len(found), SIGMA), suggestion.posture
+    each = zip(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)), strict=True)
+    return [
+        Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
+        for position, approach, point in each
+    ]
 
 
-def find_wrong(arm: Arm, measured: Measured, family: ArmFamily) -> NDArray[np.bool_]:
+def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calibration]:
+    """Calibrations of all arms from their first measurements."""
+    return [fit(arm, one.rows(np.arange(count))) for one in measured]
+
+
+def find_wrong(arm: Arm, measured: Sequence[Measurements], family: ArmFamily) -> NDArray[np.bool_]:
     """Tell for each arm whether a wrong point is named, and whether a right one is, (2, A)."""
     named, accused = found = np.zeros((2, family.arms), dtype=bool)
-    for i in range(family.arms):
-        rng = np.random.default_rng([family.wear_seed(i), 4])
-        right = measured.first(i, WRONG_AMONG)
+    for i, one in enumerate(measured):
+        rng, right = np.random.default_rng([family.wear_seed(i), 4]), one.rows(np.arange(WRONG_AMONG))
         row, away = int(rng.integers(WRONG_AMONG)), rng.normal(size=3)
         point = right.point.copy()
         point[row] += away * rng.uniform(*WRONG) / np.linalg.norm(away)
