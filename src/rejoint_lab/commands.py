@@ -139,6 +139,7 @@ def calibrate(
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
     with call.progress("calibrate") as update:
         found, accused = evaluate_calibrations(arm, conditions, one, family, out.resolve(), update)
+    write_json(out / "wrong-points.json", accused)
     shown = _show(call, found, out / "calibration.json")
     rows = [(one.condition, f"{100 * one.wrong.value:.0f} %", f"{100 * one.right.value:.0f} %") for one in accused]
     call.table("One wrong point among ten, 5 to 10 mm off", ["condition", "wrong one named", "right one named"], rows)
