@@ -47,7 +47,9 @@ class Detector:
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        self._opencv = _detector(board.opencv())
+        searching = cv2.aruco.DetectorParameters()
+        searching.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE  # of markers: the chessboard's are used
+        self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
         self._shown = False  # whether it has been seen: then it is the right board, and any fault is of one picture
 
     def find(self, name: str, picture: Picture) -> BoardView | Unusable:
@@ -80,29 +82,19 @@ class Detector:
             yield f"{count} of {len(self.board.corners)} corners of the board are seen, expected at least {FEWEST}"
 
     def _unlike(self, grey: Picture) -> str:
-        """Whether the picture shows another board, or this one mirrored."""
-        told = cv2.aruco.ArucoDetector(self._opencv.getBoard().getDictionary()).detectMarkers(grey)[1]
-        seen = np.zeros(0) if told is None else np.ravel(told)
-        if len(seen) >= FEWEST_MARKERS and len(np.unique(seen)) < len(seen):
-            return "markers are seen twice: take every other board out of the picture"
-        if self._sees(np.ascontiguousarray(grey[:, ::-1]), legacy=False):
-            return "the picture is mirrored: switch that off where it is taken"
-        if self._sees(grey, legacy=True):
-            return "the board has the pattern of OpenCV before 4.6: print one with `rejoint board`"
-        other = len(seen) >= FEWEST_MARKERS
-        return "markers are seen, but not where the board's description has them: is it of this print?" * other
-
-    def _sees(self, grey: Picture, *, legacy: bool) -> bool:
-        pattern = self.board.opencv()
-        pattern.setLegacyPattern(legacy)
-        corners = _detector(pattern).detectBoard(grey)[1]
-        return corners is not None and len(corners) >= FEWEST
-
-
-def _detector(board: cv2.aruco.CharucoBoard) -> cv2.aruco.CharucoDetector:
-    searching = cv2.aruco.DetectorParameters()
-    searching.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE  # of markers: the chessboard's are used
-    return cv2.aruco.CharucoDetector(board, cv2.aruco.CharucoParameters(), searching)
+        """Whether the picture shows markers, but another board, or this one mirrored."""
+        numbers = self._opencv.getBoard().getDictionary()
+        for picture in (grey, np.ascontiguousarray(grey[:, ::-1])):
+            found = cv2.aruco.ArucoDetector(numbers).detectMarkers(picture)[1]
+            seen = np.zeros(0) if found is None else np.ravel(found)
+            if len(seen) >= FEWEST_MARKERS and len(np.unique(seen)) < len(seen):
+                return "markers are seen twice: take every other board out of the picture"
+            if len(seen) >= FEWEST_MARKERS:
+                return (
+                    "markers are seen, but not where the board's description has them: is it of this print, by "
+                    "`rejoint board`, and is the picture not mirrored?"
+                )
+        return ""
 
 
 def edge_width(grey: Picture, corners: Array) -> float:
