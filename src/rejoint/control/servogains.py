@@ -259,14 +259,15 @@ def search(
     with put_back(servos, found):
         start = begin(robot, limits)
         climb.sent = start.command[-1]
-        climb.drive(targets[-1:])
-        first = climb.best = climb.drive(targets)
-        if first.bad.any():
-            names = ", ".join(np.array(robot.arm.joint_names)[first.bad])
+        climb.drive(found, targets[-1:])
+        first, bad = climb.drive(found)
+        if first is None:
+            names = ", ".join(np.array(robot.arm.joint_names)[bad])
             raise NotReadyError(
                 f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
+        climb.error = np.array(first.error)
         *others, last = servos.rungs()
         for rung in others:
             climb.rung(rung, first)
@@ -279,23 +280,11 @@ def search(
         found=found,
         under=under,
         alone=alone,
-        before=first.round,
-        with_under=middle.round,
-        with_alone=end.round,
+        before=first,
+        with_under=middle,
+        with_alone=end,
         rounds=climb.rounds,
     )
-
-
-class _Shown(NamedTuple):
-    error: Array
-    unrest: Array
-    tool: float
-    bad: Mask
-    """(n,)"""
-
-    @property
-    def round(self) -> Round:
-        return Round(error=tuple(self.error.tolist()), unrest=tuple(self.unrest.tolist()), tool=self.tool)
 
 
 @dataclass(eq=False)
@@ -307,75 +296,68 @@ class _Climb:
     gains: Values
     on_progress: Progress
     sent: Array | None = None
-    best: _Shown = field(init=False)
+    error: Array = field(init=False)
+    """(n,) [rad] least so far"""
     rounds: int = 0
 
-    def rung(self, rung: Rung, first: _Shown) -> None:
+    def rung(self, rung: Rung, first: Round) -> None:
+        """Give each joint the best value; it ends where it is loud or bad, and after two values that do not help."""
         done, missed = np.zeros((2, len(first.error)), dtype=bool)
+        step, sign = self.robot.arm.encoder_step, 1 if rung.rising else -1
+        total = sum(len(one.values) for one in self.servos.rungs()) + 2
         for value in rung.values:
             old = self.gains
-            present = np.array(old[rung.names[0]])
-            beyond = present >= value if rung.rising else present <= value
-            trying: Mask = ~done & ~beyond
+            trying: Mask = ~done & (sign * np.array(old[rung.names[0]]) < sign * value)
             if not trying.any():
                 continue
-            total = sum(len(one.values) for one in self.servos.rungs()) + 2
             self.on_progress(min(self.rounds / total, 1.0), f"{rung.names[0]} {value}")
-            while trying.any():
-                self.gains = _with(old, rung, value, trying)
-                self.servos.tune(self.gains)
-                seen = self.drive(self.targets)
-                if not seen.bad.any():
-                    break
-                done |= seen.bad | (trying if not (trying & seen.bad).any() else False)
-                trying &= ~done
-            else:  # no joint bears it
+            seen, bad = self.drive(_with(old, rung, value, trying))
+            if seen is None:
+                done |= bad if (trying & bad).any() else trying
                 self.gains = old
                 self.servos.tune(old)
                 continue
-            step = self.robot.arm.encoder_step
-            loud = seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
-            taken = trying & ~loud & (seen.error < self.best.error - GAIN * step)
+            loud = np.array(seen.unrest) > np.maximum(LOUDER * np.array(first.unrest), QUIET * step)
+            taken = trying & ~loud & (seen.error < self.error - GAIN * step)
             done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
             missed = trying & ~taken
             self.gains = _with(old, rung, value, taken)
             self.servos.tune(self.gains)
-            self.best = self.best._replace(error=np.where(taken, seen.error, self.best.error))
+            self.error = np.where(taken, seen.error, self.error)
 
-    def confirm(self, last: Values, before: _Shown) -> tuple[Values, _Shown]:
+    def confirm(self, last: Values, before: Round) -> tuple[Values, Round]:
+        """Drive once more under all that was found; return that, or what was before where it is not better."""
         if self.gains == last:
             return last, before
-        seen = self.drive(self.targets)
-        if seen.bad.any() or seen.error.sum() > before.error.sum():
+        seen, _ = self.drive(self.gains)
+        if seen is None or sum(seen.error) > sum(before.error):
             self.gains, seen = last, before
             self.servos.tune(last)
-        self.best = seen
+        self.error = np.array(seen.error)
         return dict(self.gains), seen
 
-    def drive(self, targets: Array) -> _Shown:
-        watch = _RoundWatch(self.robot.arm)
+    def drive(self, gains: Values, targets: Array | None = None) -> tuple[Round | None, Mask]:
+        """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
+        if gains != self.gains:
+            self.gains = gains
+            self.servos.tune(gains)
+        arm, targets, watch = self.robot.arm, self.targets if targets is None else targets, _RoundWatch(self.robot.arm)
+        schedule = Schedule(dwell=DWELL, sent=self.sent, give_up=watch.bad)
         limits = limits_under(self.limits, self.robot, None)
-        recording = run(
-            self.robot,
-            DefaultController(self.robot.arm),
-            targets[None],
-            Schedule(dwell=DWELL, sent=self.sent, give_up=watch.bad),
-            limits=limits,
-        )
+        recording = run(self.robot, DefaultController(arm), targets[None], schedule, limits=limits)
         self.rounds += 1
         self.sent = recording.command[-1]
-        arm, index, since = self.robot.arm, recording.target_index[:, 0], recording.since_target[:, 0]
-        places = [(target, (index == k) & (since > DWELL - LOOKED)) for k, target in enumerate(targets)]
-        if watch.joints.any() or not all(rows.any() for _, rows in places):
-            nothing = np.full(arm.joints, np.inf)
-            return _Shown(nothing, nothing, np.inf, watch.joints)
+        if watch.joints.any():
+            return None, watch.joints
+        position, command = recording.position[:, 0], recording.command[:, 0]
         found = []
-        for target, rows in places:
-            here, away = recording.position[rows, 0], recording.command[rows, 0] - recording.position[rows, 0]
+        for k, target in enumerate(targets):
+            rows = (recording.target_index[:, 0] == k) & (recording.since_target[:, 0] > DWELL - LOOKED)
+            here = position[rows]
             tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
-            found.append((np.abs(away).mean(axis=0), here.std(axis=0), tool))
+            found.append((np.abs(command[rows] - here).mean(axis=0), here.std(axis=0), tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
-        return _Shown(error, unrest, float(tools), watch.joints)
+        return Round(error=tuple(error.tolist()), unrest=tuple(unrest.tolist()), tool=float(tools)), watch.joints
 
 
 class _RoundWatch:
