@@ -48,7 +48,7 @@ def test_corners_are_as_good_as_the_fit_believes():
 def test_a_board_out_of_sight_is_a_wall():
     behind = pose_of(0)
     behind[2, 3] = -0.5
-    found = Detector(ON_TOOL).find("p", render(ON_TOOL, LENS, behind, 0))
+    found = Detector(ON_TOOL).find("p", render(ON_TOOL, LENS, behind, 0, Looks()))
     assert found.why.startswith("the board cannot be seen")
 
 

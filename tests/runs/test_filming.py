@@ -48,7 +48,7 @@ class Still(StandIn):
 class Cut(EmulatedCamera):
     """A camera whose cable is pulled at some picture."""
 
-    def __init__(self, robot, last=np.inf, looks=None):
+    def __init__(self, robot, last=np.inf, looks=SCENE.looks):
         super().__init__(SCENE, robot.tool, 3)
         self.last, self.looks, self.taken = last, looks, []
 
@@ -56,7 +56,7 @@ class Cut(EmulatedCamera):
         if number > self.last:
             raise InputError("camera 0 gives no pictures any more; check its cable")
         self.taken.append(number)
-        return SCENE.shows(self._tool(), (3, number), self.looks)
+        return replace(SCENE, looks=self.looks).shows(self._tool(), (3, number))
 
 
 def film(robot, camera, run, **options):

@@ -65,7 +65,7 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     found = rejoint.gains(robot, run)
     spent = read_effort(run.folder)
     assert [stage.name for stage in spent.stages] == ["gains"]
-    assert spent.moving > 0.0
+    assert spent.total.moving > 0.0
     assert read_json(run.folder.gains, GainsFound) == found
     robot.history.clear()
     targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])

@@ -20,7 +20,7 @@ from rejoint.camera.lens import place
 from rejoint.camera.rig import Rig
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.postures import BEFORE, approachable
-from rejoint.diagnosis.calibration.procedure import StandingDrive, log_resumed, same
+from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
@@ -116,19 +116,13 @@ class CameraGauge:
         board is hardly visible; errors of `rejoint.control.loop.run`.
         """
         film = self._begun(drive.robot.arm, folder, fresh=fresh)
-        total = SCOUTS + count * visits
-        try:
-            with self.camera(drive.robot) as camera:
-                shooting = _Shooting(drive, camera, film, folder, on_progress, total)
-                return shooting.take(count, visits)
-        except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
-            _set_aside(folder)
-            raise
-        except BaseException as error:
-            if folder is not None and folder.views.exists():
-                goes_on = f"{same(fresh=film.fresh)} goes on there"
-                error.add_note(f"What was seen until then is kept ({folder.views}); {goes_on}")
-            raise
+        total, file = SCOUTS + count * visits, None if folder is None else folder.views
+        with kept(file, fresh=film.fresh), self.camera(drive.robot) as camera:
+            try:
+                return _Shooting(drive, camera, film, folder, on_progress, total).take(count, visits)
+            except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
+                _set_aside(folder)
+                raise
 
     def _begun(self, arm: Arm, folder: RunFolder | None, *, fresh: bool) -> Film:
         """Interrupted image sequence of a run without unusable shots, or a new one."""

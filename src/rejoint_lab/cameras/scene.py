@@ -48,9 +48,8 @@ def drawn(board: Board) -> NDArray[np.float32]:
     return picture
 
 
-def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
+def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks) -> Picture:
     """Image of a board at ``pose`` (4, 4) in the camera frame."""
-    looks = looks or Looks()
     rng = np.random.default_rng(seed)
     x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
     canvas = (WALL + 25.0 * x[None, :] - 10.0 * y[:, None]).astype(np.float32)
@@ -116,9 +115,9 @@ class Scene:
     rig: Rig
     looks: Looks = field(default_factory=Looks)
 
-    def shows(self, tool: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
+    def shows(self, tool: Array, seed: int | tuple[int, ...]) -> Picture:
         """Image with the tool at ``tool`` (4, 4) in the base."""
-        return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)
+        return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, self.looks)
 
 
 def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -236,9 +237,16 @@ OnMeasured = Callable[[Measurements, int], object]
 """Receives all measurements and the number done"""
 
 
-def same(*, fresh: bool) -> str:
-    """Name the command that resumes a session."""
-    return "the same command without --fresh" if fresh else "the same command"
+@contextmanager
+def kept(file: Path | None, *, fresh: bool, more: str = "") -> Iterator[None]:
+    """Add to an error that what was measured until then is in ``file``, and what goes on there."""
+    try:
+        yield
+    except BaseException as error:
+        if file is not None and file.exists():
+            same = f"the same command{' without --fresh' * fresh} goes on there"
+            error.add_note(f"What was measured until then is kept ({file}); {same}{more}")
+        raise
 
 
 def log_resumed(file: Path, done: str) -> None:

@@ -26,10 +26,10 @@ from rejoint.diagnosis.calibration.procedure import (
     FilmingGauge,
     Gauge,
     StandingDrive,
+    kept,
     log_resumed,
     measure,
     reversals,
-    same,
 )
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
@@ -60,7 +60,7 @@ def measured_of(
 ) -> tuple[Measurements, Calibration | None]:
     """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
     run = session.run
-    begun = None if run is None or fresh else interrupted(run, gauge)
+    begun = None if run is None or fresh else interrupted(run)
     fresh = fresh or (begun is not None and begun[1].fresh)
     prior = None if fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
@@ -75,7 +75,11 @@ def measured_of(
             session = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
             write_measurements(run.folder.measurements, robot.arm, measured, session)
 
-    try:
+    file = None if run is None else run.folder.measurements
+    fits = command(
+        "calibrate", robot.address, run and run.path, "--measure", f"points={file}", *(["--fresh"] if fresh else [])
+    )
+    with kept(file, fresh=fresh, more=f", and this fits it: {fits}"):
         found = measure(
             robot,
             gauge,
@@ -86,16 +90,12 @@ def measured_of(
             limits=session.limits,
             stance=stance_of(session.twin_now, run),
         )
-    except BaseException as error:
-        if run is not None and run.folder.measurements.exists():
-            error.add_note(_kept(run, robot.address, gauge, fresh=fresh))
-        raise
     return found, prior
 
 
-def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
+def interrupted(run: Run) -> tuple[Measurements, MeasuringSession] | None:
     """Interrupted measurements and their progress, if any."""
-    if isinstance(gauge, EmulatedGauge) or not run.folder.measurements.exists():
+    if not run.folder.measurements.exists():
         return None
     try:
         return read_interrupted(run.folder.measurements, run.arm)
@@ -110,14 +110,6 @@ def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measuremen
             f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
             "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
         )
-
-
-def _kept(run: Run, robot: str, gauge: Gauge, *, fresh: bool) -> str:
-    file = run.folder.measurements
-    fits = command("calibrate", robot, run.path, "--measure", f"points={file}", *(["--fresh"] if fresh else []))
-    if isinstance(gauge, EmulatedGauge):
-        return f"What was measured until then: {file}; what fits it: {fits}"
-    return f"What was measured until then is kept ({file}); {same(fresh=fresh)} goes on there, and this fits it: {fits}"
 
 
 POINTS = 10
