@@ -157,9 +157,8 @@ class Seen(Modelled):
 
     def _position(self, time: float) -> Array:
         """Return reading (n,) [rad] at ``time`` [s]."""
-        times = np.array([one for one, _ in self._told])
-        places = np.stack([one for _, one in self._told])
-        return np.array([np.interp(time, times, column) for column in places.T])
+        times, places = zip(*self._told, strict=True)
+        return np.array([np.interp(time, times, column) for column in np.transpose(places)])
 
 
 TAKE_OVER = 0.006

@@ -76,8 +76,7 @@ class Unloading:
         self._motors = motors or Motors(*np.full((2, arm.joints), np.inf))
         self._goal = np.full(arm.joints, np.nan)
         self._tries = 0
-        self._legs: deque[JointTrajectory] = deque()
-        self._way: PlannedWay | None = None
+        self._legs: deque[PlannedWay] = deque()
         self._anchor, self._stood, self._arrived = np.full(arm.joints, np.nan), np.zeros(arm.joints), 0.0
 
     @property
@@ -100,14 +99,14 @@ class Unloading:
         """``wanted``, or another setpoint, not arrived, from which a joint starts."""
         now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
-            self._goal, self._tries, self._way, self._arrived = goal.copy(), 0, None, now
+            self._goal, self._tries, self._arrived = goal.copy(), 0, now
             self._legs.clear()
         moved = ~(np.abs(position - self._anchor) < STILL)
         self._anchor, self._stood = np.where(moved, position, self._anchor), np.where(moved, now, self._stood)
         if not wanted.arrived[0]:
             return wanted
-        if self._way is not None:
-            return self._on_legs(state, self._way)
+        if self._legs:
+            return self._on_legs(state)
         if self.given_up or (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
@@ -115,17 +114,15 @@ class Unloading:
         far = abs(goal[joint] - position[joint]) > OFF
         if now - max(self._arrived, self._stood[joint]) > (STANDS if far else PUSHED):
             self._tries += 1
-            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors, 1.0 - EASIER * self._tries))
-            if not self._legs:
+            share = 1.0 - EASIER * self._tries
+            legs = unloaded_way(self._arm, position, goal, joint, self._motors, share)
+            if not legs:
                 self._tries = TRIES
                 return wanted
-            self._way = way = self._next_leg()
+            self._legs.extend(PlannedWay(self._arm, leg) for leg in legs)
             self._stood[:] = now
-            return self._on_legs(state, way)
+            return self._on_legs(state)
         return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
-
-    def _next_leg(self) -> PlannedWay:
-        return PlannedWay(self._arm, self._legs.popleft())
 
     def _off(self, position: Array, goal: Array) -> int | None:
         """Joint farthest off its goal, or None."""
@@ -133,11 +130,11 @@ class Unloading:
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
 
-    def _on_legs(self, state: JointState, way: PlannedWay) -> Setpoint:
-        now, found = float(state.time[0]), way.advance(state, state.time)
+    def _on_legs(self, state: JointState) -> Setpoint:
+        now, found = float(state.time[0]), self._legs[0].advance(state, state.time)
         if found.arrived[0] or now - self._stood.max() > 2.0 * STANDS:  # there, or as near as it comes
-            self._way, self._arrived = self._next_leg() if self._legs else None, now
-            self._stood[:] = now
+            self._legs.popleft()
+            self._stood[:] = self._arrived = now
         return Setpoint(found.goal, arrived=np.zeros(1, dtype=bool))
 
 

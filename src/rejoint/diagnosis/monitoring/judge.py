@@ -271,35 +271,37 @@ MEANINGS = {
 def say(found: Outlook, robot: str, described: str = "") -> str:
     """Report the arm's state in one line; ``described``: more repair options."""
     repair = command("repair", robot) + described
-    error = _error(found)
+    what, do = _told(found, repair)
+    return f"{what}. {_error(found)}. Do: {do}."
+
+
+def _told(found: Outlook, repair: str) -> tuple[str, str]:
+    """Name what changed, and what to do."""
+    worst, called = found.changes[0], [one for one in found.changes if one.state == found.state]
     if found.moved:
-        return _ask(found, error, repair)
+        alarms = [one for one in found.changes if one.state == "alarm" and one.joint]
+        worn = {one.joint for one in alarms if one.quantity != "deviation"}
+        also = f"; beside that {', '.join(sorted(worn))} wears (alarm)" if worn else ""
+        return (
+            f"{cause_of(found)}, which is no wear but a bump, a new setting or another load{also}",
+            f"if it was so, check it again with --moved, five times; if not, look whether {found.moved[0].joint} has "
+            f"slipped, then {repair}",
+        )
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
         again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
         return (
             f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
-            f"and one more to see a change. {error}. Do: {repair if found.over else again}."
+            "and one more to see a change",
+            repair if found.over else again,
         )
-    worst = found.changes[0]
     if found.state == "steady":
         joints = len({one.joint for one in found.changes if one.joint})
         act = _act(found, worst, repair) if found.over else _next(found)
-        return f"No change in {joints} joints since {_day(found.since)}. {error}. Do: {act}."
-    called = [one for one in found.changes if one.state == found.state]
+        return f"No change in {joints} joints since {_day(found.since)}", act
     others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
     also = f"; also {', '.join(others)}" if others else ""
-    return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, repair)}."
-
-
-def _ask(found: Outlook, error: str, repair: str) -> str:
-    calls = [one for one in found.changes if one.state == "alarm" and one.quantity != "deviation" and one.joint]
-    also = f" Beside that {', '.join(sorted({one.joint for one in calls}))} wears (alarm)." if calls else ""
-    yes = "if so, check it again with --moved, five times"
-    return (
-        f"{cause_of(found)}, which is no wear: was the arm bumped, set again or given another load?{also} {error}. Do: "
-        f"{yes}; if not, look whether {found.moved[0].joint} has slipped, then {repair}."
-    )
+    return f"{_changed(worst)} ({found.state}){also}", _act(found, worst, repair)
 
 
 def cause_of(found: Outlook) -> str:
