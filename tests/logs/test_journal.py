@@ -27,7 +27,7 @@ ROWS = [(0.025 * k, *RNG.normal(size=(2, 2)), np.full(3, np.nan), RNG.normal(siz
 
 def begin(folder: Path, name: str = "deploy-1") -> Journal:
     path = folder / "logs" / f"{name}.parquet"
-    return Journal.begin(path, arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy")
+    return Journal(path, arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy")
 
 
 def written(folder: Path, count: int = len(ROWS)) -> Journal:

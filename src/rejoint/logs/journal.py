@@ -29,40 +29,31 @@ CUT_SHORT = "cut-short"
 
 _ENDING = ".journal"
 _MAGIC = "rejoint journal 1"
-_CHECK = 4  # bytes of a row's CRC-32
 
 
 class Journal:
-    """Writes rows of one arm, from `begin` to `finish` or `discard`."""
+    """Writes rows of one arm, until `finish` or `discard`."""
 
-    def __init__(self, path: Path, handle: int) -> None:
-        """Use `begin`."""
+    def __init__(self, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> None:
+        """Open the journal of the run log at ``path``; FileError."""
+        about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         self.path, self.file = path, journal_path(path)
         self.problem: OSError | None = None
         """first write error"""
-        self._handle, self._rows, self._over = handle, deque[bytes](), threading.Event()
-        self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
-
-    @classmethod
-    def begin(cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> Journal:
-        """Open the journal of ``path``; FileError."""
-        about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
-        head = f"{_MAGIC} {json.dumps(about)}\n".encode()
-        file = journal_path(path)
+        self._rows, self._over = deque[bytes](), threading.Event()
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self._handle = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
             try:
-                _write(handle, head)
+                _write(self._handle, f"{_MAGIC} {json.dumps(about)}\n".encode())
             except OSError:
-                os.close(handle)
-                file.unlink(missing_ok=True)
+                os.close(self._handle)
+                self.file.unlink(missing_ok=True)
                 raise
         except OSError as error:
-            raise unwritable(file, error) from error
-        journal = cls(path, handle)
-        journal._thread.start()
-        return journal
+            raise unwritable(self.file, error) from error
+        self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
+        self._thread.start()
 
     def see(self, cycle: Any) -> None:  # noqa: ANN401 - of `rejoint.control.recording.Cycle`, a room above
         """Add a control cycle."""
@@ -72,7 +63,7 @@ class Journal:
         """Add a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""
         if self.problem is None:
             data = np.concatenate(((time,), position, command, target, true_tcp)).astype("<f8", copy=False).tobytes()
-            self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
+            self._rows.append(data + zlib.crc32(data).to_bytes(4, "little"))
 
     def finish(self, log: RunLog) -> None:
         """Write the run log and remove the journal; FileError."""

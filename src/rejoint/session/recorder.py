@@ -167,7 +167,7 @@ class StateRecord:
 def start_journal(run: Run, name: str, robot: Robot, label: str) -> Journal:
     """Start the journal of a dated run log."""
     arm = run.arm
-    return Journal.begin(_dated(run, name), arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
+    return Journal(_dated(run, name), arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
 
 
 @contextmanager

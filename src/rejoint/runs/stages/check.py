@@ -220,7 +220,7 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
     names = robot.arm.joint_names
-    journal = Journal.begin(folder / LOG, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
+    journal = Journal(folder / LOG, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
         ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
     except BaseException as error:
