@@ -25,7 +25,7 @@ from rejoint.system.errors import FileError, InputError
 PLAUSIBLE = (0.0, 0.3)
 """[s] (a low-cost arm: 0.06 to 0.16 s)"""
 SEARCHED = 1.0
-"""[s] to both sides"""
+"""[s] to both sides; without other commands around a step"""
 SHORTEST = 4.0
 """[s] of a log with a lag"""
 
@@ -48,8 +48,6 @@ _EXACT = 1e-3
 """Unexplained part of a lag that explains all (a real cobot: 0.00008 at 0 s, 0.00005 at -0.04 s)"""
 _JUMP = np.radians(2.0)
 """[rad] of a command's step in one row"""
-_REST = 1.0
-"""[s] without commands around a step"""
 _BEGUN = 0.05
 """Travel share of a moving joint: above encoder noise"""
 _FEWEST_STEPS = 3
@@ -116,15 +114,13 @@ def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
 
 def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
     """Lag by lone steps of commands; None where there are few."""
-    reach, rest = round(SEARCHED / step), round(_REST / step)
-    shares = []
+    reach, shares = round(SEARCHED / step), []
     for way, asked in zip(moved.T, held.T, strict=True):
-        change = np.abs(np.diff(asked))
-        changes = np.flatnonzero(change > 0) + 1
-        for at in np.flatnonzero(change > _JUMP) + 1:
-            others = changes[changes != at]
-            if at < reach + rest or at + reach >= len(held) or (np.abs(others - at) < max(reach, rest)).any():
-                continue
+        change = np.diff(asked)
+        changes = np.flatnonzero(change) + 1
+        gaps = np.diff(np.concatenate([[reach], changes, [len(held) - 1]]))
+        alone = np.minimum(gaps[:-1], gaps[1:]) >= reach
+        for at in changes[alone & (np.abs(change[changes - 1]) > _JUMP)]:
             near = way[at - reach : at + reach + 1] - way[at - reach]
             if abs(near[-1]) > _JUMP:
                 shares.append(near / near[-1])
