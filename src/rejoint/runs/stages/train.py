@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.controllers.policy import Policy
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rejoint.training.train import Trainer, TrainingResult
     from rejoint.twin.twin import Twin
 
-QUICK_UPDATES, QUICK_AGENTS = 3, 16
+QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
 """Size of a quick training; chosen"""
 
 
@@ -99,6 +99,7 @@ def train(
     >>> rejoint.train(run="runs/mine")
     """
     how = settings or TrainSettings()
+    options: dict[str, Any] = {"preset": preset} | (QUICK if quick else {})
     with pacing(observer) as update:
         if run is not None:
             if twin is not None:
@@ -115,8 +116,8 @@ def train(
                 gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
                 if tuned is not None and known is not None:
                     known = twin_under(known, tuned.found, tuned.under)
-                task = _Task(found.arm, known, preset, found.seed, how, quick, gains)
-                return task.train(found.path, update)
+                options |= {"seed": found.seed, "servo_gains": gains}
+                return _learn(found.arm, known, found.path, how, options, update)
         known = None if twin is None else as_twin(twin)
         if known is None and arm is None:
             raise InputError("training: neither a twin, a run nor an arm is given")
@@ -124,38 +125,25 @@ def train(
         if known is not None:
             known.require(chosen)
         with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-            task = _Task(chosen, known, preset, as_seed(how.seed), how, quick)
-            return task.train(Path(folder), update)
+            return _learn(chosen, known, Path(folder), how, options | {"seed": as_seed(how.seed)}, update)
 
 
-@dataclass(frozen=True)
-class _Task:
-    arm: Arm
-    twin: Twin | None
-    preset: str | Preset
-    seed: int
-    settings: TrainSettings
-    quick: bool
-    servo_gains: dict[str, tuple[int, ...]] | None = None
-    """the best of a search, else those of the diagnosis"""
+def _learn(
+    arm: Arm,
+    twin: Twin | None,
+    folder: Path,
+    how: TrainSettings,
+    options: dict[str, Any],
+    on_progress: Progress,
+) -> TrainedPolicy:
+    """Train, and load the policy from the folder."""
+    if how.trainer is None:
+        from rejoint.training.train import TrainingOptions
+        from rejoint.training.train import train as learn
 
-    def train(self, folder: Path, on_progress: Progress) -> TrainedPolicy:
-        """Train, and load the policy from the folder."""
-        how = self.settings
-        if how.trainer is None:
-            from rejoint.training.train import TrainingOptions
-            from rejoint.training.train import train as learn
-
-            options = TrainingOptions(
-                preset=self.preset,
-                seed=self.seed,
-                threads=how.threads,
-                iterations=QUICK_UPDATES if self.quick else None,
-                agents=QUICK_AGENTS if self.quick else None,
-                servo_gains=self.servo_gains,
-            )
-            result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
-        else:
-            result = how.trainer(self.arm, self.twin, folder, on_progress)
-        policy = Policy.load(result.policy)
-        return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)
+        chosen = TrainingOptions(threads=how.threads, **options)
+        result = learn(arm, twin, out=folder, options=chosen, on_progress=on_progress)
+    else:
+        result = how.trainer(arm, twin, folder, on_progress)
+    policy = Policy.load(result.policy)
+    return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)
