@@ -29,9 +29,9 @@ from rejoint.system.files import read_json, write_json
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint
 from rejoint.training.train import TrainingOptions, know_stiffness, policy_contract, write_curves
-from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.judge import read_published
 from rejoint.twin.parameters import pack, prior, unpack
+from rejoint.twin.twin import read_twin, write_twin
 from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()

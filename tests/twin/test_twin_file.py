@@ -7,10 +7,9 @@ import pytest
 
 from madetwin import made_twin
 from rejoint.arms import mycobot280
-from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.twin import HeldOut
+from rejoint.twin.twin import HeldOut, read_twin, write_twin
 
 ARM = mycobot280()
 

@@ -21,7 +21,7 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.training.ranges import IdentifiedRanges, BroadRanges
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.file import read_twin, write_twin
+from rejoint.twin.twin import read_twin, write_twin
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.parameters import PARAMETERS, nominal_parameters, pack, prior, vector_names
 from rejoint.twin.judgement import PredictionError

@@ -9,7 +9,6 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, wandering
 
 from rejoint.arms import gravity_torque
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
 from rejoint.twin.judgement import NO_TWIN
@@ -17,6 +16,7 @@ from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
+from rejoint.twin.twin import read_twin, write_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, threads=1)

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.loads import prior_by_loads
+from rejoint.twin.identify import prior_by_loads
 from rejoint.twin.parameters import Layout
 
 ARM = load_arm("so101")

@@ -153,7 +153,7 @@ class Run:
     @property
     def twin(self) -> Twin | None:
         """The twin, if identified."""
-        from rejoint.twin.file import read_twin
+        from rejoint.twin.twin import read_twin
 
         return read_twin(self.folder.twin, self.arm) if self.folder.twin.exists() else None
 

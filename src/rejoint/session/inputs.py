@@ -145,7 +145,7 @@ def as_twin(given: TwinLike) -> Twin:
     """Twin, or read it."""
     if not isinstance(given, Path | str):
         return given
-    from rejoint.twin.file import read_twin
+    from rejoint.twin.twin import read_twin
 
     return read_twin(Path(given))
 

@@ -16,7 +16,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
-from rejoint.twin.file import write_twin
+from rejoint.twin.twin import write_twin
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=5.0, hold=4.0, window=0.5)

@@ -29,9 +29,8 @@ from rejoint.robots import DEFAULT_ARM
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import read_json
 from rejoint.system.shell import command
-from rejoint.twin.file import read_twin
 from rejoint.twin.judgement import Judgement
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import Twin, read_twin
 
 # Names of the hold trials' run logs: controller, target set, repetition
 _TRIAL = re.compile(r"hold-(.+)-(\d+)-(\d+)")

@@ -148,7 +148,7 @@ def _excitation(run: Run) -> RunLog:
 
 
 def _write(run: Run, twin: Twin) -> None:
-    from rejoint.twin.file import write_twin
+    from rejoint.twin.twin import write_twin
 
     for of_another in (run.folder.judgement, run.folder.kept):
         of_another.unlink(missing_ok=True)

@@ -37,7 +37,7 @@ class ChainBatch:
         self._terms = np.zeros((len(DRY) + 1, *shape))
         self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
         self._gear = np.zeros((5, *shape))
-        """half of the backlash, place of the motor, its speed, flank, and grease, see `rejoint.twin.backlash.cross`"""
+        """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
         groups = -(-nsim // GROUP)
         bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]

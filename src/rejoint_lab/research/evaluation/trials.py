@@ -28,8 +28,7 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.shell import __version__
-from rejoint.twin.file import read_twin, write_twin
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import Twin, read_twin, write_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
