@@ -125,10 +125,8 @@ def payload_of(text: str | None) -> LoadedWith | None:
     if text is None:
         return None
     mass, _, place = text.partition("@")
-    found = _numbers(f"{mass},{place or '0,0,0'}", 4)
-    if found is None:
-        raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30")
-    kilograms, x, y, z = found
+    expected = "kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30"
+    kilograms, x, y, z = _numbers(f"{mass},{place or '0,0,0'}", 4, f"--payload {text!r}: expected {expected}")
     return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
 
 
@@ -136,19 +134,18 @@ def tool_of(text: str | None) -> tuple[float, float, float] | None:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
     if text is None:
         return None
-    found = _numbers(text, 3)
-    if found is None:
-        raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
-    x, y, z = found
+    x, y, z = _numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
     return point_of(x, y, z, "--tool")
 
 
-def _numbers(text: str, count: int) -> list[float] | None:
+def _numbers(text: str, count: int, refusal: str) -> list[float]:
     try:
         found = list(map(float, text.split(",")))
     except ValueError:
-        return None
-    return found if len(found) == count else None
+        found = []
+    if len(found) != count:
+        raise InputError(refusal)
+    return found
 
 
 def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:

@@ -6,12 +6,13 @@ from datetime import datetime
 import pytest
 
 from rejoint.logs.history import SUMMARY, HistoryRow, utc_now, write_rows
-from rejoint.logs.runfolder import RunFolder
+from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.runs.fleet.campaign import Rules, Work, WorkOutcome, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import write_json
 from rejoint.system.stopping import Interrupted
 
 MONDAY = datetime(2026, 11, 23, 9)
@@ -72,6 +73,10 @@ def leave_files(work, state="steady", error=1.0):
     file.write_text("done")
     if work.step == "report":
         files.finished.write_text("done")
+        info = RunInfo(robot=work.arm.address, arm="mycobot280", seed=0, version="0", created="2026-11-23T09:00:00")
+        write_json(files.info, info)
+        row = HistoryRow(time=utc_now(), kind="repair", arm=work.arm.name, controller="policy", error_mm=20.0)
+        write_rows(work.folder / SUMMARY, [replace(row, settled_mm=0.5)])
 
 
 def arm(name, address="", **given):
@@ -212,6 +217,8 @@ def test_only_those_are_repaired_that_need_it(tmp_path):
     assert [name for name, step in executor.begun if step == "check"] == ["a", "b", "c", "d"]
     assert {name for name, step in executor.begun if step == "report"} == {"a", "b"}
     rows = {row.name: row for row in found.rows}
+    assert (rows["a"].state, rows["a"].error_mm) == ("repaired", 0.5)
+    assert "as found 20.0\N{NO-BREAK SPACE}mm" in rows["a"].found
     assert (rows["c"].end, rows["c"].state, rows["c"].code) == ("done", "drifting", 6)
     assert (rows["d"].end, rows["d"].code) == ("left", 5)
     assert found.finished

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages import html
+from rejoint.pages.words import number
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
@@ -489,22 +490,19 @@ def _row(campaign: Campaign, one: Standing) -> FleetRow:
 
 
 def _repaired(row: FleetRow, *, quick: bool) -> FleetRow:
-    from rejoint.control.comparison.recommend import recommend
-    from rejoint.pages.report.contents import before_after, read_contents
-
     try:
-        contents = read_contents(row.folder)
-        advised = "" if contents.comparison is None else recommend(contents.comparison).controller
-        errors = before_after(contents, advised)
-    except RejointError as error:
+        found = next(one for one in read_rows(row.folder / SUMMARY) if not one.joint)
+    except (FileError, FileNotFoundError) as error:
         return replace(row, state="damaged", found=str(error), todo="repair it again", code=2)
-    after = None if errors is None else errors.after.tool.value or errors.after.encoders
+    whose, before = "by the encoders", found.error_mm
+    if found.settled_true_mm is not None:
+        whose, before = "of the tool", found.true_error_mm
     return replace(
         row,
         state="quick try" if quick else "repaired",
-        error_mm=None if after is None else 1e3 * after,
-        found="" if errors is None else errors.sentence,
-        todo=f"use {advised}: {command('deploy', row.address, row.folder)}",
+        error_mm=found.counts_mm,
+        found=f"error {whose}: as found {number(before, 3, 'mm')}, now {number(found.counts_mm, 2, 'mm')}",
+        todo=f"use {found.controller}: {command('deploy', row.address, row.folder)}",
         code=0,
     )
 
