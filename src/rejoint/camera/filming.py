@@ -59,11 +59,11 @@ def choose_postures(arm: Arm, rig: Rig | None, count: int, spread: float = SPREA
             f"{where} {len(found)} of {_TRIES * _DRAWS} postures around the rest posture, expected at least {count}; "
             "turn camera and board to each other, or give the arm another rest posture"
         )
-    chosen = [arm.rest]
-    while len(chosen) < count:
+    chosen, first = [arm.rest], int(rig is None)  # with a rig the rest posture has been seen before
+    while len(chosen) <= count - first:
         apart = np.linalg.norm(found[:, None] - np.array(chosen), axis=-1).min(axis=1)
         chosen.append(found[int(np.argmax(apart))])
-    return np.array(chosen)
+    return np.array(chosen[1 - first :])
 
 
 SCOUTS = 12
