@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
@@ -233,23 +233,22 @@ def as_targets(
     if isinstance(given, Path | str):
         points, turns = read_targets(Path(given), arm)
         return points[None], turns and turns[None]
-    given = list(given) if isinstance(given, Iterator) else given  # else looking at them would leave none
     kinds = {isinstance(one, Pose) for one in given} if isinstance(given, Iterable) else set()
     if len(kinds) > 1:
         raise InputError("targets: some are poses and some are points; give a rejoint.Pose for each, or for none")
+    turns = None
     if kinds == {True}:
         points, turns = placed(arm, cast("Sequence[Pose]", given))
-        turns = turns and turns[None]
-        if reachable:
-            require_reachable(arm, points[None], turns)
-        return points[None], turns
-    points = as_floats("targets", given, "(targets, 3) or (sets, targets, 3) in metres")
-    if points.ndim not in (2, 3) or points.shape[-1] != 3:
-        raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
-    points = points[None] if points.ndim == 2 else points
+    else:
+        points = as_floats("targets", given, "(targets, 3) or (sets, targets, 3) in metres")
+        if points.ndim not in (2, 3) or points.shape[-1] != 3:
+            raise InputError(
+                f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres"
+            )
+    points, turns = points[None] if points.ndim == 2 else points, turns and turns[None]
     if reachable:
-        require_reachable(arm, points)
-    return points, None
+        require_reachable(arm, points, turns)
+    return points, turns
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
