@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from plainbus import PlainBus
 
+from emulatedservers import serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import Reason
@@ -29,7 +30,7 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing, serve_tcp
+from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from plainbus import SimulatedClock
 
+from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -32,7 +33,7 @@ from rejoint.system.errors import (
     StaleReplyError,
 )
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
+from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 

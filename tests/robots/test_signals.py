@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 
+from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -19,7 +20,7 @@ from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
-from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
+from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 

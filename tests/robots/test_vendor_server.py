@@ -16,12 +16,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from emulatedservers import serve_pty
 from rejoint.arms import mycobot280
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
 from rejoint.robots.mycobot.wire import Decoder, encode
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import serve_pty
 
 pytestmark = pytest.mark.realtime
 

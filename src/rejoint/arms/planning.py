@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import factorial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from rejoint.arms.kinematics import gravity_torque, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
+from rejoint.system.shell import Late
+
+interpolate = Late("scipy.interpolate")
 
 RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
@@ -39,6 +42,7 @@ SHORTER = 0.995
 _OTHERS, _PARTS = 200, 8
 _OVERLAPS = (1.0, 0.75, 0.5, 0.25)
 _SAMPLE = 0.002  # [s] between the checks of a corner
+_INSTANT = 1e-12  # [s] of a piece that is left out
 _ROUNDED = 3e-5  # [m] by which a posture that was chosen at a bound may be beyond it
 
 
@@ -60,19 +64,17 @@ class JointTrajectory:
     """(m, n) [rad] straight pieces"""
     begins: Array
     """(m,) [s]"""
-    profiles: Array
-    """(m, 5, 8) at eight knots per piece: time [s], then share of the move and three derivatives"""
+    shares: tuple[Any, ...]
+    """(m,) share of each piece over its time, a `scipy.interpolate.PPoly`"""
 
     def at(self, time: Array | float, derivative: int = 0) -> Array:
         """Positions (..., n) [rad] at ``time`` (...) [s], clamped; or a derivative, up to the third."""
         moment = np.asarray(time, dtype=float)
         result = np.zeros((*moment.shape, len(self.goal)))
-        for move, begin, (knots, *states) in zip(self.moves, self.begins, self.profiles, strict=True):
-            past = np.clip(moment - begin, 0.0, knots[-1])
-            k = np.searchsorted(knots[:-1], past, side="right") - 1
-            terms = enumerate(states[derivative:])
-            value = sum(state[k] * (past - knots[k]) ** order / factorial(order) for order, state in terms)
-            moves = (derivative == 0) | ((moment >= begin) & (moment <= begin + knots[-1]))
+        for move, begin, share in zip(self.moves, self.begins, self.shares, strict=True):
+            past = moment - begin
+            value = share(np.clip(past, 0.0, share.x[-1]), derivative)
+            moves = (derivative == 0) | ((past >= 0.0) & (past <= share.x[-1]))
             result += np.where(moves, value, 0.0)[..., None] * move
         if derivative == 0:
             result = np.where(moment[..., None] >= self.duration, self.goal, self.start + result)
@@ -309,28 +311,27 @@ def _timed(field: _Field, way: Array, limits: Array) -> JointTrajectory:
     """Motion along the corners (k, n), with overlapping pieces where allowed."""
     moves = np.diff(way, axis=0)
     moves = moves[np.abs(moves).max(axis=-1) > 1e-12]
-    profiles = np.array([_profile(move, limits) for move in moves]).reshape(len(moves), 5, 8)
-    ramps = profiles[:, 0, 3]  # to full speed, and from it
+    shares = tuple(_share(move, limits) for move in moves)
     overlaps = np.zeros(max(len(moves) - 1, 0))
     for k in range(len(overlaps)):
-        for overlap in np.multiply(_OVERLAPS, min(ramps[k], ramps[k + 1])):
-            corner = _assembled(way[k : k + 3], moves[k : k + 2], profiles[k : k + 2], np.array([overlap]))
+        for overlap in np.multiply(_OVERLAPS, min(shares[k].x[3], shares[k + 1].x[3])):  # of full ramps
+            corner = _assembled(way[k : k + 3], moves[k : k + 2], shares[k : k + 2], np.array([overlap]))
             if _corner_holds(field, corner, limits):
                 overlaps[k] = overlap
                 break
-    return _assembled(way, moves, profiles, overlaps)
+    return _assembled(way, moves, shares, overlaps)
 
 
-def _assembled(way: Array, moves: Array, profiles: Array, overlaps: Array) -> JointTrajectory:
-    lengths = profiles[:, 0, -1]
+def _assembled(way: Array, moves: Array, shares: tuple[Any, ...], overlaps: Array) -> JointTrajectory:
+    lengths = np.array([share.x[-1] for share in shares])
     begins = np.concatenate([[0.0], np.cumsum(lengths[:-1] - overlaps)])[: len(moves)]
     duration = float((begins + lengths).max(initial=0.0))
-    return JointTrajectory(duration=duration, start=way[0], goal=way[-1], moves=moves, begins=begins, profiles=profiles)
+    return JointTrajectory(duration=duration, start=way[0], goal=way[-1], moves=moves, begins=begins, shares=shares)
 
 
 def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool:
-    first, last = corner.begins[1], corner.profiles[0, 0, -1]
-    inside = np.concatenate([corner.profiles[0, 0], corner.begins[1] + corner.profiles[1, 0]])
+    first, last = corner.begins[1], corner.shares[0].x[-1]
+    inside = np.concatenate([corner.shares[0].x, first + corner.shares[1].x])
     inside = inside[(inside > first) & (inside < last)]
     time = np.union1d(np.linspace(first, last, 2 + int((last - first) / _SAMPLE)), np.append(inside, inside + 1e-9))
     for order in (1, 2, 3):
@@ -340,8 +341,8 @@ def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool
     return bool((apart >= field.least - 1e-7).all())
 
 
-def _profile(move: Array, limits: Array) -> Array:
-    """Profile (5, 8) between rests of a straight ``move`` (n,), see `JointTrajectory`."""
+def _share(move: Array, limits: Array) -> Any:  # noqa: ANN401 - a PPoly of an untyped library
+    """Share of a straight ``move`` (n,) between rests, over time: constant jerk in seven pieces."""
     speed, acceleration, jerk = (limits / np.maximum(np.abs(move), 1e-12)).min(axis=1)
     # The speed from which braking must begin at once: without constant acceleration, and with it.
     peak = np.cbrt(jerk / 4.0)
@@ -351,19 +352,10 @@ def _profile(move: Array, limits: Array) -> Array:
     speed = min(speed, peak)
     ramp = min(acceleration / jerk, np.sqrt(speed / jerk))
     steady = speed / (jerk * ramp) - ramp
-    cruise = max(1.0 / speed - 2.0 * ramp - steady, 0.0)
-    times = np.array([ramp, steady, ramp, cruise, ramp, steady, ramp])
-    knots = np.zeros((5, 8))
-    knots[4, :7] = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
-    for k, time in enumerate(times):
-        _, s, v, a, j = knots[:, k]
-        knots[:4, k + 1] = (
-            knots[0, k] + time,
-            s + time * (v + time * (a / 2.0 + time * j / 6.0)),
-            v + time * (a + time * j / 2.0),
-            a + time * j,
-        )
-    return knots
+    cruise = 1.0 / speed - 2.0 * ramp - steady
+    times = np.maximum([ramp, steady, ramp, cruise, ramp, steady, ramp], _INSTANT)
+    jerks = jerk * np.array([[1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0]])
+    return interpolate.PPoly(jerks, np.append(0.0, np.cumsum(times))).antiderivative(3)
 
 
 def _checked(arm: Arm, what: str, q: Array) -> Array:

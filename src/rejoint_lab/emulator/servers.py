@@ -18,7 +18,6 @@ from rejoint.robots.wireserver import (
     LinkGoneError,
     Server,
     TcpServer,
-    TerminalServer,
 )
 from rejoint.system.files import unwritable
 from rejoint.system.shell import listen_tcp
@@ -200,16 +199,6 @@ def beyond_loopback(address: str) -> bool:
     """Whether other machines can reach ``address``."""
     place = urlsplit(address)
     return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
-
-
-def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 9000, **options: Any) -> Server:  # noqa: ANN401
-    """Listen on a TCP port (0: any free one); InputError."""
-    return on_port(WireSession(firmware, **options), host, port)
-
-
-def serve_pty(firmware: Firmware, **options: Any) -> Server:  # noqa: ANN401
-    """Open a pseudo-terminal; run the server to serve."""
-    return TerminalServer(WireSession(firmware, **options))
 
 
 def on_port(session: Conversation[Any], host: str = "127.0.0.1", port: int = 0) -> Server:

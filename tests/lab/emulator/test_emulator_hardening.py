@@ -10,11 +10,12 @@ import pytest
 from benchmarks.emulator import GET_ANGLES, descriptors, drop_connections, fuzz
 from reaching import place, until
 
+from emulatedservers import serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.mover import MAX_QUEUE
 from rejoint.robots.mycobot.wire import Frame, answer, encode, pack_angles
 from rejoint_lab.emulator.firmware import MAX_WRITES
-from rejoint_lab.emulator.servers import Timing, serve_tcp
+from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from reaching import place
 
+from emulatedservers import serve_pty, serve_tcp
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
+from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 
