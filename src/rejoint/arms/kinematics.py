@@ -87,18 +87,22 @@ def frames(arm: Arm, q: Array) -> Frames:
 
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return all_poses(arm, q)[:, 2, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
+    return _by_posture(arm, q)[..., 2, 3]
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP positions (..., 3) [m] at ``q`` (..., n) [rad]."""
-    return all_poses(arm, q)[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
+    return _by_posture(arm, q)[..., -1, :, 3]
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    poses = all_poses(arm, q, 4)[arm.joints]
-    return poses.transpose(2, 0, 1).reshape(*q.shape[:-1], 4, 4)
+    return _by_posture(arm, q, 4)[..., -1, :, :]
+
+
+def _by_posture(arm: Arm, q: Array, rows: int = 3) -> Array:
+    """First ``rows`` of the frames of joints and TCP, (..., n + 1, r, 4)."""
+    return all_poses(arm, q, rows).transpose(3, 0, 1, 2).reshape(*q.shape[:-1], arm.joints + 1, rows, 4)
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:

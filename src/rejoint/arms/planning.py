@@ -8,15 +8,13 @@ time as far as limits and clearances allow.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, frozen
-from rejoint.arms.collision import clearances, collision_shape, contact
-from rejoint.arms.inertia import link_ends
+from rejoint.arms.collision import clearances, contact
 from rejoint.arms.kinematics import gravity_torque, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
@@ -29,8 +27,8 @@ RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
 CLEARANCE = 0.010
 """[m] margin of links (chosen: with half of it, worn arms come nearer than 5 mm)"""
-STEP, LOW = 0.004, 0.001
-"""[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
+LOW = 0.001
+"""[m] margin above floors of a myCobot 280 (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _SHORTCUTS = 4000, 80
 SLOWEST = 0.2
@@ -158,12 +156,8 @@ class _Field:
     """Clearances that a trajectory keeps."""
 
     arm: Arm
-    levers: Array
-    """(n + c, n) [m]"""
     least: Array
     """(n + c,) [m]"""
-    step: float
-    """[m]"""
 
     @classmethod
     def of(cls, arm: Arm, start: Array, goal: Array, clearance: float) -> _Field:
@@ -175,8 +169,6 @@ class _Field:
         ends = np.stack([clearances(arm, q, body.floors) for q in (start, goal)])
         field = cls(
             arm=arm,
-            levers=_levers(arm),
-            step=STEP * length_size(arm),
             least=frozen(np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))),
         )
         wrong = (ends[1] < np.minimum(ends[0], 0.0) - _ROUNDED) & ~always
@@ -187,7 +179,7 @@ class _Field:
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
         """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
         body = body_of(self.arm)
-        share, item = redundancy.passable(body, start, goal, self.levers, self.least, self.step, leaving)
+        share, item = redundancy.passable(body, start, goal, self.least, leaving)
         return share, item
 
     def blocked(self, item: int, q: Array) -> str:
@@ -211,7 +203,7 @@ class _Field:
         spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
         drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
         drawn = np.clip(drawn, body.inner[0], body.inner[1])
-        way = redundancy.connect(body, begin, goal, drawn, self.levers, self.least, self.step)
+        way = redundancy.connect(body, begin, goal, drawn, self.least)
         if not len(way):
             return None
         corners = self._shortened(way, rng)
@@ -282,18 +274,6 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
     given = np.where(lifted, motors.usable, motors.limit)
     found: Array = (np.abs(torque) / given).max(axis=(0, 2, 3))
     return found
-
-
-@lru_cache(maxsize=32)
-def _levers(arm: Arm) -> Array:
-    """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
-    shape, joints = collision_shape(arm), arm.joints
-    lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
-    far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
-    pairs = [np.where(np.arange(joints) >= one, far[other], 0.0) for one, other in shape.pairs]
-    ends = [far[end - 1] for end in shape.places]
-    boxed = [far[link] for _ in shape.boxes for link in shape.moving]
-    return frozen(np.array([*far[1:], *pairs, *ends, *boxed]))
 
 
 def _limits(arm: Arm, way: Array, motors: Motors | None, speed: float) -> Array:

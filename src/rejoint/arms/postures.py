@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
+from rejoint.arms.inertia import link_ends
 from rejoint.arms.inverse import REST_GAIN, ROUNDS, goals_of, solve_position
 from rejoint.arms.kinematics import chain_of, frames, gravity_torque, tcp_position
 from rejoint.arms.rotations import Orientation
@@ -30,6 +31,8 @@ MARGIN = float(np.radians(0.5))
 CLEARANCE, SPACIOUS = 0.006, 0.015
 """[m] least clearance, twice that between links (chosen: capsules 5 mm thicker touch nothing); and sufficient clearance
 of a myCobot 280 (chosen)"""
+STEP = 0.004
+"""[m] of a myCobot 280: motion between checks of a way (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 Effort = tuple[int, int, int]
@@ -300,7 +303,19 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when
     margin = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
     inner = frozen(np.stack([arm.lower + margin, arm.upper - margin]))
     floors, least, spacious = guarded_floors(arm), frozen(_least(arm)), SPACIOUS * length_size(arm)
-    return redundancy.Body(chain_of(arm), collision_shape(arm), inner, floors, least, spacious)
+    step = STEP * length_size(arm)
+    return redundancy.Body(chain_of(arm), collision_shape(arm), inner, floors, least, spacious, _levers(arm), step)
+
+
+def _levers(arm: Arm) -> Array:
+    """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
+    shape, joints = collision_shape(arm), arm.joints
+    lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
+    far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
+    pairs = [np.where(np.arange(joints) >= one, far[other], 0.0) for one, other in shape.pairs]
+    ends = [far[end - 1] for end in shape.places]
+    boxed = [far[link] for _ in shape.boxes for link in shape.moving]
+    return frozen(np.array([*far[1:], *pairs, *ends, *boxed]))
 
 
 def _least(arm: Arm) -> Array:

@@ -62,9 +62,13 @@ class Body(NamedTuple):  # Numba's files on disk name this class: give this modu
     """(c,) [m] least distances; minus infinity: constant"""
     spacious: float
     """[m] sufficient clearance"""
+    levers: Array
+    """(n + c, n) [m] bounds of the changes of clearances per radian"""
+    step: float
+    """[m] by which a clearance may change between checks"""
 
 
-BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64), Body)
+BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64, IN2, float64), Body)
 
 
 @njit(OUT1(BODY, OUT3), **OPTIONS)
@@ -225,14 +229,14 @@ LONGEST, SHORTEST = 1.5, 0.02
 """[rad] branch lengths, by the joint that turns most (chosen)"""
 
 
-@njit(types.Tuple((float64, int64))(BODY, IN1, IN1, IN2, IN1, float64, boolean), **OPTIONS)
-def passable(body, start, goal, levers, least, step, leaving):  # noqa: ANN001, ANN201
+@njit(types.Tuple((float64, int64))(BODY, IN1, IN1, IN1, boolean), **OPTIONS)
+def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
     """Share, 0 to 1, of the straight line ``start`` to ``goal`` (n,) that keeps ``least`` (n + c,) [m]; what ends it.
 
-    ``levers`` (n + c, n) [m] bound the changes per radian. Between checks a distance changes by ``step`` [m] or its
-    reserve at most. ``leaving``: too small distances at the start may grow.
+    Between checks a distance changes by ``body.step`` or its reserve at most. ``leaving``: too small distances at the
+    start may grow.
     """
-    rates = (levers * np.abs(goal - start)).sum(axis=1)
+    rates = (body.levers * np.abs(goal - start)).sum(axis=1)
     before, share, safe = np.full(len(least), -np.inf), 0.0, 0.0
     while True:
         clear, ahead = measure(body, place(body.chain, start + share * (goal - start))), 1.0
@@ -240,7 +244,7 @@ def passable(body, start, goal, levers, least, step, leaving):  # noqa: ANN001, 
             leaves = leaving and before[k] < least[k] and clear[k] >= before[k]
             if clear[k] < least[k] - ROUNDING and not leaves:
                 return safe, k
-            ahead = min(ahead, max(clear[k] - least[k], step) / max(rates[k], 1e-12))
+            ahead = min(ahead, max(clear[k] - least[k], body.step) / max(rates[k], 1e-12))
         before, safe = clear, share
         if share >= 1.0:
             return 1.0, 0
@@ -269,8 +273,8 @@ def _branch(nodes, parents, node):  # noqa: ANN001, ANN202
     return nodes[np.array(chain)]
 
 
-@njit(OUT2(BODY, IN1, IN1, IN2, IN2, IN1, float64), **OPTIONS)
-def connect(body, start, goal, drawn, levers, least, step):  # noqa: ANN001, ANN201
+@njit(OUT2(BODY, IN1, IN1, IN2, IN1), **OPTIONS)
+def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
     """Corners (k, n) of a way from ``start`` to ``goal`` (n,); k is 0 if none is found.
 
     ``drawn`` (D, n): random postures; the rest as in `passable`.
@@ -288,7 +292,7 @@ def connect(body, start, goal, drawn, levers, least, step):  # noqa: ANN001, ANN
                 continue
             reach = 1.0 if side != tree else min(1.0, LONGEST / size)
             end = origin + reach * (aim - origin)
-            share = passable(body, origin, end, levers, least, step, False)[0]
+            share = passable(body, origin, end, least, False)[0]
             joined = side != tree and share == 1.0
             if share * reach * size < SHORTEST and not joined:
                 if side == tree:
