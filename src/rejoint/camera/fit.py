@@ -26,7 +26,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import ANYWHERE, PriorCase, belief
-from rejoint.diagnosis.calibration.solver import Problem, solve
+from rejoint.diagnosis.calibration.solver import ToolProblem, solve
 from rejoint.diagnosis.regression import fit_clustered
 from rejoint.system.errors import InputError
 
@@ -131,12 +131,12 @@ POSES = 12
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
 
 
-def film_problem(arm: Arm, film: Film, rig: Rig, placed: list[Placed], prior: Calibration | None) -> Problem:
+def film_problem(arm: Arm, film: Film, rig: Rig, placed: list[Placed], prior: Calibration | None) -> ToolProblem:
     """Problem of the boards ``placed`` in the usable shots of a film."""
     shots, views, sights = film.usable, film.views, np.array([one.pose for one in placed])
     by_lens, lens = _lens_ties(rig.lens, film.board, views, sights)
     outside = block_diag(ANYWHERE**-2.0 * np.eye(POSES), lens)
-    return Problem(
+    return ToolProblem(
         arm=arm,
         belief=belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside),
         seen=sights if rig.carried == "board" else inverse(sights),
@@ -152,7 +152,7 @@ def film_problem(arm: Arm, film: Film, rig: Rig, placed: list[Placed], prior: Ca
     )
 
 
-def rig_of(problem: Problem, rig: Rig, vector: Array) -> Rig:
+def rig_of(problem: ToolProblem, rig: Rig, vector: Array) -> Rig:
     """Rig for the unknowns (k,), from its first estimate."""
     standing, mounted, lens = problem.outside(vector)
     return replace(rig, standing=standing, mounted=mounted, lens=rig.lens.with_numbers(rig.lens.numbers + lens))
@@ -292,8 +292,8 @@ def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: st
 
 
 def _judged(
-    problem: Problem, rig: Rig, vector: Array, views: Sequence[BoardView]
-) -> tuple[Problem, list[Residual], list[str]]:
+    problem: ToolProblem, rig: Rig, vector: Array, views: Sequence[BoardView]
+) -> tuple[ToolProblem, list[Residual], list[str]]:
     """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
     told = rig_of(problem, rig, vector).sight(problem.displacement(vector).tool_pose(problem.arm, problem.position))
     placed = [

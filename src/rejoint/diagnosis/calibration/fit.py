@@ -24,7 +24,7 @@ from rejoint.diagnosis.calibration.parameters import (
     floor_of,
     vector_of,
 )
-from rejoint.diagnosis.calibration.solver import Fitted, Problem, search, solve
+from rejoint.diagnosis.calibration.solver import Fitted, ToolProblem, search, solve
 from rejoint.system.errors import InputError
 
 FOLDS = 12
@@ -90,7 +90,7 @@ def merge_repeats(measured: Measurements) -> Measurements:
     return replace(measured, posture=connected_components(same)[1])
 
 
-def leave_out(problem: Problem, fitted: Fitted) -> LeftOut:
+def leave_out(problem: ToolProblem, fitted: Fitted) -> LeftOut:
     """Predict postures from the others, with and without displacement."""
     before, after, surprise = np.zeros((3, len(problem.posture)))
     for out in folds(problem.posture):
@@ -140,7 +140,7 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     seen = np.tile(np.eye(4), (len(measurements), 1, 1))
     seen[:, :3, 3] = np.nan_to_num(measurements.point)
     beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
-    problem = Problem(
+    problem = ToolProblem(
         arm=arm,
         belief=beliefs[0][0],
         seen=seen,
@@ -178,14 +178,14 @@ def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belie
     return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 
-def likeliest(problem: Problem, beliefs: list[tuple[Belief, float]]) -> tuple[Problem, Fitted]:
+def likeliest(problem: ToolProblem, beliefs: list[tuple[Belief, float]]) -> tuple[ToolProblem, Fitted]:
     """Solve a problem under each prior with its log odds; return the likeliest."""
     tried = [(replace(problem, belief=one), odds) for one, odds in beliefs]
     solved = [(own, search(own), odds) for own, odds in tried]
     return max(solved, key=lambda each: each[1].evidence + each[2])[:2]
 
 
-def judged(problem: Problem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
+def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(

@@ -51,11 +51,11 @@ class Fitted:
 
 
 ROWS = ("seen", "by_lens", "known", "spread", "position", "posture")
-"""Fields of `Problem` with a row each"""
+"""Fields of `ToolProblem` with a row each"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+class ToolProblem:
     """What a device saw of the tool in R postures, and a prior.
 
     Unknown outside the arm, as far as the prior has them: `frame`, then `mounted` (6 each: shift, turn), then a lens.
@@ -90,7 +90,7 @@ class Problem:
         body = DisplacementLayout(joints=self.arm.joints)
         return replace(body, outside=len(self.belief.mean) - body.size)
 
-    def rows(self, where: NDArray[np.bool_]) -> Problem:
+    def rows(self, where: NDArray[np.bool_]) -> ToolProblem:
         """Problem of some rows."""
         return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
@@ -155,7 +155,7 @@ class Problem:
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
 
-def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> Fitted:
     """Iterate from ``start`` (k,), with the noise and the weights of the last iterate."""
     belief, vector = problem.belief, np.array(start, dtype=float)
     free, cost, root = belief.upper > belief.lower, np.inf, np.linalg.cholesky(belief.precision).T
@@ -197,7 +197,7 @@ def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitte
     return _fitted(problem, vector, curvature)
 
 
-def _fitted(problem: Problem, vector: Array, curvature: Array) -> Fitted:
+def _fitted(problem: ToolProblem, vector: Array, curvature: Array) -> Fitted:
     whitener, white, weight = problem.weighed(vector)
     own, off = problem.belief.precision, vector - problem.belief.mean
     cost = 0.5 * float((weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off)
@@ -206,7 +206,7 @@ def _fitted(problem: Problem, vector: Array, curvature: Array) -> Fitted:
     return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
 
 
-def search(problem: Problem) -> Fitted:
+def search(problem: ToolProblem) -> Fitted:
     """Solve; where the base may be tilted also from tilted bases: a slight tilt moves a floating joint."""
     upright = solve(problem, problem.belief.mean)
     tilt = problem.layout.at("tilt")
