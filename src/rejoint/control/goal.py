@@ -26,13 +26,16 @@ LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 by 8 deg at full speed; with twice these lags an arm cut a corner by 7 mm)"""
 LEAD = 0.09
 """[s] by which goals on a way lead it (chosen: worn servos are 0.07 to 0.15 s late)"""
-STUCK = float(np.radians(30.0))
-"""[rad] lag of a stuck joint: the others stop, for without it they may touch something (chosen)"""
-PATIENCE = (6.0, 1.0)
-"""[s] plus durations of the way, after which the arm goes on to the next target (chosen)"""
+STUCK = tuple(np.radians([30.0, 36.0]))
+"""[rad] lags between which the others go on without a stuck joint: that may lighten it (chosen)"""
+PATIENCE, STOPPED = (20.0, 10.0), 1.0
+"""[s] plus durations of the way, and [s] that it stands still, after which the target is given up (chosen)"""
 ROOM, LEAST = 0.1, 0.3
 """[m] of a myCobot 280: clearance below which those lags shrink in proportion, and their least share (chosen by
 `python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
+STOP, LAST, _REST = 0.010, 0.9, 12
+"""[m] clearance that the others keep on the rest of the way while a joint is stuck, and share of a way after which they
+wait for it (chosen)"""
 AHEAD, BRAKING, RESERVE = 0.05, 0.35, 0.005
 """[s] over which the approach to obstacles is measured; least time [s] to a clearance of the [m] after it (chosen
 likewise: with 0.25 s worn arms overshot, with 0.5 s ways took 0.1 s longer)"""
@@ -97,7 +100,8 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
 def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Array | float = 0.0) -> float:
     """Share of its speed at which a way goes on, ``since`` [s] its begin, at ``position`` (n,) [rad].
 
-    It brakes before obstacles. The less room there is, the less joints may lag.
+    It brakes before obstacles. The less room there is, the less joints may lag. It waits for a stuck joint at its end,
+    and where the others would touch something without it.
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
     postures = np.stack([goal, position, ahead, position + ahead - goal])
@@ -107,9 +111,14 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     left = np.maximum(clear[:2].min(axis=0) - RESERVE, 1e-4)
     brake = float((left / np.maximum(closing, 1e-6)).min(initial=1.0)) / BRAKING
     lag = float(np.abs(goal - position - sag).max())
-    if lag > STUCK * room:
-        return 0.0
-    return max(min(float(np.interp(lag / room, LAGS, (1.0, 0.0))), brake), SLOWEST * room)
+    if lag > LAGS[1]:
+        rest = clearances(arm, position + way.at(np.linspace(since, way.duration, _REST)) - goal, np.zeros(0)).min(
+            axis=0
+        )
+        if ((rest < STOP) & (rest < clear[1])).any() or (lag > STUCK[1] and since > LAST * way.duration):
+            return 0.0
+    slowly, stuck = np.interp(lag / room, LAGS, (1.0, 0.0)), np.interp(lag, STUCK, (0.0, 1.0))
+    return max(min(max(slowly, stuck), brake), SLOWEST * room)
 
 
 @lru_cache(maxsize=32)

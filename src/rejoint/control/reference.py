@@ -17,7 +17,7 @@ from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, LEAD, PATIENCE, Ways, beginning_at, nearest_postures, waiting
+from rejoint.control.goal import LAGS, LEAD, PATIENCE, STOPPED, Ways, beginning_at, nearest_postures, waiting
 from rejoint.control.robot import ControlInput, JointState, Mask
 from rejoint.system.errors import InputError
 
@@ -136,6 +136,7 @@ class TargetSequence(Reference):
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
         self._turn: Orientation | None = None
         self._pace = np.ones(self.count)  # at which the ways go on
+        self._went = np.zeros(self.count)  # [s] when they did last
         self._ways: list[JointTrajectory] = []
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:
@@ -174,11 +175,13 @@ class TargetSequence(Reference):
         self._aim_at(fresh, self._goal, changed)
         return changed
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """See `Reference`. The correction of the aim grows along the way; the goal leads it by `LEAD`."""
         goal, target, ways = self._goal, self._aim, self._ways
         if not ways:
             return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)
+        self._went = np.where((self._pace > 0.0) | (since <= 0.0), state.time, self._went)
+        self.patience = np.where(state.time - self._went > STOPPED, -np.inf, self.patience)
         duration = np.array([way.duration for way in ways])
         moving = since < duration
         if moving.any():
