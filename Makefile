@@ -46,7 +46,7 @@ format: $(READY)
 # A half-made environment has no `ready` file and is made again.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,live,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,fleet,live,dev]"
 	touch $(READY)
 
 # What builds the site; nothing else needs it.

@@ -1,5 +1,6 @@
 """Signals end the program also where the exception of their handler is swallowed."""
 
+import signal
 import subprocess
 import sys
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
+from rejoint.runs.fleet import rayexecutor
 
 PRELUDE = """
 import ctypes, os, signal, sys, time
@@ -185,6 +187,30 @@ def test_whoever_drives_hears_signals_also_where_another_thread_drives_already()
         "other.join()\nprint(*ended, signal.getsignal(signal.SIGTERM) == signal.SIG_DFL, flush=True)\n"
     )
     assert ended.stdout.splitlines() == ["interrupted by SIGTERM", "other interrupted by SIGTERM True"], ended.stderr
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
+    """Raised in between it ended in a segmentation fault, by Ray's own handler with the exit code 15 and no line."""
+    ended = run(
+        "import rejoint.cli as cli\nfrom rejoint.runs.fleet import rayexecutor\n"
+        "class Ray:\n    def shutdown(self): print('shut down', flush=True)\n"
+        "def started(*_):\n    signal.signal(signal.SIGTERM, lambda signum, _: sys.exit(signum))\n"
+        f"    os.kill(os.getpid(), {int(signum)})\n    time.sleep(0.01)\n    print('started', flush=True)\n"
+        "    return Ray()\n"
+        "rayexecutor._started = started\n"
+        "def app(**_):\n    rayexecutor._begun(None, None, {})\n"
+        "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
+    )
+    assert (ended.returncode, ended.stderr) == (128 + signum, f"error: interrupted by {signum.name}\n")
+    assert ended.stdout.split("\n") == ["started", "shut down", ""]
+
+
+def test_ray_sets_no_handler_of_signals_while_it_starts(monkeypatch):
+    monkeypatch.setattr(rayexecutor, "_started", lambda *_: signal.signal(signal.SIGTERM, signal.SIG_IGN))
+    before = signal.getsignal(signal.SIGTERM), signal.signal
+    rayexecutor._begun(None, None, {})
+    assert (signal.getsignal(signal.SIGTERM), signal.signal) == before
 
 
 def test_a_thread_that_drives_is_interrupted_from_another_one_and_nothing_else():

@@ -6,7 +6,8 @@ Many arms in one command.
 from __future__ import annotations
 
 import os
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -23,7 +24,8 @@ from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.campaign import FleetResult
+    from rejoint.runs.fleet.campaign import Executor, FleetResult
+    from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
 """Exit codes of a check after which the arm is to be watched, and is to be repaired"""
@@ -116,7 +118,9 @@ def fleet(
     somebody: bool = False,
     fresh: bool = False,
     needed: bool = False,
+    address: str | None = None,
     cpus: int | None = None,
+    training_cpus: float = 1.0,
     preset: str = "default",
     controllers: str = "all",
     sets: int | None = None,
@@ -125,11 +129,11 @@ def fleet(
     quick: bool = False,
 ) -> Result:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
-    require(f"rejoint fleet {verb}", "report", *(["train"] if verb == "repair" else []))
+    require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.stages import rehearse
     from rejoint.runs.fleet.campaign import Rules, run_fleet
     from rejoint.runs.fleet.file import read_fleet
-    from rejoint.runs.fleet.processes import ProcessExecutor
+    from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
     found, names = read_fleet(file), opt.controller_names(only) if only else ()
     if call.settings.dry_run:
@@ -141,18 +145,27 @@ def fleet(
                 else:
                     rehearse(arm.address, arm.description, None, call.settings, observer, quick=quick)
         return Result({"fleet": file})
+    if address is not None and not has_token():
+        call.say(
+            f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
+        )
+
+    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
+        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
+
     trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
     rules = Rules(
         somebody=somebody,
-        at_once=cpus or os.cpu_count() or 1,
         fresh=fresh,
         needed=needed,
         plan=rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials),
         seed=seed,
         quick=quick,
     )
+    if address is None:  # all control loops run here
+        rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     with call.unsaved(partial(_show_rows, call)):
-        result = run_fleet(found, verb, closing(ProcessExecutor()), rules, only=names, tell=call.say)
+        result = run_fleet(found, verb, make_executor, rules, only=names, tell=call.say)
     _show_rows(call, result)
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")

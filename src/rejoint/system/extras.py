@@ -16,6 +16,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags"),
     "camera": ("cv2", "PIL"),
     "feetech": ("scservo_sdk",),
+    "fleet": ("ray",),
     "live": ("viser", "trimesh", "jinja2"),
 }
 """Imported modules per extra"""

@@ -1,4 +1,4 @@
-"""Who does what next, with a executor that writes files instead of moving arms."""
+"""Who does what next, with a executor that writes files instead of moving arms; no Ray."""
 
 from dataclasses import replace
 from datetime import datetime
@@ -97,7 +97,7 @@ def call(
     **given,
 ):
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, executor, rules or Rules(now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, lambda _: executor, rules or Rules(now=lambda: MONDAY), **given)
 
 
 @pytest.mark.parametrize(

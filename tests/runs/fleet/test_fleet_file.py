@@ -22,7 +22,6 @@ name = "bench-3"
 address = "tcp://192.168.1.20:9000"
 description = "so101"
 bench = "table 1"
-python = "ssh bench-pc python3"
 
 [[arm]]
 name = "desk"
@@ -48,11 +47,11 @@ def test_arms_take_what_they_do_not_say_from_the_top(tmp_path):
     fleet = read_fleet(write_fleet(tmp_path))
     first, second = fleet.arms
     assert fleet.folder == tmp_path / "lab"
-    assert (first.name, first.description, first.bench, first.python) == (
+    assert (first.name, first.description, first.bench, first.resource) == (
         "bench-3",
         "so101",
         "table 1",
-        "ssh bench-pc python3",
+        "arm-bench-3",
     )
     assert (first.tolerance_mm, first.may_move, first.needs_somebody, first.may_repair) == (3.0, True, True, False)
     assert (second.tolerance_mm, second.may_move, second.needs_somebody, second.may_repair) == (5.0, True, False, True)

@@ -21,7 +21,7 @@ from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
 from rejoint.session.inputs import Settings, arm_of
 from rejoint.system.errors import FileError, RejointError, first_line
-from rejoint.system.extras import explain
+from rejoint.system.extras import explain, require
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.shell import command
 from rejoint.system.stopping import Interrupted, check, noted, shielded
@@ -36,7 +36,7 @@ class Rules:
     somebody: bool = False
     """whether a person is present"""
     at_once: int = 1_000_000
-    """most tasks at once"""
+    """most real arms that move at once"""
     fresh: bool = False
     """whether to restart an interrupted call"""
     needed: bool = False
@@ -328,16 +328,17 @@ class _Lead:
                 if refusal or opens != now:
                     one.end, one.why = "left", refusal or _begins(opens)
                     continue
-            if not self._has_room(work):
-                continue
+                if not self._has_room(work):
+                    continue
             one.running, one.why = work, ""
             self.tell(f"{one.arm.name}: {work.step} begun")
             self.executor.begin(work)
 
     def _has_room(self, work: Work) -> bool:
-        running = [one.running for one in self.standings if one.running is not None]
-        beside = [other for other in running if other.moves and work.moves and other.arm.bench == work.arm.bench]
-        return len(running) < self.campaign.rules.at_once and not (work.arm.bench and beside)
+        moving = [one.running for one in self.standings if one.running is not None and one.running.moves]
+        if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
+            return False
+        return not work.held or sum(other.held for other in moving) < self.campaign.rules.at_once
 
     def _end(self, one: Standing, work: Work, outcome: WorkOutcome) -> None:
         """Note how a step of an arm ended."""
@@ -512,10 +513,13 @@ def write_page(path: Path, result: FleetResult) -> None:
     html.write_page(path, "fleet.html", result=result, headers=HEADERS)
 
 
+MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
+
+
 def run_fleet(
     fleet: Fleet,
     verb: Verb,
-    executor: AbstractContextManager[Executor],
+    executor: MakeExecutor,
     rules: Rules,
     *,
     only: tuple[str, ...] = (),
@@ -523,9 +527,10 @@ def run_fleet(
 ) -> FleetResult:
     """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    ``tell`` receives a line for each event. FileError or UnsavedError if the folder is in use or not writable;
-    InputError for an unknown arm.
+    ``executor`` makes what does the work; ``tell`` receives a line for each event. FileError or UnsavedError if the
+    folder is in use or not writable; InputError for an unknown arm or cluster.
     """
+    require(f"rejoint fleet {verb}", "report")
     arms, begun, place = fleet.only(only), time.monotonic(), state_folder(fleet)
     with locked(RunFolder(place)):
         campaign = Campaign.open(fleet, verb, rules, only)
@@ -533,7 +538,7 @@ def run_fleet(
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
         tell(f"{start} {verb} of {len(campaign.info.runs)} arms in {fleet.folder}{since}")
-        with executor as ready:
+        with executor(arms) as ready:
             standings = drive(arms, campaign, ready, tell)
         result = FleetResult(
             verb=verb,

@@ -106,7 +106,6 @@ class _SharedTable(Table):
     may_move: bool | None = None
     needs_somebody: bool | None = None
     may_repair: bool | None = None
-    python: Text | None = None
 
 
 class _ArmTable(_SharedTable, kw_only=True):
@@ -136,13 +135,16 @@ class FleetArm:
     may_move: bool = False
     needs_somebody: bool = True
     may_repair: bool = False
-    python: str = ""
-    """command of the Python that works with it, such as ``ssh bench-pc python3``; default: this one"""
 
     @property
     def virtual(self) -> bool:
         """Whether it is emulated."""
         return place_of(self.address).virtual
+
+    @property
+    def resource(self) -> str:
+        """Cluster resource of computers that reach this arm."""
+        return f"arm-{self.name}"
 
 
 @dataclass(frozen=True, kw_only=True)

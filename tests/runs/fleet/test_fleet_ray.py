@@ -1,5 +1,6 @@
-"""True processes, started once: those of an emulated arm, of which one is killed, and of one behind TCP."""
+"""A true Ray on this machine, started once: an emulated arm in tasks, whose process is killed, and one behind TCP."""
 
+import os
 import re
 import signal
 import subprocess
@@ -7,6 +8,9 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,13 +18,14 @@ import pytest
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.fleet.campaign import Rules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
-from rejoint.runs.fleet.processes import ProcessExecutor
+from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check
+from rejoint.system.errors import InputError
 
 pytestmark = pytest.mark.realtime
 
-VIRTUAL = "virtual"
-"""Name of the emulated arm"""
+VIRTUAL = f"virtual-{os.getpid()}"
+"""Name of the emulated arm; of all arms on this machine, its processes alone are killed"""
 MONDAY = datetime(2026, 11, 23, 8)
 MOVED = 10_000
 """[bytes] that the journal of the real arm has before its hours end: a second of motion or two"""
@@ -46,39 +51,50 @@ class World:
     def __init__(self, folder):
         self.folder, self.events = folder, list[str]()
         self.late = False
-        self.executor = ProcessExecutor()
+        self.nice = set[int]()
+
+    def executor(self, arms):
+        """Start Ray."""
+        return closing(RayExecutor(arms, cpus=1))
 
     def now(self):
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
         if not any(f"{VIRTUAL}: check failed" in event for event in self.events):
-            for work, process in self.executor.running:
-                if work.arm.name == VIRTUAL:
-                    process.kill()
+            for process in working_on(VIRTUAL):
+                self.nice.add(os.getpriority(os.PRIO_PROCESS, process))
+                os.kill(process, signal.SIGKILL)
         journals = (self.folder / "checks" / "real").rglob("*.journal")
         self.late = self.late or any(path.stat().st_size > MOVED for path in journals)
         return MONDAY + timedelta(hours=12) if self.late else MONDAY
 
 
+def working_on(name):
+    """Return the processes that Ray has named after work on an arm."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if entry.read_bytes().startswith(f"ray::{name}:".encode()):
+                found.append(int(entry.parent.name))
+        except OSError:  # it has ended
+            continue
+    return found
+
+
 @pytest.fixture(scope="module")
 def called(address, tmp_path_factory):
-    allowed = FleetArm(
-        python=f"env {sys.executable}",
-        name=VIRTUAL,
-        address="emulated:worn?seed=3",
-        may_move=True,
-        needs_somebody=False,
-    )
+    allowed = FleetArm(name=VIRTUAL, address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = Rules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", closing(world.executor), rules, tell=world.events.append)
+    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
-    again = run_fleet(fleet, "check", closing(ProcessExecutor()), rules, only=(VIRTUAL,))
+    again = run_fleet(fleet, "check", world.executor, rules, only=(VIRTUAL,))
     return found, world, again
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the process to kill in /proc")
 def test_work_whose_process_was_killed_is_done_by_the_next_call_to_the_same_bits(called, tmp_path):
     found, world, again = called
     row = next(row for row in found.rows if row.name == VIRTUAL)
@@ -90,6 +106,7 @@ def test_work_whose_process_was_killed_is_done_by_the_next_call_to_the_same_bits
     np.testing.assert_array_equal(RunLog.load(log).position, RunLog.load(alone.folder / "check.parquet").position)
     assert row.error_mm == alone.measures.true_error_mm
     assert world.folder.joinpath("fleet", "check.html").exists()
+    assert world.nice == {os.getpriority(os.PRIO_PROCESS, 0)}  # else whatever else runs here delays control loops
 
 
 def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(called):
@@ -99,3 +116,13 @@ def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(calle
     assert "held during check; its hours begin Tue 2026-11-24 08:00" in row.found
     (log,) = world.folder.glob("checks/real/*/*.parquet")
     assert 0.5 < np.ptp(RunLog.load(log).time) < 30.0
+
+
+def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch):
+    """Its own error comes after twenty seconds, and names a server."""
+    imported = ModuleType("ray")
+    imported.__spec__ = ModuleSpec("ray", None)
+    monkeypatch.setitem(sys.modules, "ray", imported)
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    with pytest.raises(InputError, match="begin a new Python"):
+        RayExecutor([])
