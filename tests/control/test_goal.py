@@ -115,7 +115,8 @@ def test_a_way_stops_at_its_end_or_near_something_while_a_joint_is_stuck():
     table = replace(ARM, keep_out=(Box(lower=np.array([-1.0, -1.0, -0.5]), upper=np.array([1.0, 1.0, tool + 0.02])),))
     assert pace(ARM, way, half, way.at(half) + low) > 0.1
     assert pace(table, way, half, way.at(half) + low) == 0.0
-    assert pace(ARM, way, 0.95 * way.duration, way.at(0.95 * way.duration) + low) == 0.0
+    late = np.array([0.95 * way.duration])
+    assert waiting(ARM, [way], late, way.at(late) + low, np.zeros((1, 6)))[0] == 1.0
 
 
 def test_an_arm_that_is_off_the_start_of_its_way_gets_another_from_where_it_is():

@@ -89,19 +89,21 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
 
     ``since`` (B,) [s]: time on the way; ``position`` (B, n) [rad]: measured; ``sag`` (B, n) [rad]: distance from it to
     the start of the way, at the begin. The whole way waits: with another lag of each joint it would not be the checked
-    one.
+    one. At its end it waits for a stuck joint.
     """
     share = np.zeros(len(ways))
     for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
-        share[b] = 1.0 - pace(arm, ways[b], float(since[b]), position[b], sag[b])
+        now, way = float(since[b]), ways[b]
+        late = now > LAST * way.duration and np.abs(way.at(now) - position[b] - sag[b]).max() > STUCK[1]
+        share[b] = 1.0 if late else 1.0 - pace(arm, way, now, position[b], sag[b])
     return share
 
 
 def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Array | float = 0.0) -> float:
     """Share of its speed at which a way goes on, ``since`` [s] its begin, at ``position`` (n,) [rad].
 
-    It brakes before obstacles. The less room there is, the less joints may lag. It waits for a stuck joint at its end,
-    and where the others would touch something without it.
+    It brakes before obstacles. The less room there is, the less joints may lag. It waits for a stuck joint where the
+    others would touch something without it.
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
     postures = np.stack([goal, position, ahead, position + ahead - goal])
@@ -115,7 +117,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
         rest = clearances(arm, position + way.at(np.linspace(since, way.duration, _REST)) - goal, np.zeros(0)).min(
             axis=0
         )
-        if ((rest < STOP) & (rest < clear[1])).any() or (lag > STUCK[1] and since > LAST * way.duration):
+        if ((rest < STOP) & (rest < clear[1])).any():
             return 0.0
     slowly, stuck = np.interp(lag / room, LAGS, (1.0, 0.0)), np.interp(lag, STUCK, (0.0, 1.0))
     return max(min(max(slowly, stuck), brake), SLOWEST * room)
