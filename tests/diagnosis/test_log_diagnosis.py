@@ -69,7 +69,7 @@ def test_stiffness_is_measured_within_its_interval(found):
         for joint in (1, 2, 3):
             k, truth = found[name].measurement.joints[joint].stiffness_nm_per_rad, WEARS[name].position_gain[joint]
             assert 0.95 * k.low < truth < 1.05 * k.high, (name, joint, k, truth)
-            assert k.high / k.low < 1.5
+            assert k.high / k.low < 1.6
 
 
 def test_a_stranger_whose_sag_is_not_that_of_the_model_has_no_known_stiffness(logs):

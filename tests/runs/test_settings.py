@@ -26,7 +26,6 @@ def run(tmp_path):
     [
         {"within": 2.0},
         {"within": float("nan")},
-        {"keep_out": [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]},
     ],
 )
 def test_settings_that_cannot_be_meant_are_refused_at_once(wrong):
@@ -101,7 +100,7 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
         assert np.abs(np.diff(held.position, axis=0)).max() < np.radians(5.0)
         with arm.recording("pick") as taken:
             arm.move_to([0.18, 0.03, 0.21], within_m=0.01)
-            end = arm.move_joints(arm.state.joints_rad + 0.05, within_rad=0.05)
+            end = arm.move_joints(arm.state.joints_rad + 0.05, within_rad=0.1)
         assert taken.log.commanded
         np.testing.assert_allclose(taken.log.position[-1], end.joints_rad, atol=1e-9)
         assert np.isfinite(taken.log.target).all(axis=-1).any()

@@ -66,7 +66,7 @@ def test_targets_anywhere_are_such_that_the_motors_lift_them_and_the_way_is_clea
     )
     task = ReachTask(arm, ranges, 200, TaskSettings(anywhere=1.0), seed=1)
     task.reset()
-    goal, limit = task.state()["task.goal"], share * nominal_parameters(arm).torque_limit
+    goal, limit = task._goal, share * nominal_parameters(arm).torque_limit
     assert (np.abs(gravity_torque(arm, goal)) < 0.9 * limit).all(axis=-1).mean() > 0.95
     ways = arm.rest + np.linspace(0.0, 1.0, 20)[:, None, None] * (goal - arm.rest)
     assert (heights(arm, ways)[..., 1:] > 0.0).all(axis=(0, -1)).mean() > 0.95

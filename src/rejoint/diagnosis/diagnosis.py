@@ -149,7 +149,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         verdict=(
             f"This arm misses its targets by {loop.error_mm.value:.1f} mm (mean of {len(loop.targets)}, spread "
             f"{loop.spread_mm:.1f} mm, by its own encoders{_usual(healthy)}). "
-            f"{_told(findings, loop.error_mm, healthy, nothing)}"
+            f"{_verdict_of(findings, loop.error_mm, healthy, nothing)}"
         ),
         findings=findings,
         unseen=(_hidden(loop, healthy, HIDDEN_MARGIN_MM * length_size(arm)), FLANK, *_untold(measurement)),
@@ -192,7 +192,7 @@ def diagnose_logs(
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
     told = _by_effort(measurement, data.effort_unit or "")
     if not bare:
-        told = _told(findings, evidence.rest_error_mm, healthy, _nothing(measurement))
+        told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement))
     unknown = not findings and all(row.lag_s is None for row in rows)
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
@@ -229,7 +229,9 @@ def _condition(findings: tuple[Finding, ...]) -> str:
     return "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
 
 
-def _told(findings: tuple[Finding, ...], error: Estimate | None, healthy: HealthyReference | None, nothing: str) -> str:
+def _verdict_of(
+    findings: tuple[Finding, ...], error: Estimate | None, healthy: HealthyReference | None, nothing: str
+) -> str:
     """Name the worst findings of the three worst joints, and count the others; ``nothing`` without findings."""
     if not findings:
         return nothing

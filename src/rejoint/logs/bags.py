@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.columns import ColumnFrame, Motion, RecordedMotion, angles_of, begun
+from rejoint.logs.columns import ColumnFrame, RawMotion, RecordedMotion, angles_of, begun
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.system.errors import FileError, first_line
@@ -53,7 +53,7 @@ class Store:
         magics = [(file, self.magic.get(file.suffix) or (file is source and self.magic.get(""))) for file in files]
         return [file for file, magic in magics if magic and begins_with(file, magic)]
 
-    def read(self, file: Path, options: ImportOptions) -> list[Motion]:
+    def read(self, file: Path, options: ImportOptions) -> list[RawMotion]:
         """Read a bag; FileError."""
         return [_read(self, file, options)]
 
@@ -139,7 +139,7 @@ class Message:
     """(K, n) positions, velocities and accelerations of the points, as far as all have them"""
 
 
-def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
+def _read(store: Store, file: Path, options: ImportOptions) -> RawMotion:
     require(f"{file}: reading bags", "logs")
     notes: list[str] = []
     found: dict[str, list[Message]] = {}
@@ -173,7 +173,7 @@ def _read(store: Store, file: Path, options: ImportOptions) -> Motion:
     }
     origin = min(begin.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    motion = Motion(file.stem, [], {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
+    motion = RawMotion(file.stem, [], {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
     for topic, messages in found.items():
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         times = np.array([(begin[one] - origin) / NANOSECONDS for one in messages])

@@ -171,7 +171,7 @@ class RecordedMotion:
         return replace(self, **arrays, command=command, more={name: one[rows] for name, one in self.more.items()})
 
 
-class Motion(NamedTuple):
+class RawMotion(NamedTuple):
     """A motion in a file."""
 
     name: str
@@ -238,14 +238,14 @@ class Column(NamedTuple):
     """in the column's unit"""
 
 
-def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Path, kind: str) -> RecordedMotion:
+def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: Path, kind: str) -> RecordedMotion:
     """Make a motion of columns on one clock, or of states and commands on their own.
 
     ``source`` and ``kind`` are its file and format. FileError for missing or double columns, no unit, or two clocks
     without common time; InputError for a wrong map.
     """
     frames = motion.frames
-    tables = [_Table(frame, arm, options) for frame in frames]
+    tables = [_GroupedColumns(frame, arm, options) for frame in frames]
     first = frames[0]
     for ours, theirs in (options.columns or {}).items():
         if not any(ours in table.mapped for table in tables):
@@ -292,7 +292,7 @@ def read_motion(motion: Motion, arm: Arm, options: ImportOptions, *, source: Pat
 
 def angles_of(frame: ColumnFrame, group: str, arm: Arm, options: ImportOptions) -> Array:
     """Return a group (T, n) [rad] of a frame in the arm's order; errors as `read_motion`."""
-    return _Table(frame, arm, options).values(group)[0]
+    return _GroupedColumns(frame, arm, options).values(group)[0]
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
@@ -319,7 +319,7 @@ def begun(motion: RecordedMotion, last: NDArray[np.int64]) -> RecordedMotion:
     return replace(motion.take(known), notes=(*motion.notes, *[note] * (not known.all())))
 
 
-class _Table:
+class _GroupedColumns:
     """Columns of a frame with a meaning."""
 
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:

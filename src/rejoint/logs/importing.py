@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.logs.bags import MCAP, ROSBAG, Store
-from rejoint.logs.columns import FEWEST, Motion, RecordedMotion, read_motion
+from rejoint.logs.columns import FEWEST, RawMotion, RecordedMotion, read_motion
 from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
@@ -196,7 +196,7 @@ def import_logs(
     refused: list[tuple[str, FileError]] = []
     refusing = partial(_refusing, refused)
     for done, path in enumerate(paths, start=1):
-        motions: list[Motion] = []
+        motions: list[RawMotion] = []
         with refusing(path.stem):
             motions += READERS[chosen].read(path, options)
         for motion in motions:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.logs.columns import ColumnFrame, Motion, holds_positions
+from rejoint.logs.columns import ColumnFrame, RawMotion, holds_positions
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
 from rejoint.system.errors import FileError
@@ -29,7 +29,7 @@ class Reader(NamedTuple):
 
     found: Callable[[Path, ImportOptions], list[Path]]
     """its files or folders at a path, sorted by name"""
-    read: Callable[[Path, ImportOptions], Iterable[Motion]]
+    read: Callable[[Path, ImportOptions], Iterable[RawMotion]]
     """the motions in one of these"""
 
 
@@ -47,14 +47,14 @@ def _is_sage(folder: Path) -> bool:
     return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
 
 
-def _read_sage(folder: Path, options: ImportOptions) -> list[Motion]:
+def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
     file = folder / _JOINTS
     with reading(file, "a SAGE motion needs it, and it is no readable text", "copy it"):
         text = read_bounded(file, TEXT_MOST, _CUT).decode("utf-8-sig")
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
     files = {_STATE: "position", _CONTROL: "command"}
-    return [Motion(folder.resolve().name, [_sage_frame(folder / file, names, files[file], ticks) for file in files])]
+    return [RawMotion(folder.resolve().name, [_sage_frame(folder / file, names, files[file], ticks) for file in files])]
 
 
 def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
@@ -98,10 +98,10 @@ def _titles(file: Path) -> tuple[str, ...] | None:
     return None if sheet is None else sheet.titles
 
 
-def _read_table(file: Path, options: ImportOptions) -> list[Motion]:
+def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
     if _titles(file) == ():
         columns, found = (_archive if file.suffix.lower() == ".npz" else _records)(file)
-        return [Motion(file.stem, [ColumnFrame.of(file, columns, found=found)])]
+        return [RawMotion(file.stem, [ColumnFrame.of(file, columns, found=found)])]
     sheet = read_sheet(file, names=options.names, whole=False)
     frame = ColumnFrame(
         path=file,
@@ -115,7 +115,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[Motion]:
             *["the last line does not end and may be cut: left out"] * (not sheet.ends),
         ],
     )
-    return [Motion(file.stem, [frame])]
+    return [RawMotion(file.stem, [frame])]
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
@@ -162,7 +162,7 @@ def _datasets(source: Path, _: ImportOptions) -> list[Path]:
     return [source] * (source / _INFO).is_file()
 
 
-def _episodes(source: Path, options: ImportOptions) -> Iterator[Motion]:
+def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
     path = source / _INFO
     with reading(path, "damaged", _REMEDY):
         data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
@@ -191,7 +191,7 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[Motion]:
         about = {"number": rows + 1, "place": f"{name}, row", "found": "a LeRobot dataset", "notes": [note]}
         own = {title: column[rows] for title, column in columns.items()}
         frame = ColumnFrame.of(source, own, time=nominal if even else measured, **about)
-        yield Motion(name, [frame], {"episode": str(number)})
+        yield RawMotion(name, [frame], {"episode": str(number)})
 
 
 def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> tuple[str, ...]:

@@ -307,7 +307,7 @@ def repair(
         watching.message(told)
     require_same_pace(about, quick=quick)
     found = about.begin()
-    _Chain(robot, found, what, chosen, watching, quick=quick, only=only).do_all()
+    _RepairStages(robot, found, what, chosen, watching, quick=quick, only=only).do_all()
     watching.progress(1.0, "done")
     if only in (None, "report"):
         finish(found)
@@ -325,7 +325,7 @@ def _require_possible(robot: RobotLike, arm: Arm, plan: RepairPlan, period: Peri
     require_possible(listed(plan.controllers), arm, period_of(robot, period), **able)
 
 
-class _Chain:
+class _RepairStages:
     """Does stages without a file; always writes the report."""
 
     def __init__(

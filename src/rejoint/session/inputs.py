@@ -356,7 +356,9 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
 
     An open robot has its own payload and tool.
     """
-    settings, mine = given or Settings(), kept(run)
+    settings, mine = Settings() if given is None else given, kept(run)
+    if not isinstance(settings, Settings):
+        raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
     mine = mine if isinstance(robot, str) else replace(mine, payload=None, tool=None)
     told = {name: getattr(settings, name) for name in vars(mine)}
     used = replace(mine, **{name: None for name, value in told.items() if value is not None and np.size(value)})

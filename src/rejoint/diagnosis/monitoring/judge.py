@@ -271,11 +271,11 @@ MEANINGS = {
 def say(found: Outlook, robot: str, described: str = "") -> str:
     """Report the arm's state in one line; ``described``: more repair options."""
     repair = command("repair", robot) + described
-    what, do = _told(found, repair)
+    what, do = _advice(found, repair)
     return f"{what}. {_error(found)}. Do: {do}."
 
 
-def _told(found: Outlook, repair: str) -> tuple[str, str]:
+def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     """Name what changed, and what to do."""
     worst, called = found.changes[0], [one for one in found.changes if one.state == found.state]
     if found.moved:
