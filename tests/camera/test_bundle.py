@@ -97,5 +97,5 @@ def test_a_camera_on_the_tool_does_as_well():
     found = fit_film(ARM, film_of(t, "camera"))
     position, links = fresh()
     off = found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links)
-    assert np.linalg.norm(off, axis=-1).mean() < 1.5e-3
+    assert np.linalg.norm(off, axis=-1).mean() < 1.0e-3
     np.testing.assert_allclose(found.rig.standing[:3, 3], t.scene.rig.standing[:3, 3], atol=6e-3)

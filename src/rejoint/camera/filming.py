@@ -11,15 +11,16 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
 from rejoint.camera.film import Film, Shot, positions, read_film, write_film
-from rejoint.camera.fit import first_lens, first_rig
-from rejoint.camera.lens import place
+from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
+from rejoint.camera.lens import TERMS, place
 from rejoint.camera.rig import Rig
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.postures import BEFORE, approachable
+from rejoint.diagnosis.calibration.parameters import belief
+from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
@@ -34,36 +35,74 @@ SPREAD = np.radians(40.0)
 SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
 """[rad] the same before the camera is located; chosen"""
 _DRAWS, _TRIES = 4000, 25  # at a time, and how often
+_ROOM = np.radians(5.0)  # from the joint limits
 _AROUND = 0.04  # [m] around the region of targets in which the tool stays (chosen)
+_LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
 
 
-def choose_postures(arm: Arm, rig: Rig | None, count: int, spread: float = SPREAD, seed: int = 0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] about rest, far apart, in which a ``rig`` shows the board.
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    InputError for too few.
+    D-optimal: the poses of camera and board count too. InputError for too few views.
     """
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
+    if len(candidates) < count:
+        raise InputError(
+            f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
+            f"expected at least {count}; turn the camera to the tool, or the board to the camera"
+        )
+    own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
+    problem = film_problem(own, arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)))
+    expected = rig.sight(problem.displacement(own.mean).tool_pose(arm, candidates))
+    problem = film_problem(own, arm, rig, candidates, expected)
+    slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
+    variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]
+    variance[problem.layout.body :] = _LOOK**2
+    spread = np.diag(variance)
+    chosen: list[int] = []
+    for _ in range(count):
+        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        spread = narrowed(spread, slope[chosen[-1]], np.eye(6))
+    return candidates[chosen]
+
+
+def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
+    """Choose postures (count, n) [rad] about rest, far apart."""
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
+    if len(drawn) < count:
+        raise InputError(
+            f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
+            f"expected at least {count}; give the arm another rest posture"
+        )
+    chosen = [arm.rest]
+    while len(chosen) < count:
+        apart = np.linalg.norm(drawn[:, None] - np.array(chosen), axis=-1).min(axis=1)
+        chosen.append(drawn[int(np.argmax(apart))])
+    return np.array(chosen)
+
+
+def seen_postures(
+    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
+) -> Array:
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that a ``rig`` shows."""
+    rng, room = np.random.default_rng(seed), _ROOM + before
+    low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found = np.zeros((0, arm.joints))
-    rng, low, high = np.random.default_rng(seed), arm.rest - spread, arm.rest + spread
-    wanted = max(CANDIDATES, 2 * count)
     for _ in range(_TRIES):
+        if len(found) >= count:
+            break
         drawn = rng.uniform(low, high, (_DRAWS, arm.joints))
         tool = tcp_position(arm, drawn)
         drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
+        drawn = drawn[heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor]
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
-        found = np.concatenate([found, approachable(arm, drawn)])[:wanted]
-        if len(found) == wanted:
-            break
-    if len(found) < count:
-        where = "the arm can come to" if rig is None else "the camera sees the board in"
-        raise InputError(
-            f"{where} {len(found)} of {_TRIES * _DRAWS} postures around the rest posture, expected at least {count}; "
-            "turn camera and board to each other, or give the arm another rest posture"
-        )
-    chosen, first = [arm.rest], int(rig is None)  # with a rig the rest posture has been seen before
-    while len(chosen) <= count - first:
-        apart = np.linalg.norm(found[:, None] - np.array(chosen), axis=-1).min(axis=1)
-        chosen.append(found[int(np.argmax(apart))])
-    return np.array(chosen[1 - first :])
+        for away in (0.0, before, -before) if before else (0.0,):
+            drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
+            drawn = drawn[~collides(arm, drawn - away)]
+        found = np.concatenate([found, drawn])
+    return found[:count]
 
 
 SCOUTS = 12
@@ -162,10 +201,10 @@ class _Shooting:
 
     def take(self, count: int, visits: int) -> Film:
         arm = self.drive.robot.arm
-        for number, posture in enumerate(choose_postures(arm, None, SCOUTS, SCOUTING[self.film.carried]), start=1):
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
             self._shoot(number, posture, number - 1)
         scouted = replace(self.film, shots=tuple(shot for shot in self.film.shots if shot.number <= SCOUTS))
-        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count), visits, axis=0)
+        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count, before=BEFORE), visits, axis=0)
         for row, posture in enumerate(chosen):
             self._shoot(SCOUTS + 1 + row, posture, SCOUTS + row // visits)
         self.drive.rest()

@@ -20,12 +20,12 @@ from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import Board, BoardView
 from rejoint.camera.detector import Unusable
 from rejoint.camera.film import Film, positions
-from rejoint.camera.lens import CORNER, FLAT, TERMS, Lens, Placed, place
+from rejoint.camera.lens import CORNER, FLAT, TERMS, Lens, place
 from rejoint.camera.rig import Rig, point_sigma
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import ANYWHERE, PriorCase, belief
+from rejoint.diagnosis.calibration.parameters import ANYWHERE, Belief, PriorCase, belief
 from rejoint.diagnosis.calibration.solver import ToolProblem, solve
 from rejoint.diagnosis.regression import fit_clustered
 from rejoint.system.errors import InputError
@@ -131,25 +131,27 @@ POSES = 12
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
 
 
-def film_problem(arm: Arm, film: Film, rig: Rig, placed: list[Placed], prior: Calibration | None) -> ToolProblem:
-    """Problem of the boards ``placed`` in the usable shots of a film."""
-    shots, views, sights = film.usable, film.views, np.array([one.pose for one in placed])
-    by_lens, lens = _lens_ties(rig.lens, film.board, views, sights)
-    outside = block_diag(ANYWHERE**-2.0 * np.eye(POSES), lens)
+def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array) -> ToolProblem:
+    """Problem of boards seen at ``sights`` (V, 4, 4), camera frame, without errors of their own."""
     return ToolProblem(
         arm=arm,
-        belief=belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside),
+        belief=own,
         seen=sights if rig.carried == "board" else inverse(sights),
         inverted=rig.carried == "camera",
-        by_lens=by_lens,
-        known=np.ones((len(shots), 6), dtype=bool),
-        spread=rig.spread(sights, np.array([one.covariance for one in placed])),
-        position=positions(shots, arm)[0],
-        posture=np.array([shot.posture for shot in shots], dtype=np.int64),
+        by_lens=np.zeros((len(sights), 6, len(TERMS))),
+        known=np.ones((len(sights), 6), dtype=bool),
+        spread=np.zeros((len(sights), 6, 6)),
+        position=position,
+        posture=np.arange(len(sights)),
         frame=rig.standing,
         mounted=rig.mounted,
         joint=JOINT,
     )
+
+
+def with_lens(precision: Array) -> Array:
+    """Precision (19, 19) of all outside the arm, for that of a lens (7, 7)."""
+    return np.asarray(block_diag(ANYWHERE**-2.0 * np.eye(POSES), precision))
 
 
 def rig_of(problem: ToolProblem, rig: Rig, vector: Array) -> Rig:
@@ -243,7 +245,15 @@ def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: st
     placed = [place(lens, board.corners[view.number], view.pixel) for view in views]
     sights = np.array([one.pose for one in placed])
     rig = first_rig(arm, lens, board, film.carried, position, sights)
-    problem = film_problem(arm, film, rig, placed, prior)
+    by_lens, told = _lens_ties(lens, board, views, sights)
+    outside = with_lens(told)
+    own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
+    problem = replace(
+        film_problem(own, arm, rig, position, sights),
+        by_lens=by_lens,
+        spread=rig.spread(sights, np.array([one.covariance for one in placed])),
+        posture=np.array([shot.posture for shot in shots], dtype=np.int64),
+    )
     good, vector = np.ones(len(shots), bool), problem.belief.mean
     for number in range(_ROUNDS):
         vector = solve(problem.rows(good), vector).vector
@@ -266,8 +276,6 @@ def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: st
             f"camera: the board is not flat: its corners stand by {1e3 * height:.1f} mm or more out of its plane; "
             "glue it on something flat and stiff, and take the pictures again"
         )
-    body = problem.layout.body
-    outside = problem.belief.precision[body:, body:]
     problem, fitted = likeliest(problem, beliefs_of(arm, problem.posture, prior, outside))
     measured = Measurements(
         position=problem.position,
@@ -282,7 +290,7 @@ def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: st
         calibration=judged(problem, fitted, measured, date),
         measurements=measured,
         rig=rig_of(problem, rig, fitted.vector),
-        rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[body:]), len(TERMS)),
+        rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[problem.layout.body :]), len(TERMS)),
         residuals=tuple(residuals[v] for v in kept),
         left_out=(
             *film.unusable,

@@ -115,12 +115,12 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
     light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
-    within = approachable(arm, inside)[:WITHIN]
-    return within, approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
+    within = _approachable(arm, inside)[:WITHIN]
+    return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
 
 
-def approachable(arm: Arm, q: Array) -> Array:
-    """Return those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on any flank.
+def _approachable(arm: Arm, q: Array) -> Array:
+    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
 
     If the load changes its sign within the play, no model tells the flank.
     """
