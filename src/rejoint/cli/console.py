@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rejoint.control.recording import Observer, Observers
 from rejoint.system.errors import InputError, UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress
@@ -94,37 +93,6 @@ def _results() -> TextIO:
     return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
 
 
-class ConsoleObserver(Observer):
-    """Shows at the terminal what an arm does; ``partial`` prints a result cut short."""
-
-    def __init__(
-        self,
-        terminal: Terminal,
-        progress: Progress | None = None,
-        partial: Callable[[Any], object] = lambda _: None,
-    ) -> None:
-        self._terminal, self._progress, self._partial = terminal, progress, partial
-
-    def message(self, line: str) -> None:
-        """Print a sentence."""
-        self._terminal.say(line)
-
-    def progress(self, share: float, what: str) -> None:
-        """Move the bar."""
-        if self._progress is not None:
-            self._progress(share, what)
-
-    def partial(self, result: object) -> None:
-        """Print what was done until an error."""
-        self._partial(result)
-
-    def served(self, address: str) -> None:
-        """Print where a served arm is."""
-        self._terminal.say(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
-        if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            self._terminal.say("Other machines can drive it too, without a password.")
-
-
 class Terminal:
     """Where a command writes. One per command."""
 
@@ -192,13 +160,6 @@ class Terminal:
         except UnsavedError as error:
             show(error.result)
             raise
-
-    @contextmanager
-    def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
-        """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
-        with self.unsaved(show), live_view(self, self.live, title) as view, self.progress(title) as update:
-            console = ConsoleObserver(self, update, show)
-            yield console if view is None else Observers(console, view)
 
     @contextmanager
     def progress(self, title: str) -> Iterator[Progress]:

@@ -15,8 +15,8 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm
 from rejoint.cli import show
-from rejoint.cli.console import ConsoleObserver, Terminal
-from rejoint.cli.options import Call, takes
+from rejoint.cli.console import Terminal
+from rejoint.cli.options import Call, ConsoleObserver, takes
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -17,13 +18,15 @@ from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
 from rejoint.cli import texts
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, live_view
+from rejoint.control.recording import Observer, Observers
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress
 
 
 class ArmPick(NamedTuple):
@@ -33,6 +36,37 @@ class ArmPick(NamedTuple):
     base: str | None = None
     tip: str | None = None
     hold: str | None = None
+
+
+class ConsoleObserver(Observer):
+    """Shows at the terminal what an arm does; ``partial`` prints a result cut short."""
+
+    def __init__(
+        self,
+        terminal: Terminal,
+        progress: Progress | None = None,
+        partial: Callable[[Any], object] = lambda _: None,
+    ) -> None:
+        self._terminal, self._progress, self._partial = terminal, progress, partial
+
+    def message(self, line: str) -> None:
+        """Print a sentence."""
+        self._terminal.say(line)
+
+    def progress(self, share: float, what: str) -> None:
+        """Move the bar."""
+        if self._progress is not None:
+            self._progress(share, what)
+
+    def partial(self, result: object) -> None:
+        """Print what was done until an error."""
+        self._partial(result)
+
+    def served(self, address: str) -> None:
+        """Print where a served arm is."""
+        self._terminal.say(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        if address.startswith("tcp://") and not address.startswith("tcp://127."):
+            self._terminal.say("Other machines can drive it too, without a password.")
 
 
 class Call(Terminal):
@@ -70,6 +104,13 @@ class Call(Terminal):
             return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
         chosen = self.arm()
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
+
+    @contextmanager
+    def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
+        """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+        with self.unsaved(show), live_view(self, self.live, title) as view, self.progress(title) as update:
+            console = ConsoleObserver(self, update, show)
+            yield console if view is None else Observers(console, view)
 
 
 class Result(NamedTuple):

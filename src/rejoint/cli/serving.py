@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 
 import rejoint
-from rejoint.cli.console import ConsoleObserver, live_view
-from rejoint.cli.options import Call, takes
+from rejoint.cli.console import live_view
+from rejoint.cli.options import Call, ConsoleObserver, takes
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import place_of

@@ -16,8 +16,8 @@ import rejoint
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import ConsoleObserver, Terminal, live_view, results_of
-from rejoint.cli.options import Call, Result, takes
+from rejoint.cli.console import Terminal, live_view, results_of
+from rejoint.cli.options import Call, ConsoleObserver, Result, takes
 from rejoint.control.deployment import REACHED
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.servogains import in_words
