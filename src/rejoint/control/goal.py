@@ -28,7 +28,7 @@ LEAD = 0.09
 """[s] by which goals on a way lead it (chosen: worn servos are 0.07 to 0.15 s late)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
 """[rad] lags between which the others go on without a stuck joint: that may lighten it (chosen)"""
-PATIENCE, STOPPED = (20.0, 10.0), 1.0
+PATIENCE, STOPPED = (20.0, 10.0), 6.0
 """[s] plus durations of the way, and [s] that it stands still, after which the target is given up (chosen)"""
 ROOM, LEAST = 0.1, 0.3
 """[m] of a myCobot 280: clearance below which those lags shrink in proportion, and their least share (chosen by
