@@ -17,7 +17,7 @@ BENCHMARKS = (
 """Modules beside this one; each has a `main`"""
 
 name, *words = sys.argv[1:] or [""]
-known = sorted({path.stem for path in Path(__file__).parent.glob("[a-z]*.py")} - {"frame", "mujocotwin", "virtual"})
+known = sorted({path.stem for path in Path(__file__).parent.glob("[a-z]*.py")} - {"frame", "virtual"})
 if name and name not in known:
     sys.exit(f"no benchmark is called {name}; known: {', '.join(known)}")
 for one in [name] if name else BENCHMARKS:

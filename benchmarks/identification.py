@@ -21,7 +21,6 @@ import mujoco.rollout
 import numpy as np
 import typer
 
-from benchmarks.mujocotwin import friction_solref, twin_spec
 from rejoint.arms import Arm, load_arm
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
@@ -34,6 +33,7 @@ from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
+from rejoint.twin.table import friction_solref, twin_spec
 
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:

@@ -20,7 +20,6 @@ from time import process_time
 import mujoco
 import numpy as np
 
-from benchmarks.mujocotwin import twin_spec
 from rejoint.arms import (
     Arm,
     Array,
@@ -46,6 +45,7 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
+from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere

@@ -1,8 +1,7 @@
 """MuJoCo's own model of one twin, as the judge of the batches, and the replay of one log."""
 
-from benchmarks.mujocotwin import TableBatch
-
 from rejoint.twin.replay import Replay, Window
+from rejoint.twin.table import TableBatch
 
 
 def twin_model(arm, parameters, timestep=0.005, gravity_scale=1.0):

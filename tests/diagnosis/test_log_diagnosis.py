@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from benchmarks.mujocotwin import TablePlane
 from motion_logs import TRUTH, as_log, pressing, record
 from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
@@ -19,6 +18,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate
+from rejoint.twin.twin import TablePlane
 
 WEARS = {
     "healthy": HEALTHY,

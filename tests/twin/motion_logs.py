@@ -3,14 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-from benchmarks.mujocotwin import TableBatch
 
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import ServoReference
+from rejoint.twin.table import TableBatch
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.005, 0.02
@@ -47,8 +46,7 @@ def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
 def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf, own=ARM):
     """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on."""
     twin = truth.repeat(1)
-    arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP)
-    terms = () if table is None else (friction_terms(twin, stiction),)
+    arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP, stiction=stiction)
     if table is None:
         arm.write(twin, stiction=stiction)
     arm.restart(command[:1])
@@ -57,8 +55,8 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceler
         reference = ServoReference(time, command, np.ones(1), acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
-    arm.rollout(np.tile(control[:1], (1, 400, 1)), *terms)
-    path = np.vstack([arm.qpos.copy(), arm.rollout(control[None], *terms)[0]])
+    arm.rollout(np.tile(control[:1], (1, 400, 1)))
+    path = np.vstack([arm.qpos.copy(), arm.rollout(control[None])[0]])
     clock = time[0] + np.arange(len(path)) * STEP
     position = np.stack([np.interp(time, clock, column) for column in path.T], axis=1)
     position = np.round(position / ARM.encoder_step) * ARM.encoder_step

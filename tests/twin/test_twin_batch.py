@@ -2,10 +2,10 @@
 
 import mujoco
 import numpy as np
-from benchmarks.mujocotwin import TCP_SITE, TableBatch
 
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.twin.parameters import nominal_parameters, prior, unpack
+from rejoint.twin.table import TCP_SITE, TableBatch
 from twinmodel import twin_model
 
 ARM = mycobot280()

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.mujocotwin import TableBatch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,6 +12,7 @@ from rejoint.arms import mycobot280, so101
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.chain.dynamics import GROUP, LANES, turn
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.table import TableBatch
 
 ARMS = {"mycobot280": mycobot280(), "so101": so101()}
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from benchmarks.mujocotwin import TablePlane
 from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
-from rejoint.twin.motionfit import free_windows
+from rejoint.twin.motionfit import contact_windows, free_windows
+from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
@@ -83,3 +83,6 @@ def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
             covered[w.first : w.last] += 1
     np.testing.assert_array_equal(covered, rows[1].free)
     assert {w.log for w in windows} == {0, 1}
+    contacts = np.concatenate([np.arange(w.first, w.last) for w in contact_windows(logs, rows, 4.0)])
+    assert {w.log for w in contact_windows(logs, rows, 4.0)} == {0}
+    assert set(np.flatnonzero(rows[0].contact)) <= set(contacts)

@@ -2,7 +2,6 @@
 
 import mujoco
 import numpy as np
-from benchmarks.mujocotwin import TableBatch
 
 from rejoint.arms import gravity_torque
 from rejoint.twin.parameters import (
@@ -15,6 +14,7 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.simulation import Draw, Simulation
+from rejoint.twin.table import TableBatch
 from twinmodel import twin_model
 
 

@@ -54,6 +54,7 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
         hold_out=HELD_OUT,
         coarse_seconds=80.0,
         fit_seconds=160.0,
+        contact_seconds=40.0,
         threads=1,
         stictions=(1.25,),
     )
@@ -65,4 +66,5 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
     assert mean[FITTED].free.joint < np.radians(0.30)
     assert mean[FITTED].all.tcp < 4.5e-3
     assert mean[FITTED].free.tcp < 0.25 * mean[HEALTHY].free.tcp
+    assert found.table is not None
     assert np.ptp(np.log(found.parameters.stiffness)) < 0.15  # five servos of one type at the same gains

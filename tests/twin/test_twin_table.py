@@ -1,12 +1,16 @@
-"""The table under the tip, as MuJoCo simulates it: statics by hand."""
+"""The table under the tip: statics by hand, and its fit to known truth."""
 
 import numpy as np
 import pytest
-from benchmarks.mujocotwin import TableBatch, TablePlane
-from motion_logs import ARM, TRUTH, surface
+from motion_logs import ARM, TRUTH, pressing, record, surface
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import position_kinematics
+from rejoint.logs.exclusions import find_exclusions
+from rejoint.twin.motionfit import contact_windows
+from rejoint.twin.replay import Replay
+from rejoint.twin.table import TableBatch, fit_table
+from rejoint.twin.twin import TablePlane
 
 PUSH = np.array([0.0, 0.9, 0.2, 0.4, 0.0])
 
@@ -42,3 +46,14 @@ def test_every_simulation_has_its_own_table():
     for table, point in zip(tables, tip, strict=True):
         assert -0.03 < point[2] - surface(table, point) < 0.0
     assert tip[1, 2] > tip[0, 2] + 0.015
+
+
+def test_the_fit_finds_the_table():
+    truth = TablePlane(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
+    logs = [record("press", *pressing(), table=truth), record("aside", *pressing(18.0, 0.55), table=truth)]
+    rows = find_exclusions(ARM, logs, truth.height)
+    replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01, 1, 1.25)
+    found = fit_table(replay, TRUTH, height=-0.03)
+    points = tcp_position(ARM, np.concatenate([log.position[r.contact] for log, r in zip(logs, rows, strict=True)]))
+    assert np.abs(surface(found, points) - surface(truth, points)).max() < 0.002
+    assert found.stiffness == pytest.approx(truth.stiffness, rel=0.3)

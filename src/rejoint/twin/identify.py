@@ -2,7 +2,7 @@
 
 An excitation is fitted under the prior of its arm; every fourth window is held out. In logs of any motion of a
 little-known arm only free motion counts, whole motions are held out, and priors are wide. Part of the motion decides on
-the structure (`rejoint.twin.structure`); after the judgement all motions are fitted.
+the structure (`rejoint.twin.structure`); after the judgement all motions are fitted, the table last.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError, predicti
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
+    contact_windows,
     durations,
     fastest,
     free_windows,
@@ -57,7 +58,7 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
@@ -80,6 +81,9 @@ STARTS = 24
 
 ITERATIONS, REFINEMENT = 15, 6
 """Most steps of the last descent, for an excitation and for other motion; chosen"""
+
+LEAST_CONTACT = 5.0
+"""[s] least contact for a table fit; chosen"""
 
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
@@ -117,6 +121,8 @@ class LogSettings:
     """[s] for the final fit"""
     fast_seconds: float = 40.0
     """[s] of the fastest motion, which shows a limited acceleration"""
+    contact_seconds: float = 240.0
+    """[s] of contact for the table; measured: 80 s are a fifth worse"""
     stictions: tuple[float, ...] = STICTIONS
     """to try"""
     timestep: float = TIMESTEP
@@ -229,7 +235,9 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 
-def fitted_twin(problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut) -> Twin:
+def fitted_twin(
+    problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut, table: TablePlane | None = None
+) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
     replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
     covariance = uncertainty(problem, found, clusters)
@@ -253,6 +261,7 @@ def fitted_twin(problem: Problem, found: Fit, clusters: NDArray[np.integer], hel
         fit_seconds=replay.seconds,
         stiction=replay.stiction,
         acceleration=replay.acceleration,
+        table=table,
     )
     return replace(twin, notes=tuple(_notes(twin, found, held)))
 
@@ -318,11 +327,13 @@ def identify_logs(
     excluded = find_exclusions(arm, seen, height)
     on_progress(0.0, "search")
     problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
+    table = _fit_table(problem, found, excluded, height, settings)
     on_progress(0.7, "held-out motions")
     own = Candidate(
         name=FITTED,
         parameters=unpack(found.vector, arm.joints),
         stiction=structure.stiction,
+        table=table,
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []
@@ -336,8 +347,9 @@ def identify_logs(
         note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
-    on_progress(0.9, "intervals")
-    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement))
+    on_progress(0.9, "table and intervals")
+    table = _fit_table(problem, found, excluded, height, settings, table)
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
     return replace(
         twin,
@@ -422,6 +434,24 @@ def _motions(problem: Problem) -> NDArray[np.integer]:
     """(rows,) number of each row's motion."""
     logs = np.array([w.log for w in problem.replay.windows])[problem.window]
     return np.unique(logs, return_inverse=True)[1].ravel()
+
+
+def _fit_table(
+    problem: Problem,
+    found: Fit,
+    excluded: Sequence[Exclusions],
+    height: float | None,
+    settings: LogSettings,
+    start: TablePlane | None = None,
+) -> TablePlane | None:
+    replay = problem.replay
+    windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
+    if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
+        return None
+    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
+
+    touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
+    return fit_table(touching, unpack(found.vector, problem.joints), height, start)
 
 
 def _unidentified(twin: Twin) -> list[str]:

@@ -17,7 +17,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
@@ -35,15 +35,10 @@ from rejoint.twin.judgement import (
 )
 from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import TablePlane, Twin
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""
-
-TABLE_SOFTNESS = 1e-3
-"""[m/N] of table, tip and links; chosen: a hand-sized arm"""
-TABLE_STEPS = 4
-"""Newton steps to the arm at rest on a table; chosen"""
 
 TRACE_ROWS = 2000
 """Rows of the residual for a figure; chosen"""
@@ -57,6 +52,8 @@ class Candidate:
     parameters: TwinParameters
     stiction: float = STICTION
     """friction at rest over friction in motion"""
+    table: TablePlane | None = None
+    """for contacts"""
     acceleration: float = np.inf
     """[rad/s^2] of references, while commands change"""
 
@@ -67,6 +64,7 @@ class Candidate:
             name=name,
             parameters=twin.parameters,
             stiction=twin.stiction,
+            table=twin.table,
             acceleration=twin.acceleration,
         )
 
@@ -89,42 +87,16 @@ def judge(
         raise InputError(
             f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least"
         )
-    table = table_height(arm, logs) if table is None else table
-    paths = predict_logs(arm, candidates, logs, table=table, timestep=timestep, threads=threads)
-    return judge_paths(arm, paths, logs, table=table)
+    return judge_paths(arm, predict_logs(arm, candidates, logs, timestep, threads), logs, table=table)
 
 
 def predict_logs(
-    arm: Arm,
-    candidates: Sequence[Candidate],
-    logs: Sequence[RunLog],
-    *,
-    table: float | None = None,
-    timestep: float = TIMESTEP,
-    threads: int = 1,
+    arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
-    """Predicted positions (T, n) [rad] in each log, no twin first; ``table`` [m] is the height of one, if any."""
+    """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
-    found = {NO_TWIN: _no_twin(logs)}
-    for one in candidates:
-        paths = _paths(arm, one, logs, timestep, threads)
-        softness = 1.0 / one.parameters.stiffness
-        found[one.name] = paths if table is None else [_lying(arm, path, softness, table) for path in paths]
-    return found
-
-
-def _lying(arm: Arm, path: Array, softness: Array, height: float) -> Array:
-    """Path (T, n) [rad] of an arm that lies on a table where the free arm would be below its ``height`` [m].
-
-    Joints of ``softness`` (n,) [rad/(N m)] give way to a force at rest.
-    """
-    for _ in range(TABLE_STEPS):
-        tcp, jacobian = position_kinematics(arm, path)
-        lift = jacobian[:, 2] * softness
-        force = np.maximum(height - tcp[:, 2], 0.0) / ((jacobian[:, 2] * lift).sum(axis=1) + TABLE_SOFTNESS)
-        path = path + force[:, None] * lift
-    return path
+    return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
 
 
 def judge_paths(
@@ -157,6 +129,7 @@ def _no_twin(logs: Sequence[RunLog]) -> list[Array]:
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
     windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
+    tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
     order = sorted(range(len(logs)), key=lambda i: logs[i].time[-1] - logs[i].time[0])
@@ -164,7 +137,7 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
         part = order[start : start + 2 * threads]
         chosen = [windows[i] for i in part]
         replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, candidate.acceleration)
-        found = replay.predict(candidate.parameters.repeat(1))
+        found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]
 

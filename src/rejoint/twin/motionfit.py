@@ -1,4 +1,4 @@
-"""Windows of the free motion in several logs, and the motions that are held out.
+"""Windows of the free and of the touching motion in several logs, and the motions that are held out.
 
 Held-out motions are drawn among similar ones, by contact and commanded speed.
 """
@@ -25,6 +25,9 @@ from rejoint.twin.replay import Window
 SHORTEST_STRETCH = 2.0
 """[s] least free motion of a window; chosen"""
 
+LEAD = 1.0
+"""[s] of free motion before a contact; chosen"""
+
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut free motion into windows of at most about ``length`` [s]."""
@@ -32,6 +35,18 @@ def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length:
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for run in free_runs(rows.free, log.time, SHORTEST_STRETCH):
             windows += _pieces(index, log, run, length)
+    return windows
+
+
+def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
+    """Cut the surroundings of contacts into windows of about ``length`` [s]."""
+    windows: list[Window] = []
+    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+        for first, last in free_runs(rows.contact & rows.readable, log.time, SHORTEST_STRETCH):
+            early = int(np.searchsorted(log.time, log.time[first] - LEAD))
+            while not rows.readable[early:first].all():
+                early += 1
+            windows += _pieces(index, log, (early, last), length)
     return windows
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
+from rejoint.twin.chain.friction import FRICTION
 from rejoint.twin.declaration import Parameter as Parameter
-from rejoint.twin.friction import FRICTION
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,10 @@ from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import ServoReference
+
+if TYPE_CHECKING:
+    from rejoint.twin.table import TableBatch
+    from rejoint.twin.twin import TablePlane
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -104,19 +109,27 @@ class Replay:
     def _batches(self) -> dict[int, ChainBatch]:
         return {}
 
-    def predict(self, parameters: TwinParameters) -> list[Array]:
-        """Positions (m, rows, n) [rad] of twins (m,) in each window."""
+    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
+        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
+        which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
-        arms = parameters[np.tile(np.arange(m), count)]  # simulation = window * m + twin
+        arms = parameters[which]
         arms = replace(
             arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
         )
-        if m * count not in self._batches:
-            self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
-        twins = self._batches[m * count]
-        twins.write(arms, stiction=self.stiction)
+        twins: ChainBatch | TableBatch
+        if tables:
+            from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
+
+            touched = [tables[i] for i in which]
+            twins = TableBatch(self.arm, arms, touched, self.timestep, self.threads, stiction=self.stiction)
+        else:
+            if m * count not in self._batches:
+                self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
+            twins = self._batches[m * count]
+            twins.write(arms, stiction=self.stiction)
         twins.restart(start, velocity)
         passed = twins.rollout(self._control(parameters))
         path = np.concatenate([start[:, None], passed], axis=1)

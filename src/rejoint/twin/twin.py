@@ -6,7 +6,7 @@ One digest covers the parameters, another the whole text.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,25 @@ class HeldOut:
     """None where the arm's servos are unknown"""
 
 
+@dataclass(frozen=True, kw_only=True)
+class TablePlane:
+    """A plane under the tip."""
+
+    height: float
+    """[m] of the TCP in contact, below the base's origin"""
+    slope_x: float
+    """along the base's x"""
+    slope_y: float
+    stiffness: float
+    """[N/m] of tip, links and table together, vertical"""
+    friction: float
+    """Coulomb coefficient of the tip"""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
+            raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
     """Parameters of one arm with their covariance, over a vector of length k.
@@ -83,6 +102,8 @@ class Twin:
     """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
+    table: TablePlane | None = None
+    """contact in the logs; not part of the arm"""
     judgement: Judgement | None = None
     """on held-out motions; not on file"""
     fitted: tuple[str, ...] = ()
@@ -178,6 +199,8 @@ class Twin:
             h.update(np.array(self.stiction, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
+        if self.table is not None:
+            h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]
 
 
@@ -254,6 +277,8 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     for i, row in enumerate(twin.covariance):
         rows.append(row[: i + 1].tolist())
     document.add("covariance", tomlkit.item({"order": list(twin.names), "lower_triangle": rows.multiline(True)}))
+    if twin.table is not None:
+        document.add("table", tomlkit.item(asdict(twin.table)))
     return document
 
 
@@ -283,4 +308,5 @@ def _twin(data: dict[str, Any]) -> Twin:
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
+        table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,
     )

@@ -133,7 +133,7 @@ def _from_any_motion(
 
     settings = LogSettings(hold_out=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed)
     if quick:
-        settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0)
+        settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
     twin = identify_logs(arm, logs, settings, on_progress, plan.beside)
     return replace(twin, notes=(*twin.notes, *forced_remarks(logs)))
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Array
 from rejoint.logs.consistency import states_alone
-from rejoint.logs.exclusions import table_height
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import exclusive
@@ -95,9 +94,8 @@ def replay(
         follows = predict_logs(chosen, [Candidate.of(TWIN, known)], sent, threads=THREADS)[TWIN]
         return Replayed(logs=tuple(motions), positions=tuple(follows), judgement=None)
     with nullcontext() if out is None else locked(RunFolder(Path(out))):
-        table = table_height(chosen, motions)
-        paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, table=table, threads=THREADS)
-        judgement = judge_paths(chosen, paths, motions, table=table)
+        paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
+        judgement = judge_paths(chosen, paths, motions)
         page = None if out is None else _write(Path(out), judgement, twin, logs)
     return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
 

@@ -12,9 +12,9 @@ from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
+from rejoint.twin.chain.friction import DRY, friction_terms
 from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import DRY, friction_terms
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None

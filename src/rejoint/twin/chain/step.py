@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint.twin import friction
-from rejoint.twin.chain import dynamics
+from rejoint.twin.chain import dynamics, friction
 from rejoint.twin.chain.dynamics import (
     ACCELERATION,
     CARRIED,

@@ -1,6 +1,6 @@
-"""MuJoCo's simulation of twins, the reference for `rejoint.twin.chain`, and of arms whose tip touches a table.
+"""An arm whose tip may touch a table: the plane, its fit to motion in contact, and its simulation by MuJoCo.
 
-Per joint: torque = clip(stiffness (command + offset - q),
+MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q),
 +-limit) - damping qdot - dry friction, without contacts of links and joint stops. Friction constraints are nearly rigid
 (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense: the sparse Cholesky of MuJoCo 4.0.0 has a fault. The
 solver is projected Gauss-Seidel: Newton's method stops too early (measured).
@@ -11,17 +11,20 @@ Only the TCP touches the table, with a soft sphere.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.optimize import least_squares
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.twin.chain.friction import dry_friction, friction_terms
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import dry_friction
+from rejoint.twin.fit import HUBER
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.replay import Replay
+from rejoint.twin.twin import TablePlane
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of the friction constraints: nearly rigid"""
@@ -38,21 +41,6 @@ PLANE, TIP, TCP_SITE = "table", "tip", "tcp"
 """Names in the model"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TablePlane:
-    """A plane under the tip."""
-
-    height: float
-    """[m] of the TCP in contact, below the base's origin"""
-    slope_x: float
-    """along the base's x"""
-    slope_y: float
-    stiffness: float
-    """[N/m] of tip, links and table together, vertical"""
-    friction: float
-    """Coulomb coefficient of the tip"""
-
-
 class TableBatch:
     """Simulations of one arm by MuJoCo in lockstep; ``qpos`` and ``qvel`` (m, n) are their state."""
 
@@ -64,9 +52,14 @@ class TableBatch:
         timestep: float | Array = TIMESTEP,
         threads: int = 1,
         gravity_scale: float | Array = 1.0,
+        stiction: float = 1.0,
     ) -> None:
-        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
+        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,).
+
+        ``stiction`` is the friction at rest over that in motion.
+        """
         count = twins.shape[0]
+        self._terms = None if stiction == 1.0 else friction_terms(twins, stiction)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
         self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
@@ -111,17 +104,14 @@ class TableBatch:
         self._batch.bind("time")[:] = 0.0
         self.qpos[:], self.qvel[:], self._ctrl[:] = position, velocity, position
 
-    def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (m, steps, n) [rad]; return such positions.
-
-        ``terms`` (t, m, n): friction by speed (`rejoint.twin.friction.friction_terms`).
-        """
-        if terms is None or (terms[-1] == 1.0).all():
+    def rollout(self, control: Array) -> Array:
+        """Advance by ``control`` (m, steps, n) [rad]; return such positions."""
+        if self._terms is None:
             return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
         path = np.empty_like(control)
         for k in range(control.shape[1]):
             self._ctrl[:] = control[:, k]
-            self._batch.expand("dof_frictionloss")[:] = dry_friction(terms, self.qvel)
+            self._batch.expand("dof_frictionloss")[:] = dry_friction(self._terms, self.qvel)
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path
@@ -199,3 +189,69 @@ def table_pose(table: TablePlane) -> tuple[Array, Array]:
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, normal)
     return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
+
+
+# height [m], slopes, log stiffness [N/m], log friction
+_SIGMA = np.array([0.02, 0.05, 0.05, 1.0, 0.7])
+"""Prior sigma; chosen: level within 3 degrees, stiffness within a factor of e"""
+_STEP = np.array([0.001, 0.01, 0.01, 0.2, 0.2])
+"""Finite-difference steps (chosen)"""
+_LOWER = np.array([-np.inf, -0.3, -0.3, np.log(100.0), np.log(0.05)])
+_UPPER = np.array([np.inf, 0.3, 0.3, np.log(1e5), np.log(1.5)])
+
+STIFFNESS, FRICTION = 1000.0, 0.3
+"""Start of a fit [N/m], [1]; chosen: a hand-sized arm"""
+
+NOISE, ROWS = np.radians(0.5), 50
+"""[rad] error in contact, and rows of one observation; chosen"""
+
+
+def fit_table(
+    replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
+) -> TablePlane:
+    """Fit the table, from ``start`` or level at ``height`` [m]."""
+    measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
+    mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
+
+    def misfit(vectors: Array) -> Array:
+        paths = replay.predict(parameters.repeat(len(vectors)), [_plane(v) for v in vectors])
+        return weight * (np.concatenate(paths, axis=1) - measured).reshape(len(vectors), -1)
+
+    def residual(x: Array) -> Array:
+        return np.append(misfit(x[None])[0], (x - mean) / _SIGMA)
+
+    def jacobian(x: Array) -> Array:
+        steps = np.where(x + _STEP > _UPPER, -_STEP, _STEP)
+        base, *moved = misfit(np.vstack([x, x + np.diag(steps)]))
+        return np.vstack([((np.array(moved) - base) / steps[:, None]).T, np.diag(1.0 / _SIGMA)])
+
+    def loss(z: Array) -> Array:
+        """Pseudo-Huber with derivatives, square for the prior."""
+        motion = np.arange(len(z)) < len(z) - len(mean)
+        root = np.sqrt(1.0 + z)
+        return np.where(motion, [2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3], [z, np.ones_like(z), 0.0 * z])
+
+    first = mean if start is None else _vector(start)
+    found = least_squares(
+        residual,
+        np.clip(first, _LOWER + 1e-9, _UPPER - 1e-9),
+        jacobian,
+        bounds=(_LOWER, _UPPER),
+        x_scale=_SIGMA,
+        loss=loss,
+        f_scale=weight * HUBER,
+        max_nfev=evaluations,
+        ftol=1e-3,
+        xtol=1e-3,
+    )
+    return _plane(found.x)
+
+
+def _vector(table: TablePlane) -> Array:
+    return np.array([table.height, table.slope_x, table.slope_y, np.log(table.stiffness), np.log(table.friction)])
+
+
+def _plane(vector: Array) -> TablePlane:
+    height, slope_x, slope_y = (float(value) for value in vector[:3])
+    stiffness, friction = (float(value) for value in np.exp(vector[3:]))
+    return TablePlane(height=height, slope_x=slope_x, slope_y=slope_y, stiffness=stiffness, friction=friction)
