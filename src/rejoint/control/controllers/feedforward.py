@@ -35,7 +35,7 @@ LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
 """[rad/s] fastest push of a stationary joint; removed share of it; remaining share each time a joint breaks loose the
 other way; [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
 
-GENTLE, LEAST_PUSH = 1.3e-3, 0.5
+GENTLE, LEAST_PUSH = 2e-3, 0.5
 """[m] of a myCobot 280: error below which pushes become slower in proportion, and their least share (chosen by
 `python -m benchmarks postures`: a joint that breaks loose near its target leaves it by less)"""
 
