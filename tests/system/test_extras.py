@@ -31,7 +31,7 @@ NAMED_OTHERWISE = {
     "cv2": "opencv-python-headless",
     "scservo_sdk": "ftservo-python-sdk",
 }
-USED_BY_OTHERS = {"serial", "tensorboard"}  # by the vendor's client and by skrl
+USED_BY_OTHERS = {"serial"}  # by the vendor's client
 ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
 
 

@@ -11,7 +11,7 @@ from traceback import walk_tb
 from rejoint.system.errors import InputError, MissingExtraError, first_line
 
 EXTRAS: dict[str, tuple[str, ...]] = {
-    "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
+    "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags"),
     "camera": ("cv2", "PIL"),
