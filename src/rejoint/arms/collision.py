@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.kinematics import all_poses, frames, heights
+from rejoint.arms.kinematics import chain_of, frames, heights
 from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
@@ -61,7 +61,7 @@ def collision_shape(arm: Arm) -> CollisionShape:
     apart = np.array([(i, j) for i in range(links) for j in range(i + 2, links)], dtype=np.int64).reshape(-1, 2)
     boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
     shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
-    touching = (_clearances(arm, shape, free, np.zeros(0))[:, : len(apart)] <= 0.0).any(axis=0)
+    touching = (clearances_of(arm, shape, free, np.zeros(0))[:, : len(apart)] <= 0.0).any(axis=0)
     return shape._replace(pairs=frozen(apart[~touching]))
 
 
@@ -70,13 +70,11 @@ def collides(arm: Arm, q: Array) -> NDArray[np.bool_]:
     return np.asarray((clearances(arm, q, np.zeros(0)) < 0.0).any(axis=-1))
 
 
-def _clearances(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> Array:
-    """Fill in `clearances` of a shape."""
-    poses = all_poses(arm, q)
-    counted = len(floors) + len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
-    clear = np.empty((poses.shape[-1], counted))
-    compiled.fill_clearances(poses, floors, shape, clear)
-    return clear.reshape(*q.shape[:-1], counted)
+def clearances_of(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> Array:
+    """`clearances` of a ``shape``."""
+    postures = np.ascontiguousarray(q.reshape(-1, arm.joints), dtype=float)
+    found: Array = compiled.clearances(chain_of(arm), shape, floors, postures)
+    return found.reshape(*q.shape[:-1], found.shape[1])
 
 
 @lru_cache(maxsize=32)
@@ -98,7 +96,7 @@ def clearances(arm: Arm, q: Array, floors: Array) -> Array:
 
     Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.
     """
-    return _clearances(arm, collision_shape(arm), q, floors)
+    return clearances_of(arm, collision_shape(arm), q, floors)
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:

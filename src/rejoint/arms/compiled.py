@@ -295,3 +295,14 @@ def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
         for k in range(len(shape.boxes)):
             for j in range(links):
                 out[b, boxed + k * links + j] = _box_distance(ends, shape.moving[j], shape.boxes[k]) - shape.radius
+
+
+@njit(OUT2(CHAIN, SHAPE, IN1, IN2), **OPTIONS)
+def clearances(chain, shape, floors, q):  # noqa: ANN001, ANN201
+    """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n) above ``floors`` (n,)."""
+    angles, poses = q.T.copy(), np.empty((q.shape[1] + 1, 3, 4, len(q)))
+    fill_poses(chain.terms, chain.tip, np.sin(angles), np.cos(angles), poses)
+    bodies = len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
+    out = np.empty((len(q), len(floors) + bodies))
+    fill_clearances(poses, floors, shape, out)
+    return out

@@ -11,19 +11,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, clearances, heights
-from rejoint.arms.collision import JOINT_CLEARANCE
+from rejoint.arms import Arm, Array
+from rejoint.arms.arm import frozen
+from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape
+from rejoint.arms.kinematics import chain_of
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.law import between, limit_lead
 from rejoint.control.monitor import Bands, Following, Knowledge
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
+from rejoint.system.shell import Late
+
+compiled = Late("rejoint.control.limiting")
 
 Reasons = NDArray[np.uint16]
 
@@ -66,6 +69,21 @@ TRIPS = (
     | Reason.NOT_FOLLOWING
 )
 """Reasons that end the motion"""
+
+
+class Rules(NamedTuple):
+    """`GuardLimits` in compiled loops."""
+
+    lower: Array
+    upper: Array
+    max_speed: Array
+    max_acceleration: Array
+    floors: Array
+    max_lead: float
+    max_period: float
+    max_age: float
+    range_margin: float
+    parts: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,17 +139,19 @@ class GuardLimits:
     @cached_property
     def floors(self) -> Array:
         """(n,) [m] of joint frames but the first, and TCP."""
-        return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
+        return frozen(np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor))
 
     @cached_property
-    def shares(self) -> Array:
-        """(parts + 1, 1)."""
-        return np.arange(self.parts + 1)[:, None] / self.parts
+    def shape(self) -> CollisionShape:
+        """Bodies that must not touch."""
+        shape = collision_shape(self.arm)
+        none = shape._replace(pairs=shape.pairs[:0], places=shape.places[:0], moving=shape.moving[:0])
+        return shape if self.collisions else none
 
     @cached_property
-    def believed(self) -> tuple[Array, Array]:
-        """(n,), (n,) [rad] lowest and highest trusted positions."""
-        return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
+    def rules(self) -> Rules:
+        """The same numbers."""
+        return Rules(*(getattr(self, name) for name in Rules._fields))
 
     @classmethod
     def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
@@ -156,11 +176,7 @@ def reason_names(reasons: int) -> tuple[str, ...]:
     return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
 
 
-_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
 _TRIP_BITS = np.uint16(TRIPS.value)
-_LIMIT_BITS = np.array(  # as applied
-    [Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.ACCELERATION, Reason.FLOOR, Reason.COLLISION], dtype=np.uint16
-)
 
 
 class Guarded(NamedTuple):
@@ -188,38 +204,12 @@ def guard(
     the limits if ``sent`` is. InputError for different shapes.
     """
     _check_shapes(limits.arm.joints, command, sent, speed, state, period)
-    last, trips = _check(limits, command, sent, speed, state)
-    measured, wanted, hold = state.position, command, (trips != 0)[:, None]
-    if np.count_nonzero(trips):
-        measured, wanted, speed = (
-            np.where(hold, held, array) for held, array in ((last, measured), (last, command), (0.0, speed))
-        )
-    elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period).reshape(-1, 1)  # NaN counts as no time
-    stages = _limited(limits, wanted, measured, last, speed, elapsed)
-    stepped = np.where(hold, last, stages[-1])  # whatever the limits say of the posture
-    allowed, shortened = _keep_clear(limits, stepped, last)
-    now = np.divide(allowed - last, elapsed, out=np.zeros_like(allowed), where=elapsed > 0.0)
-    now = between(now, -limits.max_speed, limits.max_speed)
-    changed = np.logical_or.reduce(allowed != wanted, axis=-1)
-    if not np.count_nonzero(changed):
-        return Guarded(allowed, trips, now)
-    limited = [np.logical_or.reduce(after != before, axis=-1) for before, after in pairwise((wanted, *stages))]
-    reasons: Reasons = _LIMIT_BITS @ np.array([*limited, *shortened])
-    return Guarded(allowed, trips + reasons * changed, now)
-
-
-def _limited(
-    limits: GuardLimits, wanted: Array, measured: Array, last: Array, speed: Array, elapsed: Array
-) -> tuple[Array, ...]:
-    """Commands (B, n) [rad] limited by lead, then also by position, step and acceleration; ``elapsed`` (1 or B, 1)."""
-    near = limit_lead(wanted, measured, limits.max_lead)
-    legal = between(near, limits.lower, limits.upper)
-    reach, way = limits.max_speed * elapsed, speed * elapsed
-    stepped = between(legal, last - reach, last + reach)
-    some = np.where(elapsed > 0.0, elapsed, 1.0)  # an endless acceleration in no time is no number
-    gain = np.where(elapsed > 0.0, limits.max_acceleration * some * some, 0.0)
-    smooth = between(stepped, last + np.minimum(way - gain, 0.0), last + np.maximum(way + gain, 0.0))
-    return near, legal, stepped, smooth
+    asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
+    times, out = np.empty((2, len(command))), np.empty((2, *command.shape))
+    times[0], times[1] = state.age, period
+    reasons = servo_trips(limits, state)
+    compiled.guard(chain_of(limits.arm), limits.shape, limits.rules, asked, times, reasons, out)
+    return Guarded(out[0], reasons, out[1])
 
 
 def guard_along(
@@ -241,10 +231,11 @@ def guard_along(
     cut = moving & (touched != 0)
     if not cut.any():
         return guarded
-    on_way = clear_by(limits, goal[:, None] + limits.shares * (command - goal)[:, None])
+    shares = np.arange(limits.parts + 1)[:, None] / limits.parts
+    on_way = clear_by(limits, goal[:, None] + shares * (command - goal)[:, None])
     clear = (on_way >= np.minimum(on_way[:, :1], 0.0)).all(axis=-1)
     last = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
-    nearer = np.where(cut[:, None], goal + limits.shares[last] * (command - goal), command)
+    nearer = np.where(cut[:, None], goal + shares[last] * (command - goal), command)
     again = guard(limits, nearer, sent, speed, state, period)
     return again._replace(reasons=again.reasons | touched)
 
@@ -270,60 +261,14 @@ def _check_shapes(
         )
 
 
-def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
-    """Posture to hold (B, n) and trips (B,)."""
-    lowest, highest = limits.believed
-    finite = np.isfinite((command, sent, speed, state.position))
-    beyond = (state.position < lowest) | (state.position > highest)
-    trips = (
-        _flag(~np.logical_and.reduce(finite), Reason.NOT_FINITE)
-        + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
-        + _flag(beyond & finite[3], Reason.OUT_OF_RANGE)
-        + _servo_trips(limits, state)
-    )
-    if not np.count_nonzero(trips):
-        return sent, trips
-    known = np.where(finite[3], np.clip(state.position, limits.lower, limits.upper), limits.arm.rest)
-    return np.where(finite[1], sent, known), trips
-
-
-def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
-    """Arms (B,) with a hot or faulty servo."""
-    return _servo_trips(limits, state) != 0
-
-
-def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
+def servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
+    """Flag hot and faulty servos, (B,)."""
     trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
-        trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
+        trips[(state.temperature > limits.max_temperature).any(axis=-1)] |= Reason.TEMPERATURE.value
     if state.fault is not None:
-        trips = trips + _flag(state.fault, Reason.SERVO_FAULT)
+        trips[state.fault.any(axis=-1)] |= Reason.SERVO_FAULT.value
     return trips
-
-
-def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
-    flagged: Reasons = np.logical_or.reduce(per_joint, axis=-1) * np.uint16(reason.value)
-    return flagged
-
-
-def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
-    shortened = np.zeros((2, len(command)), dtype=bool)
-    clear = clear_by(limits, command)
-    if not np.count_nonzero(clear < 0.0):
-        return command, shortened
-    index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
-    start, way = sent[index], command[index] - sent[index]
-    on_way = clear_by(limits, start[:, None] + limits.shares * way[:, None])
-    on_way[:, -1] = clear[index]  # of the command itself, without rounding
-    least = np.where(on_way[:, 0] < 0.0, on_way[:, 0] - _TOLERANCE, 0.0)  # none may become negative, or more so
-    touches = on_way < least[:, None]
-    worse = touches[:, -1].any(axis=-1)
-    index, touches = index[worse], touches[worse]
-    first = touches[:, 1:].any(axis=-1).argmax(axis=1)  # tried part before the first that touches
-    result, met, n = command.copy(), touches[np.arange(len(index)), first + 1], command.shape[1]
-    result[index] = start[worse] + limits.shares[first] * way[worse]
-    shortened[:, index] = met[:, :n].any(axis=-1), met[:, n:].any(axis=-1)
-    return result, shortened
 
 
 def clear_by(limits: GuardLimits, q: Array) -> Array:
@@ -331,6 +276,4 @@ def clear_by(limits: GuardLimits, q: Array) -> Array:
 
     Heights of the joint frames but the first, and TCP, above floors; then distances between bodies.
     """
-    if limits.collisions:
-        return clearances(limits.arm, q, limits.floors)
-    return heights(limits.arm, q)[..., 1:] - limits.floors
+    return clearances_of(limits.arm, limits.shape, q, limits.floors)

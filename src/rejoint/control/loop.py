@@ -24,7 +24,7 @@ from rejoint.control.guard import (
     guard,
     guard_along,
     reason_names,
-    suffers,
+    servo_trips,
     warm_up,
 )
 from rejoint.control.monitor import Following
@@ -308,7 +308,9 @@ class RunState:
         before, target, aim = self.inputs, self.place, self.aim
         fresh, index = self.active, self.index
         if self.schedule.give_up is not None:
-            done = self.schedule.give_up(before) & ~suffers(self.limits, before.state)  # that is for the guard to say
+            done = self.schedule.give_up(before) & (
+                servo_trips(self.limits, before.state) == 0
+            )  # else the guard says it
             self.active = fresh & ~done
         renewed = self._advance(self.active & self._finished(before, aim))
         command, reasons, speed = self._decide(renewed)

@@ -1,0 +1,117 @@
+"""Compiled loops of the guard, for one arm and for batches."""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, int64, njit, types, uint16, void
+
+from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OPTIONS, OUT1, OUT3, SHAPE, clearances
+from rejoint.control.guard import Reason, Rules
+
+RULES = types.NamedTuple((*[IN1] * 5, *[float64] * 4, int64), Rules)
+
+TOLERANCE = 1e-9
+"""[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
+
+_NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
+_LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
+_ACCELERATION, _FLOOR, _COLLISION = int(Reason.ACCELERATION), int(Reason.FLOOR), int(Reason.COLLISION)
+
+
+@njit(**OPTIONS)
+def _between(value, low, high):  # noqa: ANN001, ANN202
+    return min(max(value, low), high)
+
+
+@njit(int64(CHAIN, RULES, IN2, float64), **OPTIONS)
+def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
+    """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
+    found = 0 if age <= rules.max_age else _STALE  # NaN counts as stale
+    for j in range(asked.shape[1]):
+        for k in range(4):
+            found |= 0 if np.isfinite(asked[k, j]) else _NOT_FINITE
+        position, lower, upper = asked[3, j], chain.limits[0, j], chain.limits[1, j]
+        if np.isfinite(position) and not lower - rules.range_margin <= position <= upper + rules.range_margin:
+            found |= _OUT_OF_RANGE
+    return found
+
+
+@njit(void(CHAIN, RULES, IN2, OUT1), **OPTIONS)
+def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
+    """Fill ``out`` (n,) with the last command, or what is known of it."""
+    for j in range(len(out)):
+        sent, position = asked[1, j], asked[3, j]
+        known = _between(position, rules.lower[j], rules.upper[j]) if np.isfinite(position) else chain.rest[j]
+        out[j] = sent if np.isfinite(sent) else known
+
+
+@njit(int64(RULES, IN2, float64, OUT1), **OPTIONS)
+def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
+    """Fill ``out`` (n,) with the command limited by lead, position, step and acceleration; returns their flags."""
+    found = 0
+    for j in range(len(out)):
+        command, last, speed, position = asked[0, j], asked[1, j], asked[2, j], asked[3, j]
+        near = _between(command, position - rules.max_lead, position + rules.max_lead)
+        legal = _between(near, rules.lower[j], rules.upper[j])
+        reach, way, gain = rules.max_speed[j] * elapsed, speed * elapsed, 0.0
+        step = _between(legal, last - reach, last + reach)
+        if elapsed > 0.0:  # an endless acceleration in no time is no number
+            gain = rules.max_acceleration[j] * elapsed * elapsed
+        out[j] = _between(step, last + min(way - gain, 0.0), last + max(way + gain, 0.0))
+        found |= _LEAD * (near != command) | _POSITION * (legal != near)
+        found |= _STEP * (step != legal) | _ACCELERATION * (out[j] != step)
+    return found
+
+
+@njit(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1), **OPTIONS)
+def _shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN202
+    """Shorten the step from ``last`` to ``out`` (n,), with ``clear`` (c,) there, until it is clear; returns flags.
+
+    No clearance may become negative, or more so.
+    """
+    least = clearances(chain, shape, rules.floors, last.copy().reshape(1, -1))[0]
+    for c in range(len(least)):
+        least[c] = least[c] - TOLERANCE if least[c] < 0.0 else 0.0
+    if (clear >= least).all():
+        return 0
+    way, found, k = out - last, 0, 0
+    while found == 0:
+        k += 1
+        tried = (last + k / rules.parts * way).reshape(1, -1)
+        there = clear if k == rules.parts else clearances(chain, shape, rules.floors, tried)[0]
+        for c in range(len(least)):
+            if there[c] < least[c]:
+                found |= _FLOOR if c < len(way) else _COLLISION
+    out[:] = last + (k - 1) / rules.parts * way
+    return found
+
+
+@njit(void(CHAIN, SHAPE, RULES, IN3, IN2, uint16[::1], OUT3), **OPTIONS)
+def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (2, B, n) with commands and their speeds, and add to ``reasons`` (B,), which begin with trips.
+
+    ``asked`` (B, 4, n): command, last command and its speed, position. ``times`` (2, B) [s]: ages and periods.
+    """
+    arms, found = len(asked), np.zeros(len(asked), dtype=np.int64)
+    elapsed = np.empty(arms)
+    for b in range(arms):
+        elapsed[b] = min(times[1, b], rules.max_period) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
+        reasons[b] |= _trips(chain, rules, asked[b], times[0, b])
+        if reasons[b]:
+            _hold(chain, rules, asked[b], out[0, b])
+        else:
+            found[b] = _limit(rules, asked[b], elapsed[b], out[0, b])
+    clear = clearances(chain, shape, rules.floors, out[0])
+    for b in range(arms):
+        command, last = out[0, b], asked[b, 1]
+        out[1, b] = 0.0
+        if reasons[b]:
+            continue
+        if (clear[b] < 0.0).any():
+            found[b] |= _shorten(chain, shape, rules, last, clear[b], command)
+        if (command != asked[b, 0]).any():
+            reasons[b] = found[b]
+        for j in range(len(last) if elapsed[b] > 0.0 else 0):
+            speed = (command[j] - last[j]) / elapsed[b]
+            out[1, b, j] = _between(speed, -rules.max_speed[j], rules.max_speed[j])
