@@ -202,7 +202,7 @@ def export(
     elif out is None:
         raise InputError(
             "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
-            "urdf, lerobot, datasheet, onnx or ros2"
+            "urdf, mjcf, isaaclab, lerobot, datasheet, onnx or ros2"
         )
     else:
         export_log(read_log(source), out)

@@ -73,7 +73,7 @@ def test_a_unit_s_urdf_is_what_its_calibration_says(run_folder, arm):
 
 
 def test_what_cannot_be_exported_is_refused(run_folder, arm):
-    with pytest.raises(InputError, match="expected urdf, lerobot, datasheet"):
+    with pytest.raises(InputError, match="expected urdf, mjcf, isaaclab, lerobot"):
         export_run(run_folder.path, "pdf")
     with pytest.raises(InputError, match="--lerobot FILE"):
         export_run(run_folder.path, "lerobot")

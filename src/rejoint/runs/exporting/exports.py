@@ -1,4 +1,4 @@
-"""Results about an arm for other programs: URDF, joint zeros, data sheet, controller."""
+"""Results about an arm for other programs: models, joint zeros, servo gains, data sheet, controller."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from rejoint.control.controllers.law import STEP_LIMIT
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.logs.joints import corrected_homing, write_homing
+from rejoint.logs.joints import corrected_homing, lerobot_gains, write_homing
 from rejoint.runs.run import Run
+from rejoint.runs.stages.gains import gains_to_keep
 from rejoint.session.context import choice, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 
-Kind = Literal["urdf", "lerobot", "datasheet", "onnx", "ros2"]
+Kind = Literal["urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 
@@ -49,19 +50,18 @@ def export_run(
     about = as_run(run)
     if kind not in KINDS:
         raise InputError(f"--format {kind!r}: expected {', '.join(KINDS)}")
-    if (lerobot is None) == (kind == "lerobot"):
-        raise InputError(
-            "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
-        )
-    if controller is not None and kind not in ("onnx", "ros2"):
-        raise InputError(f"--controller is for --format onnx and ros2, not for {kind}")
+    for name, given, kinds in (("--lerobot", lerobot, ("lerobot",)), ("--controller", controller, ("onnx", "ros2"))):
+        if given is not None and kind not in kinds:
+            raise InputError(f"{name} is for --format {' and '.join(kinds)}, not for {kind}")
     if kind == "datasheet":
         require("rejoint export --format datasheet", "report")
         from rejoint.pages.report.page import write_datasheet
 
         path, told = write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
-    elif lerobot is not None:
-        path, told = _homing(about, lerobot, out)
+    elif kind == "lerobot":
+        path, told = _lerobot(about, lerobot, out)
+    elif kind in ("mjcf", "isaaclab"):
+        path, told = _simulator(about, kind, out)
     else:
         path, told = _urdf(about, out) if kind == "urdf" else _controller(about, kind, out, controller)
     return path, f"{told} {quick_note(about)}".rstrip()
@@ -80,6 +80,12 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
     return found, found.displacement.rigid(run.arm, at_targets(run.arm))
 
 
+def _unit(run: Run) -> Arm:
+    """Return the unit as calibrated, or the arm as described."""
+    found = as_calibration(None, run, run.arm)
+    return run.arm if found is None or not found.used else unit_arm(run.arm, _rigid(run)[1])
+
+
 def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
     found, rigid = _rigid(run)
     path = out or run.path / f"{run.arm.name}.urdf"
@@ -91,15 +97,40 @@ def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
     return path, "The corrections are in the joint origins; a program that reads encoders needs no other."
 
 
-def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
-    _, rigid = _rigid(run)
-    motors, changes = corrected_homing(source, run.arm, rigid.offset)
-    path = out or run.path / "lerobot.json"
-    if path.exists() and path.samefile(source):
-        raise InputError(f"{path} is the file that is read; name another one to write")
-    write_homing(path, motors)
-    told = ", ".join(f"{name} {change:+d}" for name, change in changes.items())
-    return path, f"Homing offsets changed by {told} counts (present position = raw - homing_offset)."
+def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
+    require(f"rejoint export --format {kind}", "train")
+    from rejoint.runs.exporting.simulators import isaaclab_text, mjcf_text
+
+    if run.twin is None:
+        raise FileError(run.folder.twin, "no such file", f"make it with: rejoint identify {run.path}")
+    make, name = (mjcf_text, f"{run.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
+    path = out or run.path / name
+    write_text(path, make(_unit(run), run.twin))
+    return path, "The servos are those of the twin; a comment says what the simulator lacks."
+
+
+def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str]:
+    """Write a corrected calibration, gains that the servos are to keep, or both."""
+    path, told, kept = out or run.path / "lerobot.json", "", None
+    try:
+        kept = gains_to_keep(run)
+    except (FileError, InputError) as error:
+        if source is None:
+            raise InputError(
+                f"--format lerobot takes --lerobot FILE, the calibration file of the arm ({error})"
+            ) from error
+    if source is not None:
+        motors, changes = corrected_homing(source, run.arm, _rigid(run)[1].offset)
+        if path.exists() and path.samefile(source):
+            raise InputError(f"{path} is the file that is read; name another one to write")
+        write_homing(path, motors)
+        counts = ", ".join(f"{name} {change:+d}" for name, change in changes.items())
+        told = f"Homing offsets changed by {counts} counts (present position = raw - homing_offset). "
+    if kept is not None:
+        beside = path if source is None else path.with_stem(f"{path.stem}-gains")
+        write_homing(beside, lerobot_gains(run.arm, kept))
+        told += f"{beside.name} holds gains: LeRobot sets its own as it connects, so write these to the bus afterwards."
+    return path, told.rstrip()
 
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:
@@ -303,9 +334,6 @@ def write_package(run: Run, folder: Path, package: str, design: Design) -> None:
         write_text(folder / place.format(package=package), text)
     for empty in (f"{package}/__init__.py", f"resource/{package}"):
         write_text(folder / empty, "")
-    found = as_calibration(None, run, run.arm)
-    if found is not None and found.used:
-        unit = unit_arm(run.arm, found.displacement.rigid(run.arm, at_targets(run.arm)))
-        write_urdf(
-            folder / "urdf" / f"{run.arm.name}.urdf", unit, "This unit: the corrections are in the joint origins."
-        )
+    if (unit := _unit(run)) is not run.arm:
+        note = "This unit: the corrections are in the joint origins."
+        write_urdf(folder / "urdf" / f"{run.arm.name}.urdf", unit, note)

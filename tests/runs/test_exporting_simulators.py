@@ -1,0 +1,101 @@
+"""What was learned about servos leaves for other programs: MuJoCo, Isaac Lab and LeRobot."""
+
+import json
+import sys
+import types
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from test_gains import found_by
+
+from madetwin import made_twin
+from rejoint.arms import so101
+from rejoint.diagnosis.excitation import SHORT, record
+from rejoint.robots import open_robot
+from rejoint.runs.exporting.exports import export_run
+from rejoint.runs.run import Run
+from rejoint.system.errors import FileError, InputError
+from rejoint.twin.identify import EXCITATION_WINDOW, HOLD_OUT, identify
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.replay import Replay, cut, measured_velocity
+from rejoint.twin.twin import write_twin
+
+LEAD = 40
+"""Rows before a window, for references and commands on their way"""
+
+
+def predicted(path, log, window):
+    """Positions (rows, n) [rad] of a window by MuJoCo alone, from the measured state at its begin."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, n = mujoco.MjData(model), len(log.joint_names)
+    first, velocity, found = max(window.first - LEAD, 0), measured_velocity(log), []
+    data.time, data.act[:n] = log.time[first], log.command[first]
+    data.qpos[:], data.ctrl[:] = log.position[first], log.command[first]
+    for row in range(first, window.last):
+        if row == window.first:
+            data.qpos[:], data.qvel[:] = log.position[row], velocity[row]
+        while data.time < log.time[row] - 0.5 * model.opt.timestep:
+            mujoco.mj_step(model, data)
+        if row >= window.first:
+            found.append(data.qpos.copy())
+        data.ctrl[:] = log.command[row]
+    return np.array(found)
+
+
+def rms(paths, measured):
+    return np.sqrt(np.mean((np.concatenate(paths) - np.concatenate(measured)) ** 2))
+
+
+@pytest.mark.parametrize("address", ["emulated:worn", "emulated:so101"])
+def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
+    robot = open_robot(address, seed=0)
+    arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0, plan=SHORT)]
+    twin = identify(arm, logs, starts=8, iterations=8, threads=1)
+    run = Run.create(tmp_path / "run", address, arm, 0)
+    write_twin(run.folder.twin, twin)
+    path, _ = export_run(run, "mjcf")
+    windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
+    replay = Replay(arm, logs, windows, stiction=twin.stiction)
+    measured = replay.measured()
+    ours = rms([path[0] for path in replay.predict(twin.parameters.repeat(1))], measured)
+    theirs = rms([predicted(path, logs[window.log], window) for window in windows], measured)
+    assert theirs < 1.1 * ours
+
+
+def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
+    arm = so101()
+    parameters = replace(nominal_parameters(arm), delay=np.array(0.021), offset=np.full(arm.joints, 0.01))
+    run = Run.create(tmp_path / "run", "emulated:so101", arm, 0)
+    with pytest.raises(FileError, match="rejoint identify"):
+        export_run(run, "isaaclab")
+    write_twin(run.folder.twin, made_twin(arm, parameters, stiction=1.5))
+    stub = types.ModuleType("isaaclab.actuators")
+    stub.DelayedPDActuatorCfg = SimpleNamespace
+    monkeypatch.setitem(sys.modules, "isaaclab.actuators", stub)
+    found = {}
+    exec(export_run(run, "isaaclab")[0].read_text(encoding="utf-8"), found)
+    servos = found["ACTUATORS"]["arm"]
+    assert servos.joint_names_expr == list(arm.joint_names)
+    assert servos.min_delay == servos.max_delay == round(0.021 / found["PHYSICS_STEP"])
+    same = {"stiffness": "stiffness", "damping": "damping", "armature": "armature"}
+    for theirs, ours in (same | {"effort_limit": "torque_limit", "dynamic_friction": "coulomb"}).items():
+        values = dict(zip(arm.joint_names, getattr(parameters, ours), strict=True))
+        assert getattr(servos, theirs) == pytest.approx(values, rel=1e-4)
+    assert servos.friction == pytest.approx(
+        {name: 1.5 * one for name, one in servos.dynamic_friction.items()}, rel=1e-4
+    )
+    assert set(found["OFFSET"].values()) == {0.01}
+
+
+def test_gains_that_were_found_leave_in_the_words_of_lerobot(tmp_path):
+    run = Run.create(tmp_path / "run", "emulated:so101", so101())
+    with pytest.raises(InputError, match="rejoint gains ROBOT"):
+        export_run(run, "lerobot")
+    alone = found_by(run).alone
+    motors = json.loads(export_run(run, "lerobot")[0].read_text(encoding="utf-8"))
+    assert [motors[name]["P_Coefficient"] for name in run.arm.joint_names] == [*alone["p"]]
+    assert [motors[name]["I_Coefficient"] for name in run.arm.joint_names] == [*alone["i"]]
+    assert motors["shoulder_lift"]["Minimum_Startup_Force"] == alone["startup"][1] + 256 * alone["limit"][1]
