@@ -72,21 +72,6 @@ class View(NamedTuple):
     """(B, n) [rad] null-space way to the goal posture"""
 
 
-class ObservationInput(NamedTuple):
-    """Inputs of an observation, for B arms."""
-
-    position: Array
-    velocity: Array
-    """(B, HISTORY, n) newest first"""
-    drive: Array
-    view: View
-    target: Array
-    since_target: Array
-    period: Array
-    action: Array
-    """(B, HISTORY, n) newest first"""
-
-
 def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
     """View of targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
     tcp, jacobian = position_kinematics(arm, position)
@@ -101,47 +86,56 @@ def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
     return View(tcp, error, distance, both[..., 0], away - both[..., 1])
 
 
-def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
-    """Slots in order."""
-    n = joints
-    rows: tuple[tuple[str, int, str], ...]
+def _rows(layout: Layout, n: int) -> tuple[tuple[str, int, float, str], ...]:
+    """Names, sizes, factors and formulas in order."""
     if layout == "residual":
-        rows = (
-            ("drive", n, "4 (s - x) [1/rad]"),
-            ("velocity", HISTORY * n, "0.5 dx/dt [s/rad], differences of successive measurements, newest first"),
-            ("step", n, "5 dls(e) [1/rad]"),
-            ("step.near", n, "tanh(dls(e) / 1 deg)"),
-            ("step.fine", n, "tanh(dls(e) / 0.2 deg)"),
-            ("position", n, "x [rad]"),
-            ("error", 3, "20 e [1/m]"),
-            ("direction", 3, "e / (|e| + 3 mm)"),
-            ("distance", 1, "(ln(|e| / 1 m + 0.0003) + 5) / 2"),
-            ("waited", 1, "min(time since the target was set, 2 s) - 0.5"),
-            ("period", 1, "20 p - 0.7 [1/s], p the running mean of the control period"),
-            ("action", HISTORY * n, "last actions, newest first"),
+        return (
+            ("drive", n, 4.0, "4 (s - x) [1/rad]"),
+            ("velocity", HISTORY * n, 0.5, "0.5 dx/dt [s/rad], differences of successive measurements, newest first"),
+            ("step", n, 5.0, "5 dls(e) [1/rad]"),
+            ("step.near", n, 1.0 / _ONE_DEGREE, "tanh(dls(e) / 1 deg)"),
+            ("step.fine", n, 1.0 / _FIFTH_OF_A_DEGREE, "tanh(dls(e) / 0.2 deg)"),
+            ("position", n, 1.0, "x [rad]"),
+            ("error", 3, 20.0, "20 e [1/m]"),
+            ("direction", 3, 1.0, "e / (|e| + 3 mm)"),
+            ("distance", 1, 0.5, "(ln(|e| / 1 m + 0.0003) + 5) / 2"),
+            ("waited", 1, 1.0, "min(time since the target was set, 2 s) - 0.5"),
+            ("period", 1, 20.0, "20 p - 0.7 [1/s], p the running mean of the control period"),
+            ("action", HISTORY * n, 1.0, "last actions, newest first"),
         )
-    elif layout in ("equation-16", "equation-16-action"):
-        rows = (
-            ("time", 1, "min(time since the target was set, 2 s) [s]"),
-            ("drive", n, "4 (s - x) [1/rad]") if layout == "equation-16" else ("action", n, "last action"),
-            ("position", n, "x [rad]"),
-            ("velocity", n, "0.5 dx/dt [s/rad], difference of the last two measurements"),
-            ("target", 3, "5 target [1/m]"),
-            ("tcp", 3, "5 tcp(x) [1/m]"),
-            ("distance", 1, "5 |e| [1/m]"),
-            ("collision", 1, "1 where x has a link touch another one or the ground"),
-            ("success", 1, "1 where |e| < 5 mm"),
-        )
-    else:
+    if layout not in ("equation-16", "equation-16-action"):
         raise InputError(
             f"no observation layout is called {layout!r}; known: residual, equation-16, equation-16-action"
         )
-    return tuple(Slot(name=name, size=size, formula=formula) for name, size, formula in rows)
+    drive = ("drive", n, 4.0, "4 (s - x) [1/rad]"), ("action", n, 1.0, "last action")
+    return (
+        ("time", 1, 1.0, "min(time since the target was set, 2 s) [s]"),
+        drive[layout != "equation-16"],
+        ("position", n, 1.0, "x [rad]"),
+        ("velocity", n, 0.5, "0.5 dx/dt [s/rad], difference of the last two measurements"),
+        ("target", 3, POINT_SCALE, "5 target [1/m]"),
+        ("tcp", 3, POINT_SCALE, "5 tcp(x) [1/m]"),
+        ("distance", 1, POINT_SCALE, "5 |e| [1/m]"),
+        ("collision", 1, 1.0, "1 where x has a link touch another one or the ground"),
+        ("success", 1, 1.0, "1 where |e| < 5 mm"),
+    )
+
+
+def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
+    """Slots in order."""
+    return tuple(Slot(name=name, size=size, formula=formula) for name, size, _, formula in _rows(layout, joints))
+
+
+@cache
+def layout_factors(layout: Layout, joints: int) -> Array:
+    """Factors of the numbers in the observation."""
+    _, sizes, factors, _ = zip(*_rows(layout, joints), strict=True)
+    return np.repeat(factors, sizes)
 
 
 def layout_size(layout: Layout, joints: int) -> int:
     """Size of the observation."""
-    return sum(slot.size for slot in layout_slots(layout, joints))
+    return len(layout_factors(layout, joints))
 
 
 class Observer:
@@ -177,28 +171,49 @@ class Observer:
         position = state.position[rows]
         self._differentiate(state.time[rows], position, rows)
         view = look(self.arm, position, inputs.target[rows], inputs.goal[rows])
-        if isinstance(rows, slice) and rows == ALL:
+        if rows is ALL:
             self.view = view
         else:
             for whole, part in zip(self.view, view, strict=True):
                 whole[rows] = part
-        reading = ObservationInput(
-            position,
-            self._velocity[rows],
-            inputs.sent[rows] - position,
-            view,
-            inputs.target[rows],
-            np.minimum(inputs.since_target[rows], LONGEST_WAIT),
-            self._period[rows],
-            self._action[rows],
-        )
-        out = np.empty((len(position), self.size), dtype=np.float32)
+        numbers = np.concatenate(self._parts(inputs, rows, position, view), axis=1)
+        numbers *= layout_factors(self.layout, self.arm.joints)
         if self.layout == "residual":
-            _residual(out, reading)
-        else:
-            change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action[:, 0]
-            _equation_16(out, reading, change, self._body)
+            near = numbers[:, (2 + HISTORY) * self.arm.joints : (4 + HISTORY) * self.arm.joints]
+            np.tanh(near, out=near)
+        out = numbers.astype(np.float32)
         return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
+
+    def _parts(self, inputs: ControlInput, rows: Rows, position: Array, view: View) -> list[Array]:
+        """Slots before their factors."""
+        waited, drive = np.minimum(inputs.since_target[rows], LONGEST_WAIT), inputs.sent[rows] - position
+        velocity, action, distance = self._velocity[rows], self._action[rows], view.distance[:, None]
+        if self.layout == "residual":
+            return [
+                drive,
+                velocity.reshape(len(position), -1),
+                view.step,
+                view.step,
+                view.step,
+                position,
+                view.error,
+                view.error / (distance + 0.003),
+                np.log(distance + 0.0003) + 5.0,
+                waited[:, None] - 0.5,
+                self._period[rows, None] - MIDDLE_PERIOD,
+                action.reshape(len(position), -1),
+            ]
+        return [
+            waited[:, None],
+            drive if self.layout == "equation-16" else action[:, 0],
+            position,
+            velocity[:, 0],
+            inputs.target[rows],
+            view.tcp,
+            distance,
+            collides(self._body, position)[:, None],
+            distance < SUCCESS_DISTANCE,
+        ]
 
     def acted(self, action: Array) -> None:
         """Store the action (B, n)."""
@@ -222,51 +237,3 @@ class Observer:
         self._velocity[chosen, 0] = (position[later] - self._position[chosen]) / elapsed[:, None]
         self._period[chosen] += PERIOD_SMOOTHING * (np.minimum(elapsed, LONGEST_PERIOD) - self._period[chosen])
         self._time[rows], self._position[rows] = time, position
-
-
-def _residual(out: Observation, reading: ObservationInput) -> None:
-    """Fill ``out`` (B, 11n + 9)."""
-    view, (count, n) = reading.view, reading.position.shape
-    distance = view.distance[:, None]
-    parts = [
-        reading.drive,
-        reading.velocity.reshape(count, -1),
-        view.step,
-        view.step,
-        view.step,
-        reading.position,
-        view.error,
-        view.error / (distance + 0.003),
-        np.log(distance + 0.0003) + 5.0,
-        reading.since_target[:, None] - 0.5,
-        reading.period[:, None] - MIDDLE_PERIOD,
-        reading.action.reshape(count, -1),
-    ]
-    numbers = np.concatenate(parts, axis=1)
-    numbers *= residual_factors(n)
-    near = numbers[:, (2 + HISTORY) * n : (4 + HISTORY) * n]
-    np.tanh(near, out=near)
-    out[...] = numbers
-
-
-@cache
-def residual_factors(n: int) -> Array:
-    """Factors (11n + 9,)."""
-    factors = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0, 20.0, 1.0, 0.5, 1.0, 20.0, 1.0]
-    return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
-
-
-def _equation_16(out: Observation, reading: ObservationInput, change: Array, arm: Arm) -> None:
-    """Fill ``out`` (B, 3n + 10), with ``change`` (B, n) for Delta theta."""
-    n, view = reading.position.shape[1], reading.view
-    columns = out.T
-    columns[0] = reading.since_target
-    out[:, 1 : n + 1] = change
-    out[:, n + 1 : 2 * n + 1] = reading.position
-    out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity[:, 0]
-    m = 3 * n + 1
-    out[:, m : m + 3] = POINT_SCALE * reading.target
-    out[:, m + 3 : m + 6] = POINT_SCALE * view.tcp
-    columns[m + 6] = POINT_SCALE * view.distance
-    columns[m + 7] = collides(arm, reading.position)
-    columns[m + 8] = view.distance < SUCCESS_DISTANCE

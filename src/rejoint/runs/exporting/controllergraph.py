@@ -36,7 +36,7 @@ from rejoint.control.controllers.observation import (
     LONGEST_WAIT,
     MIDDLE_PERIOD,
     PERIOD_SMOOTHING,
-    residual_factors,
+    layout_factors,
 )
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import InputError
@@ -189,7 +189,7 @@ class _CycleGraph(nn.Module):
         self.limits = self.arm[-2:]
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(design.arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
-        self.factors, self.moves = _tensor(residual_factors(self.n)), _tensor(moves_tool(design.arm))
+        self.factors, self.moves = _tensor(layout_factors("residual", self.n)), _tensor(moves_tool(design.arm))
         self.unloaded = torch.as_tensor(unloaded_joints(design.arm))
         self.close, self.gentle = CLOSE * length_size(design.arm), GENTLE * length_size(design.arm)
         load = heaviest_load(design.arm)
