@@ -391,7 +391,7 @@ class RunState:
             return False
         newest = self.cycles.pop()  # what an arm that goes on reads there is the next cycle's
         if (newest.active & ~alive).any():
-            self.cycles.append(newest._replace(active=newest.active & ~alive))
+            self.cycles.append(replace(newest, active=newest.active & ~alive))
         self._go_on(alive)
         return True
 
@@ -412,7 +412,8 @@ class RunState:
                 loose = loose | (np.abs(self.state.position - stood) >= LOOSE * self.robot.arm.encoder_step)
                 last = self.cycles[-1]
                 self.cycles.append(
-                    last._replace(
+                    replace(
+                        last,
                         time=self.state.time,
                         position=self.state.position,
                         command=sent,

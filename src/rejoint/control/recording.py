@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ GAP = 0.8
 _CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
-class Cycle(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cycle:
     """One control cycle of B arms."""
 
     time: Array
@@ -74,25 +75,13 @@ def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Recording:
+class Recording(Cycle):
     """T cycles of B arms; fields of `Cycle` with a leading T."""
 
     arm: str
     joint_names: tuple[str, ...]
     robot: str
     controller: str
-    time: Array
-    position: Array
-    command: Array
-    target: Array
-    aim: Array
-    target_index: NDArray[np.intp]
-    since_target: Array
-    true_tcp: Array
-    active: Mask
-    reasons: Reasons
-    load: Array
-    turned: Array
     tripped: Reasons
     """(B,) flags of the trip"""
 
@@ -104,13 +93,8 @@ class Recording:
 
     def of(self, arms: slice) -> Recording:
         """Select arms."""
-        arrays = {item.name: getattr(self, item.name) for item in fields(self)}
-        parts: dict[str, Any] = {
-            name: value[arms] if name == "tripped" else value[:, arms]
-            for name, value in arrays.items()
-            if isinstance(value, np.ndarray)
-        }
-        return replace(self, **parts)
+        parts: dict[str, Any] = {item.name: getattr(self, item.name)[:, arms] for item in fields(Cycle)}
+        return replace(self, **parts, tripped=self.tripped[arms])
 
     def usual_period(self, b: int = 0) -> float:
         """Median control period [s]; NaN: none."""
@@ -164,7 +148,7 @@ def recorded(robot: Robot, controller: str, cycles: list[Cycle], tripped: Reason
     nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
     rows = cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
     columns: dict[str, Any] = {
-        name: np.stack(column)[: len(cycles)] for name, *column in zip(Cycle._fields, *rows, strict=True)
+        item.name: np.stack([getattr(row, item.name) for row in rows])[: len(cycles)] for item in fields(Cycle)
     }
     return Recording(
         arm=robot.arm.name,
