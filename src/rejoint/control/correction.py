@@ -50,8 +50,7 @@ class TrueError:
     @classmethod
     def of(cls, how: How, estimate: Estimate, unit: float = 1.0) -> TrueError:
         """Estimate in ``unit`` [m]."""
-        ends = (None if end is None else unit * end for end in (estimate.low, estimate.high))
-        low, high = ends
+        low, high = (None if end is None else unit * end for end in (estimate.low, estimate.high))
         return cls(how=how, value=unit * estimate.value, low=low, high=high)
 
     def __str__(self) -> str:
@@ -86,13 +85,31 @@ def modelled(model: ToolModel, position: Array, target: Array) -> Array:
     return found
 
 
-def mean_modelled(found: Array) -> TrueError:
-    """Mean of ``found`` (3, ...) [m]; ends too, since errors are alike."""
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt((values**2).mean()))
+
+
+def mean_modelled(found: Array, mean: Callable[[Array], float] = np.mean) -> TrueError:
+    """``mean`` of ``found`` (3, ...) [m]; ends too, since errors are alike."""
     known = np.isfinite(found[0])
     if not known.any():
         return NOT_KNOWN
-    value, low, high = (float(part[known].mean()) for part in found)
+    value, low, high = (float(mean(part[known])) for part in found)
     return TrueError(how="modelled", value=value, low=low, high=high)
+
+
+def true_error(
+    errors: Array,
+    model: ToolModel | None,
+    position: Array,
+    target: Array,
+    mean: Callable[[Array], float] = np.mean,
+) -> TrueError:
+    """``mean`` of known ``errors`` (T,) [m], else by the ``model`` at ``position`` (T', n) for ``target`` (T', 3)."""
+    if len(errors) and np.isfinite(errors).all():
+        return TrueError(how="known", value=float(mean(errors)))
+    return NOT_KNOWN if model is None else mean_modelled(modelled(model, position, target), mean)
 
 
 ROUNDS = 4

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
+from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, true_error
 from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.recording import Recording, recording_of
 from rejoint.control.targets import in_words
@@ -134,6 +134,8 @@ def _ended(
     row = int(rows[-1])
     end, turned, paused = float(error[row]), float(recording.turned[row, 0]), float(gap[rows].max())
     askew = job.turns is not None and turned > REACHED_TURN
+    target = np.array([visit.target])
+    true = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
     remarks = {
         "ended early": early,
         f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[rows, 0])}": not early
@@ -144,18 +146,11 @@ def _ended(
     return replace(
         visit,
         error=end,
-        true_error=_true_error(recording, row, np.array(visit.target), model),
+        true_error=true_error(true, model, recording.position[row], target),
         reached=end < job.within and not early and not askew,
         remark="; ".join(remark for remark, said in remarks.items() if said),
         turned=None if job.turns is None or np.isnan(turned) else turned,
     )
-
-
-def _true_error(recording: Recording, row: int, target: Array, model: ToolModel | None) -> TrueError:
-    true = float(np.linalg.norm(target - recording.true_tcp[row, 0]))
-    if np.isfinite(true):
-        return TrueError(how="known", value=true)
-    return NOT_KNOWN if model is None else mean_modelled(modelled(model, recording.position[row], target[None]))
 
 
 def _held_back(reasons: Reasons) -> str:

@@ -58,8 +58,8 @@ def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_
 
 def test_cycles_on_one_arm_are_driven_one_after_the_other():
     targets = ARM.targets.sample(np.random.default_rng(0), (3, 2))
-    side_by_side = holding().hold(DefaultController, targets)
-    in_turn = holding(batched=False).hold(DefaultController, targets)
+    side_by_side = holding().hold("default", targets)
+    in_turn = holding(batched=False).hold("default", targets)
     np.testing.assert_allclose(in_turn["settled"], side_by_side["settled"], atol=1e-6)
     np.testing.assert_allclose(in_turn["settled_true"], side_by_side["settled_true"], atol=1e-4)
 
@@ -77,8 +77,8 @@ class Beside:
 def test_the_arm_as_it_was_found_is_not_aimed():
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
     how = holding(correction=lambda _: Beside())
-    aimed = how.hold(DefaultController, targets[None])["settled_true"][0]
-    found = TargetErrors.of(how.hold(DefaultController, targets[None], corrected=False))
+    aimed = how.hold("default", targets[None])["settled_true"][0]
+    found = TargetErrors.of(how.hold("default", targets[None], corrected=False))
     assert [error.how for error in found.true] == ["known", "known"]
     np.testing.assert_allclose([error.value for error in found.true], BEHIND, rtol=0.1)
     assert (aimed > 0.007).all()

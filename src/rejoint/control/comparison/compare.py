@@ -170,7 +170,7 @@ class TrialRunner:
     measured: Driven | None = None
     """trials of one arm, driven before"""
     on_progress: Progress = no_progress
-    on_trial: OnTrial | None = None
+    on_trial: OnTrial = field(default=lambda *_: None)
     helper: Helper | None = None
 
     def __post_init__(self) -> None:
@@ -251,7 +251,7 @@ class TrialRunner:
             pause(_LOOK)
         if future.exception() is None:
             driven, recording = future.result()
-            self._hand_on(driven, recording)
+            self.on_trial(driven, recording)
         else:
             driven, _ = self.drive_batch(key)
         self._take(driven)
@@ -356,14 +356,13 @@ class TrialRunner:
         name, kind, places, first = key
         sets, part = [s for s, _ in places], slice(first, first + self._step)
         targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
-        self._text, failed = f"{name}: {kind} protocol", False
+        self._text, failed, protocol = f"{name}: {kind} protocol", False, self.settings.protocol
 
         def see(cycle: Cycle) -> None:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
 
-        reference = TargetSequence(robot.arm, targets, turns=turns, correction=self._aiming(robot))
         try:
-            recording = self._run(robot, self.controllers[name], reference, kind, self._sent, see)
+            recording = self._run(robot, name, targets, kind, turns=turns, sent=self._sent, on_cycle=see)
         except GuardTripError as error:
             stopped = recording_of(error)
             if stopped is None or not bad_command(stopped):
@@ -371,44 +370,41 @@ class TrialRunner:
             recording, failed = stopped, True
         if not self.settings.batched:
             self._sent = recording.command[-1]
-        protocol, both = self.settings.protocol, self.settings.block > 0
+        both = self.settings.block > 0
         driven = measure(robot.arm, recording, targets, protocol, key, failed=failed, model=self.model, both=both)
-        self._hand_on(driven, recording)
+        self.on_trial(driven, recording)
         return driven, recording
-
-    def _aiming(self, robot: Robot) -> Modelled | None:
-        return None if self.correction is None else self.correction(robot.arm)
 
     def _run(
         self,
         robot: Robot,
-        make: ControllerFactory,
-        reference: TargetSequence,
+        name: str,
+        targets: Array,
         kind: Kind,
-        sent: Array | None,
+        *,
+        corrected: bool = True,
+        turns: Orientation | None = None,
+        sent: Array | None = None,
         on_cycle: OnCycle | None = None,
     ) -> Recording:
-        controller = make(robot.arm)
+        controller = self.controllers[name](robot.arm)
+        correction = self.correction(robot.arm) if self.correction and corrected else None
+        reference = TargetSequence(robot.arm, targets, turns=turns, correction=correction)
         plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent, wait=False)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
             return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
 
-    def _hand_on(self, driven: Driven, recording: Recording) -> None:
-        if self.on_trial is not None:
-            self.on_trial(driven, recording)
-
     # --- beside the trials --------------------------------------------------------------------
 
-    def hold(self, controller: ControllerFactory, targets: Array, *, corrected: bool = True) -> Columns:
+    def hold(self, name: str, targets: Array, *, corrected: bool = True) -> Columns:
         """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
         batched, found = self.settings.batched, []
         parts = [targets] if batched else np.split(targets, len(targets))
         with closing(self._open(len(parts[0]))) as robot:
             for part in parts:
                 sent = None if batched else begin(robot, self.limits, self.stance).command[-1]
-                reference = TargetSequence(robot.arm, part, correction=self._aiming(robot) if corrected else None)
-                recording = self._run(robot, controller, reference, "hold", sent)
+                recording = self._run(robot, name, part, "hold", corrected=corrected, sent=sent)
                 models = [self.model] * len(part) if self.model else ()
                 found.append(metrics_of(robot.arm, recording, part, self.settings.protocol, models=models))
         return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
@@ -460,7 +456,7 @@ def vary_directions(runner: TrialRunner, name: str, arm: Arm) -> DirectionVariat
     starts = poses[None] + AWAY * length_size(arm) * np.eye(3)[:, None] * side[None]  # (3, P, 3)
     way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2)  # (3, P, 2, 3)
     ways = way.reshape(3 * len(poses) if runner.settings.batched else 1, -1, 3)
-    held = runner.hold(runner.controllers[name], np.tile(ways, (cycles, 1, 1)))
+    held = runner.hold(name, np.tile(ways, (cycles, 1, 1)))
     away = (np.stack([held[f"{name}_{axis}"] for axis in "xyz"], axis=-1)[:, 1::2] for name in ("away", "away_true"))
     means = (one.reshape(cycles, 3, len(poses), 3).mean(axis=0).swapaxes(0, 1) for one in away)  # (P, D, 3)
     encoders, tool = (spread(direction_variation(one), np.arange(len(poses))) for one in means)

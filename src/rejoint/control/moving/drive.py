@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.ndimage import gaussian_filter1d
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
-from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, modelled
+from rejoint.control.correction import Modelled, ToolModel, TrueError, checked, rms, true_error
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import Corrected, Guide, Path, Poses, Route, interpolated
 from rejoint.control.recording import Recording
@@ -93,27 +95,13 @@ def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolM
     rows, time = rows_on(recording, route, b)
     position, turned = recording.position[rows, b], recording.turned[rows, b]
     true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, route.time, route.place), axis=-1)
-    known = bool(np.isfinite(true).all()) and len(true) > 0
-    expected = NOT_KNOWN if model is None else _expected(model, position, time, route)
+    few = slice(None, None, max(1, len(time) // _JUDGED))
+    wanted = interpolated(time[few], route.time, route.place)
     return Pass(
         encoder=along(time, tcp_position(arm, position), route.time, route.aim),
-        true_error=TrueError(how="known", value=_rms(true)) if known else expected,
-        turned=_rms(turned) if len(turned) and np.isfinite(turned).all() else None,
+        true_error=true_error(true, model, position[few], wanted, rms),
+        turned=rms(turned) if len(turned) and np.isfinite(turned).all() else None,
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean()))
-
-
-def _expected(model: ToolModel, position: Array, time: Array, route: Route) -> TrueError:
-    """Rms tool error by a model at ``position`` (T, n) [rad] and ``time`` (T,) [s]."""
-    few = slice(None, None, max(1, len(time) // _JUDGED))
-    found = modelled(model, position[few], interpolated(time[few], route.time, route.place))
-    if not np.isfinite(found).all() or not found.size:
-        return NOT_KNOWN
-    value, low, high = map(_rms, found)
-    return TrueError(how="modelled", value=value, low=low, high=high)
 
 
 def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Rows, Array]:
@@ -151,7 +139,7 @@ class Along:
 def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
     """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at ``at`` (K,) [s]."""
     errors = [np.linalg.norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
-    sizes = [_rms(error) for error in errors]
+    sizes = [rms(error) for error in errors]
     best = int(np.argmin(sizes))
     return Along(
         rms=sizes[0],
@@ -181,12 +169,12 @@ class Repetition:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._time = path.grid
-        self._spectra: list[Array] = []  # (F, 3) of where to aim, less the path, for each time
+        self._spectra: list[Array] = []  # (K, 3) cosine transforms of where to aim, less the path, for each time
 
     def learn(self, aim: Path, time: Array, error: Array) -> Path:
         """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
         place = self._path.at(self._time)
-        self._spectra.append(_spectrum(aim.at(self._time) - place + interpolated(self._time, time, error)))
+        self._spectra.append(dct(aim.at(self._time) - place + interpolated(self._time, time, error), axis=0))
         shift = self._shift()
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
@@ -196,23 +184,16 @@ class Repetition:
         """Shift (K, 3) [m] of the path."""
         step, count = self._time[1] - self._time[0], 2 * len(self._time)
         found, times = np.stack(self._spectra), len(self._spectra)
-        mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)
+        mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)[:-1]
         width = _WIDTH / frequency[1]
         believed = 1.5 * DIFFERENT**2 * count / step  # of all three axes, as a power of this spectrum
-        differs = _smooth((np.abs(found - mean) ** 2).sum(axis=(0, 2)), width)
+        differs = _smooth(((found - mean) ** 2).sum(axis=(0, 2)), width)
         differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
-        power = np.maximum(_smooth((np.abs(mean) ** 2).sum(axis=-1), width), np.finfo(float).tiny)
+        power = np.maximum(_smooth((mean**2).sum(axis=-1), width), np.finfo(float).tiny)
         share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
-        return np.fft.irfft(mean * share[:, None], count, axis=0)[: len(self._time)]
-
-
-def _spectrum(values: Array) -> Array:
-    """Spectrum (F, 3) of ``values`` (K, 3) and their reverse, so that no end jumps."""
-    return np.asarray(np.fft.rfft(np.concatenate([values, values[::-1]]), axis=0))
+        return np.asarray(idct(mean * share[:, None], axis=0))
 
 
 def _smooth(values: Array, width: float) -> Array:
     """Average ``values`` (F,) over about ``width``."""
-    reach = int(np.ceil(3.0 * width))
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
-    return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), "valid")
+    return np.asarray(gaussian_filter1d(values, width, radius=int(np.ceil(3.0 * width))))

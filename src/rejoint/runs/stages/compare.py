@@ -275,12 +275,11 @@ class ComparisonJob:
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
-        own = self.factories.get(DEFAULT)
         try:
             if self.correct is not None and before is not None:
                 result = replace(result, as_found=TargetErrors.of(before.driven.columns))
-            elif self.correct is not None and own is not None and self.turns is None:
-                found = runner.hold(own, self.targets[:1], corrected=False)
+            elif self.correct is not None and DEFAULT in self.factories and self.turns is None:
+                found = runner.hold(DEFAULT, self.targets[:1], corrected=False)
                 result = replace(result, as_found=TargetErrors.of(found))
             if self.directions:
                 varied = vary_directions(runner, recommend(result).controller, self.arm)
