@@ -231,11 +231,9 @@ def guard_along(
     cut = moving & (touched != 0)
     if not cut.any():
         return guarded
-    shares = np.arange(limits.parts + 1)[:, None] / limits.parts
-    on_way = clear_by(limits, goal[:, None] + shares * (command - goal)[:, None])
-    clear = (on_way >= np.minimum(on_way[:, :1], 0.0)).all(axis=-1)
-    last = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
-    nearer = np.where(cut[:, None], goal + shares[last] * (command - goal), command)
+    clear, nearer = clear_by(limits, command), command.copy()
+    for b in np.flatnonzero(cut):
+        compiled.shorten(chain_of(limits.arm), limits.shape, limits.rules, goal[b], clear[b], nearer[b])
     again = guard(limits, nearer, sent, speed, state, period)
     return again._replace(reasons=again.reasons | touched)
 

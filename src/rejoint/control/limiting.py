@@ -24,7 +24,7 @@ def _between(value, low, high):  # noqa: ANN001, ANN202
     return min(max(value, low), high)
 
 
-@njit(int64(CHAIN, RULES, IN2, float64), **OPTIONS)
+@njit(**OPTIONS)
 def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
     """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
     found = 0 if age <= rules.max_age else _STALE  # NaN counts as stale
@@ -37,7 +37,7 @@ def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
     return found
 
 
-@njit(void(CHAIN, RULES, IN2, OUT1), **OPTIONS)
+@njit(**OPTIONS)
 def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
     """Fill ``out`` (n,) with the last command, or what is known of it."""
     for j in range(len(out)):
@@ -46,7 +46,7 @@ def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
         out[j] = sent if np.isfinite(sent) else known
 
 
-@njit(int64(RULES, IN2, float64, OUT1), **OPTIONS)
+@njit(**OPTIONS)
 def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
     """Fill ``out`` (n,) with the command limited by lead, position, step and acceleration; returns their flags."""
     found = 0
@@ -65,7 +65,7 @@ def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
 
 
 @njit(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1), **OPTIONS)
-def _shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN202
+def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     """Shorten the step from ``last`` to ``out`` (n,), with ``clear`` (c,) there, until it is clear; returns flags.
 
     No clearance may become negative, or more so.
@@ -109,7 +109,7 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
         if reasons[b]:
             continue
         if (clear[b] < 0.0).any():
-            found[b] |= _shorten(chain, shape, rules, last, clear[b], command)
+            found[b] |= shorten(chain, shape, rules, last, clear[b], command)
         if (command != asked[b, 0]).any():
             reasons[b] = found[b]
         for j in range(len(last) if elapsed[b] > 0.0 else 0):

@@ -101,14 +101,14 @@ def test_a_path_turns_the_tool_smoothly_through_what_is_given(tmp_path):
     file.write_text("\n".join(["time,x,y,z,rx,ry,rz", *lines]))
     path = read_path(file, ARM)
     wanted = placed(ARM, [Pose(place_m=p, angles_rad=np.radians(a)) for p, a in zip(place, angles, strict=True)])[1]
-    assert wanted.angle(path.turn_at(time).rotation).max() < 1e-6
+    assert wanted.angle(path.poses(time)[1].rotation).max() < 1e-6
     fine = np.linspace(0.0, 4.0, 400)
-    ways = path.turn_at(fine[1:]).angle(path.turn_at(fine[:-1]).rotation) / np.diff(fine)
+    ways = path.poses(fine[1:])[1].angle(path.poses(fine[:-1])[1].rotation) / np.diff(fine)
     assert ways.max() < np.radians(30.0)
     path.require_followable(ARM)
-    postures = PathPostures(ARM, path.at(fine[:1]), path.turn_at(fine[:1]))
-    found = postures.along(path.at(fine)[:, None], path.turn_at(fine)[:, None])[:, 0]
-    off, angle = missed_pose(ARM, found, path.at(fine), path.turn_at(fine))
+    postures = PathPostures(ARM, path.at(fine[:1]), path.poses(fine[:1])[1])
+    found = postures.along(path.at(fine)[:, None], path.poses(fine)[1][:, None])[:, 0]
+    off, angle = missed_pose(ARM, found, path.at(fine), path.poses(fine)[1])
     assert (off.max(), angle.max()) < (1e-4, np.radians(0.1))
-    back = Path(time=path.time, place=path.place, turn=path.turn_at(path.time))
-    np.testing.assert_allclose(back.turn_at(fine).rotation, path.turn_at(fine).rotation, atol=1e-9)
+    back = Path(time=path.time, place=path.place, turn=path.poses(path.time)[1])
+    np.testing.assert_allclose(back.poses(fine)[1].rotation, path.poses(fine)[1].rotation, atol=1e-9)

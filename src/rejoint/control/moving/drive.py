@@ -173,12 +173,12 @@ class Repetition:
 
     def learn(self, aim: Path, time: Array, error: Array) -> Path:
         """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
-        place = self._path.at(self._time)
+        place, turn = self._path.poses(self._time)
         self._spectra.append(dct(aim.at(self._time) - place + interpolated(self._time, time, error), axis=0))
         shift = self._shift()
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
-        return Path(time=self._time, place=place, turn=self._path.turn_at(self._time), name=self._path.name)
+        return Path(time=self._time, place=place, turn=turn, name=self._path.name)
 
     def _shift(self) -> Array:
         """Shift (K, 3) [m] of the path."""

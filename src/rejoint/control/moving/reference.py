@@ -115,10 +115,6 @@ class Path:
         """Places (..., 3) [m] at ``time`` (...) [s]."""
         return self.poses(time)[0]
 
-    def turn_at(self, time: Array | float) -> Orientation | None:
-        """Orientations (...) at ``time`` (...) [s]; None: any."""
-        return self.poses(time)[1]
-
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError unless ``arm`` can follow."""
         if not SHORTEST <= self.duration <= LONGEST:
