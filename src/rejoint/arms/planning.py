@@ -7,7 +7,7 @@ time as far as limits and clearances allow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,12 @@ class JointTrajectory:
     """(m,) [s]"""
     shares: tuple[Any, ...]
     """(m,) share of each piece over its time, a `scipy.interpolate.PPoly`"""
+    motors: Motors | None = None
+    """of the `plan`"""
+    speed: float = 1.0
+    """of the `plan`"""
+    heavy: bool = False
+    """whether those motors may not lift the arm on it"""
 
     def at(self, time: Array | float, derivative: int = 0) -> Array:
         """Positions (..., n) [rad] at ``time`` (...) [s], clamped; or a derivative, up to the third."""
@@ -141,8 +147,9 @@ def plan(
     if not found:
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
-    _, field, way = min(found, key=lambda one: one[0])
-    return _timed(field, way, _limits(arm, way, motors, speed))
+    load, field, way = min(found, key=lambda one: one[0])
+    timed = _timed(field, way, _limits(arm, way, motors, speed))
+    return replace(timed, motors=motors, speed=speed, heavy=load > 1.0)
 
 
 def clearance(arm: Arm, q: Array) -> Array:

@@ -36,9 +36,9 @@ ROOM, LEAST = 0.1, 0.3
 STOP, LAST, _REST = 0.010, 0.9, 12
 """[m] clearance that the others keep on the rest of the way while a joint is stuck, and share of a way after which they
 wait for it (chosen)"""
-AHEAD, BRAKING, RESERVE = 0.05, 0.35, 0.005
+AHEAD, BRAKING, RESERVE = 0.05, 0.22, 0.005
 """[s] over which the approach to obstacles is measured; least time [s] to a clearance of the [m] after it (chosen
-likewise: with 0.25 s worn arms overshot, with 0.5 s ways took 0.1 s longer)"""
+likewise: with 0.35 s ways took up to 0.3 s longer)"""
 
 
 Ways = Sequence[Sequence[JointTrajectory]]
@@ -80,7 +80,7 @@ def beginning_at(arm: Arm, way: JointTrajectory, position: Array) -> JointTrajec
     """
     if np.abs(way.start - position).max() > LAGS[1]:
         with suppress(PlanningError):
-            return plan(arm, position, way.goal)
+            return plan(arm, position, way.goal, motors=way.motors, speed=way.speed)
     return way
 
 
@@ -102,23 +102,27 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
 def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Array | float = 0.0) -> float:
     """Share of its speed at which a way goes on, ``since`` [s] its begin, at ``position`` (n,) [rad].
 
-    It brakes before obstacles. The less room there is, the less joints may lag. It waits for a stuck joint where the
-    others would touch something without it.
+    It brakes before obstacles, and before those that the arm would come near to if one joint did not move. The less
+    room there is, the less joints may lag. It waits for a stuck joint where the others would touch something without
+    it, or where the motors may not lift the arm.
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
-    postures = np.stack([goal, position, ahead, position + ahead - goal])
-    clear = clearances(arm, postures, np.zeros(0))
-    room = max(float((clear[:2] / _roomy(arm)).min(initial=1.0)), LEAST)
-    closing = (clear[:2] - clear[2:]) / AHEAD
-    left = np.maximum(clear[:2].min(axis=0) - RESERVE, 1e-4)
-    brake = float((left / np.maximum(closing, 1e-6)).min(initial=1.0)) / BRAKING
-    lag = float(np.abs(goal - position - sag).max())
-    if lag > LAGS[1]:
-        rest = clearances(arm, position + way.at(np.linspace(since, way.duration, _REST)) - goal, np.zeros(0)).min(
-            axis=0
-        )
-        if ((rest < STOP) & (rest < clear[1])).any():
+    behind = np.abs(goal - position - sag)
+    worst, lag = behind.argmax(), float(behind.max())
+    alone = goal.copy()  # where the others are without the worst joint, once they have caught up
+    alone[worst] = position[worst]
+    without = position + (ahead - goal) * (1.0 - np.vstack([0.0 * goal, np.eye(len(goal))]))  # each of the joints
+    clear = clearances(arm, np.vstack([goal, position, alone, ahead, without]), np.zeros(0))
+    here = clear[:3].min(axis=0)
+    if lag > LAGS[0]:
+        rest = position + way.at(np.linspace(since, way.duration, _REST)) - goal
+        near = np.minimum(clearances(arm, rest, np.zeros(0)).min(axis=0), clear[5 + worst])
+        if (way.heavy and lag > LAGS[1]) or ((near < STOP) & (near < clear[1])).any():
             return 0.0
+    room = max(float((here / _roomy(arm)).min(initial=1.0)), LEAST)
+    closing = np.maximum(clear[0] - clear[3], clear[1] - clear[4:].min(axis=0)) / AHEAD
+    left = np.maximum(here - RESERVE, 1e-4)
+    brake = float((left / np.maximum(closing, 1e-6)).min(initial=1.0)) / BRAKING
     slowly, stuck = np.interp(lag / room, LAGS, (1.0, 0.0)), np.interp(lag, STUCK, (0.0, 1.0))
     return max(min(max(slowly, stuck), brake), SLOWEST * room)
 
