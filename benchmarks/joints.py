@@ -105,7 +105,7 @@ def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("run
             prepare(address, arm, run)
             robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)
             wanted = np.array([*islice(clear(arm, seed), goals)])
-            held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.torque_limit[0])
+            held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.joints["torque_limit"][0])
             with rejoint.connect(robot, run=run) as session:
                 found.append(np.abs(moved(session, wanted)))
                 tools.append(streamed(session, robot, wanted))
