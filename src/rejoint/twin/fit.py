@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from rejoint.arms import Array, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
@@ -335,14 +336,12 @@ def influence(residual: Array) -> Array:
 
 
 def correlation_time(residual: Array, window: NDArray[np.integer], longest: int = 200) -> Array:
-    """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
-    power = np.maximum(np.mean(residual**2, axis=0), 1e-18)
-    total, alive = np.ones(residual.shape[1]), np.ones(residual.shape[1], dtype=bool)
-    for lag in range(1, min(longest, len(residual) - 1)):
-        same = window[lag:] == window[:-lag]
-        if not same.any() or not alive.any():
-            break
-        rho = np.mean(residual[lag:][same] * residual[:-lag][same], axis=0) / power
-        alive &= rho > 0.05
-        total += np.where(alive, 2.0 * rho, 0.0)
-    return total
+    """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05; by Wiener and Khinchin."""
+    rows = np.bincount(window)
+    apart = np.zeros((len(rows), next_fast_len(int(rows.max()) + longest), residual.shape[1]))
+    apart[window, np.arange(len(window)) - (np.cumsum(rows) - rows)[window]] = residual
+    power = (np.abs(rfft(apart, axis=1)) ** 2).sum(axis=0)
+    products = irfft(power, apart.shape[1], axis=0)[:longest]
+    pairs = np.maximum(rows - np.arange(longest)[:, None], 0).sum(axis=1, keepdims=True)
+    rho = products[1:] / np.maximum(pairs[1:], 1) * len(residual) / np.maximum(products[0], 1e-18)
+    return 1.0 + 2.0 * np.where(np.logical_and.accumulate(rho > 0.05), rho, 0.0).sum(axis=0)

@@ -347,8 +347,7 @@ def identify_logs(
         note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
-    on_progress(0.9, "table and intervals")
-    table = _fit_table(problem, found, excluded, height, settings, table)
+    on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
     return replace(
@@ -442,7 +441,6 @@ def _fit_table(
     excluded: Sequence[Exclusions],
     height: float | None,
     settings: LogSettings,
-    start: TablePlane | None = None,
 ) -> TablePlane | None:
     replay = problem.replay
     windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
@@ -451,7 +449,7 @@ def _fit_table(
     from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
 
     touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
-    return fit_table(touching, unpack(found.vector, problem.joints), height, start)
+    return fit_table(touching, unpack(found.vector, problem.joints), height)
 
 
 def _unidentified(twin: Twin) -> list[str]:

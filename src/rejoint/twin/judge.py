@@ -23,6 +23,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.tomltable import Number, Positive, Table, read_toml
+from rejoint.twin.chain.dynamics import GROUP
 from rejoint.twin.judgement import (
     NO_TWIN,
     Errors,
@@ -133,8 +134,8 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
     order = sorted(range(len(logs)), key=lambda i: logs[i].time[-1] - logs[i].time[0])
-    for start in range(0, len(order), 2 * threads):
-        part = order[start : start + 2 * threads]
+    for start in range(0, len(order), GROUP * threads):
+        part = order[start : start + GROUP * threads]
         chosen = [windows[i] for i in part]
         replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, candidate.acceleration)
         found = replay.predict(candidate.parameters.repeat(1), tables)

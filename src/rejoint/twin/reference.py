@@ -49,7 +49,7 @@ class ServoReference:
     ) -> None:
         """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] or a finite acceleration [rad/s^2].
 
-        ``start`` (n,) [rad]: the first reference, by default the first command.
+        One speed may serve all twins. ``start`` (n,) [rad]: the first reference, by default the first command.
         """
         self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
         speeds, self._which = np.unique(speed if acceleration == np.inf else np.ones_like(speed), return_inverse=True)
@@ -60,10 +60,8 @@ class ServoReference:
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
-        limits = self._speed, self._acceleration
-        return _sample(
-            late, self._rows(late), self._which, self._time, self._command, self._position, self._velocity, limits
-        )
+        which, limits = np.resize(self._which, len(late)), (self._speed, self._acceleration)
+        return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
         """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s].

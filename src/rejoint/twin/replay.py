@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.exclusions import answered
@@ -76,10 +77,15 @@ class Replay:
     acceleration: float = np.inf
 
     def __post_init__(self) -> None:
-        for log in self.logs:
+        for log in self._shown.values():
             log.require(self.arm.name, self.arm.joint_names)
         if not self.windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
+
+    @cached_property
+    def _shown(self) -> dict[int, RunLog]:
+        """Logs with windows, by number."""
+        return {w.log: self.logs[w.log] for w in self.windows}
 
     @cached_property
     def seconds(self) -> float:
@@ -87,17 +93,16 @@ class Replay:
         return sum(float(self.times(i)[-1]) for i in range(len(self.windows)))
 
     @cached_property
-    def _gains(self) -> Array:
-        return np.stack([gains(log) for log in self.logs])
-
-    @cached_property
-    def _velocity(self) -> list[Array]:
-        return [measured_velocity(log) for log in self.logs]
+    def _start(self) -> Array:
+        """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
+        first = [(self.logs[w.log], np.array([w.first])) for w in self.windows]
+        parts = [(log.position[row[0]], measured_velocity(log, row)[0], gains(log)) for log, row in first]
+        return np.stack(parts, axis=1)
 
     @cached_property
     def _even(self) -> set[int]:
         """Logs with commands in step with the simulation."""
-        return {i for i, log in enumerate(self.logs) if _in_step(log.time, self.timestep) > IN_STEP}
+        return {i for i, log in self._shown.items() if _in_step(log.time, self.timestep) > IN_STEP}
 
     @cached_property
     def _grid(self) -> Array:
@@ -109,16 +114,18 @@ class Replay:
     def _batches(self) -> dict[int, ChainBatch]:
         return {}
 
+    @cached_property
+    def _known(self) -> dict[bytes, dict[int, ServoReference]]:
+        """The latest references, by their speeds."""
+        return {}
+
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
-        start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
-        velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
+        start, velocity, gain = np.repeat(self._start, m, axis=1)
         arms = parameters[which]
-        arms = replace(
-            arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
-        )
+        arms = replace(arms, stiffness=arms.stiffness * gain)
         twins: ChainBatch | TableBatch
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
@@ -151,7 +158,7 @@ class Replay:
 
     def references(self, parameters: TwinParameters) -> list[Array]:
         """One twin's references (rows, n) [rad] at each window's readings."""
-        references = self._references(parameters.repeat(1))
+        references = self._references(np.atleast_1d(self._speed(parameters)))
         return [
             references[w.log].sample(self._log(w).time[w.first : w.last], np.atleast_1d(parameters.delay))[0]
             for w in self.windows
@@ -170,15 +177,16 @@ class Replay:
 
         For commands in step with it, means over the step: else the delay would depend on it.
         """
-        references, grid = self._references(parameters), self._grid
-        parts = []
-        for w in self.windows:
+        late = np.stack([parameters.delay, self._speed(parameters)])
+        (delay, speed), which = np.unique(late, axis=1, return_inverse=True)
+        references, grid = self._references(speed if np.ptp(speed) else speed[:1]), self._grid
+        control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
+        for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
             reference, times = references[w.log], self._log(w).time[w.first] + grid
             if w.log in self._even and self.acceleration == np.inf:
-                parts.append(reference.mean(times, parameters.delay, self.timestep))
+                part[:] = reference.mean(times, delay, self.timestep)[which]
             else:
-                parts.append(reference.sample(times, parameters.delay))
-        control = np.concatenate(parts)
+                part[:] = reference.sample(times, delay)[which]
         if parameters.compensation.any():
             torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
@@ -191,12 +199,19 @@ class Replay:
         time, columns = log.time[window.first] + self._grid, log.command.T
         return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
-    def _references(self, parameters: TwinParameters) -> dict[int, ServoReference]:
-        shown = {w.log: self.logs[w.log] for w in self.windows}
-        return {
-            i: ServoReference(log.time, log.command, parameters.ramp_speed, self.acceleration)
-            for i, log in shown.items()
-        }
+    def _speed(self, parameters: TwinParameters) -> Array:
+        """(m,) [rad/s] of references, of no effect if acceleration is limited."""
+        return parameters.ramp_speed if self.acceleration == np.inf else np.ones_like(parameters.ramp_speed)
+
+    def _references(self, speed: Array) -> dict[int, ServoReference]:
+        """Return references by log for speeds (u,) or, of all twins, (1,) [rad/s]."""
+        key = speed.tobytes()
+        if key not in self._known:
+            self._known.clear()
+            self._known[key] = {
+                i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()
+            }
+        return self._known[key]
 
 
 def _in_step(time: Array, timestep: float) -> float:
@@ -204,9 +219,9 @@ def _in_step(time: Array, timestep: float) -> float:
     return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))
 
 
-def measured_velocity(log: RunLog) -> Array:
-    """(T, n) [rad/s] by central differences over two rows to either side."""
-    rows = np.arange(len(log))
+def measured_velocity(log: RunLog, rows: NDArray[np.integer] | None = None) -> Array:
+    """(T, n) [rad/s] in ``rows`` (T,), default all, by central differences over two rows to either side."""
+    rows = np.arange(len(log)) if rows is None else rows
     before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
     return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
 

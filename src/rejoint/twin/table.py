@@ -206,10 +206,8 @@ NOISE, ROWS = np.radians(0.5), 50
 """[rad] error in contact, and rows of one observation; chosen"""
 
 
-def fit_table(
-    replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
-) -> TablePlane:
-    """Fit the table, from ``start`` or level at ``height`` [m]."""
+def fit_table(replay: Replay, parameters: TwinParameters, height: float, evaluations: int = 12) -> TablePlane:
+    """Fit the table, at first level at ``height`` [m]."""
     measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
 
@@ -231,10 +229,9 @@ def fit_table(
         root = np.sqrt(1.0 + z)
         return np.where(motion, [2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3], [z, np.ones_like(z), 0.0 * z])
 
-    first = mean if start is None else _vector(start)
     found = least_squares(
         residual,
-        np.clip(first, _LOWER + 1e-9, _UPPER - 1e-9),
+        mean,
         jacobian,
         bounds=(_LOWER, _UPPER),
         x_scale=_SIGMA,
@@ -245,10 +242,6 @@ def fit_table(
         xtol=1e-3,
     )
     return _plane(found.x)
-
-
-def _vector(table: TablePlane) -> Array:
-    return np.array([table.height, table.slope_x, table.slope_y, np.log(table.stiffness), np.log(table.friction)])
 
 
 def _plane(vector: Array) -> TablePlane:
