@@ -29,9 +29,9 @@ from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
-from rejoint.runs.run import Meter
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
 from rejoint.session.context import make_factories
+from rejoint.session.recorder import StageMotion
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)
@@ -96,7 +96,7 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     twice = TrialRunner(
         connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep
     ).compare()
-    done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), Meter()
+    done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), StageMotion()
     settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, block=BLOCK)
     everyone = {DEFAULT: DefaultController, **factories}
     ledger = Ledger()

@@ -33,7 +33,7 @@ from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.feetech.bus import BLOCK, TABLE, FeetechBus
 from rejoint.robots.feetech.wire import FRAME
-from rejoint.runs.connect import connect
+from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN

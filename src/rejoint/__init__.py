@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from rejoint.logs.runlog import RunLog
     from rejoint.pages.live.view import LiveView
     from rejoint.robots import open_robot
-    from rejoint.runs.connect import Session, connect
-    from rejoint.runs.repair import Repaired, RepairPlan, Stage, repair
+    from rejoint.runs.repair import RepairPlan, Session, Stage, connect, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.check import Checked, CheckNotes, check
@@ -88,8 +87,7 @@ _HOMES = {
     "control.deployment": ("Deployed",),
     "pages.live.view": ("LiveView",),
     "robots": ("open_robot",),
-    "runs.connect": ("Session", "connect"),
-    "runs.repair": ("RepairPlan", "Repaired", "Stage", "repair"),
+    "runs.repair": ("RepairPlan", "Session", "Stage", "connect", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.check": ("CheckNotes", "Checked", "check"),
@@ -125,7 +123,7 @@ __all__ = [
     "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
     "LiveView", "Loaded", "LogPlan", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError",
     "NotReadyError", "Observer", "Path", "Policy", "Pose", "PowerLostError", "ProfileError", "Progress",
-    "Recommendation", "RejointError", "RepairPlan", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog",
+    "Recommendation", "RejointError", "RepairPlan", "Replayed", "Robot", "RobotError", "Run", "RunLog",
     "Serving", "Session", "Settings", "Stage", "StaleReplyError", "Stream", "TrainSettings", "TrainedPolicy",
     "TrialPlan", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
     "diagnose", "follow", "gains", "identify", "interrupt", "load_arm", "open_robot", "read_arm", "repair",

@@ -19,7 +19,7 @@ def test_states_survive_the_disk_and_an_export(tmp_path: Path):
     source.write_text("".join(",".join(line.split(",")[:6]) + "\n" for line in source.read_text().splitlines()))
     imported = import_logs(source, ARM, out=tmp_path / "logs")
     assert len(imported.notes) == 1
-    assert "good for `replay` of the states alone" in imported.notes[0]
+    assert "holds no commands" in imported.notes[0]
     log = read_log(tmp_path / "logs/wave.parquet")
     assert np.isnan(log.command).all()
     for ending in ("csv", "mcap"):

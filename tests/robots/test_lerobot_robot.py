@@ -14,7 +14,7 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.wireserver import TerminalServer
-from rejoint.runs.connect import connect
+from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint_lab.emulator.feetech import BusSession, build_arm

@@ -6,13 +6,13 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.start import move
 from rejoint.robots import open_robot
-from rejoint.runs.run import Meter
+from rejoint.session.recorder import StageMotion
 
 ARM = mycobot280()
 
 
 def test_time_and_travel_are_those_of_the_motion():
-    meter = Meter()
+    meter = StageMotion()
     robot = meter.watch(open_robot("emulated:healthy", seed=1))
     posture = ARM.rest.copy()
     posture[0] += 0.5
@@ -27,7 +27,7 @@ def test_time_and_travel_are_those_of_the_motion():
 
 def test_a_counted_robot_moves_as_one_that_is_not():
     plain, counted = (open_robot("emulated:worn", seed=2) for _ in range(2))
-    ours, theirs = move(Meter().watch(counted), ARM.rest), move(plain, ARM.rest)
+    ours, theirs = move(StageMotion().watch(counted), ARM.rest), move(plain, ARM.rest)
     np.testing.assert_array_equal(ours.position, theirs.position)
     batch = open_robot("emulated:worn", seed=2, count=2)
-    assert Meter().watch(batch) is batch, "arms side by side in virtual time cost nothing"
+    assert StageMotion().watch(batch) is batch, "arms side by side in virtual time cost nothing"

@@ -51,11 +51,10 @@ def test_a_full_disk_is_told_once_and_the_next_piece_tries_again(run, monkeypatc
     robot = open_robot("emulated:worn", arm=ARM)
     log = RunRecorder(run, said.append)
     log.begin(robot, "serve", "serve/posture")
-    piece = move(robot, ARM.rest, settle=0.2)
     for _ in range(3):
-        log.take(piece)
+        move(robot, ARM.rest, settle=0.2, on_cycle=log.see)
         log.turn()
-    log.take(piece)
+    move(robot, ARM.rest, settle=0.2, on_cycle=log.see)
     log.end()
     robot.close()
     assert len(said) == 1
@@ -69,7 +68,7 @@ def test_a_piece_in_which_nothing_came_is_not_kept(run):
     log = RunRecorder(run, print)
     log.begin(robot, "serve", "serve/posture")
     for keep in (False, True, False):
-        log.take(move(robot, ARM.rest + 0.1, settle=0.2))
+        move(robot, ARM.rest + 0.1, settle=0.2, on_cycle=log.see)
         log.turn(keep=keep)
     log.end()
     robot.close()

@@ -130,7 +130,9 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
             settings=rejoint.Settings(controller="integrator", dwell=0.5),
         )
     assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
-    whole = recorder.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
+    whole = recorder.start_journal(
+        run.folder.log("deploy-20260101-120005-3"), open_robot("emulated:worn"), "deploy/killed"
+    )
     whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))
     whole.close()  # as `kill -9` leaves it
     (found,) = recover(run.path / "logs")

@@ -7,10 +7,8 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import rejoint
-from rejoint.arms import Arm, tcp_position
+from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
@@ -23,7 +21,6 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.stages.report import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
 
@@ -62,8 +59,6 @@ def replay(
     chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     say_forced(call, replayed.logs)
-    if replayed.judgement is None:
-        return show_followed(call, chosen, replayed)
     show_errors(call, replayed.judgement)
     call.result(f"Page: {replayed.page}")
     return _without_trace(replayed.judgement, out / "replay.json") | {"page": replayed.page}
@@ -89,22 +84,6 @@ def say_forced(call: Call, logs: Sequence[RunLog]) -> None:
     """Repeat what spoke against logs that were imported by force."""
     for remark in forced_remarks(logs):
         call.say(f"  ! {remark}")
-
-
-def show_followed(call: Call, arm: Arm, replayed: Replayed) -> object:
-    """Print how the twin follows paths of which only states are known."""
-    found = []
-    for log, follows in zip(replayed.logs, replayed.positions, strict=True):
-        off = 1e3 * np.linalg.norm(tcp_position(arm, follows) - tcp_position(arm, log.position), axis=1)
-        seconds, rms = float(log.time[-1] - log.time[0]), float(np.sqrt(np.mean(off**2)))
-        found.append({"motion": log.label, "seconds": seconds, "rms_mm": rms, "most_mm": float(off.max())})
-    shown = ("{motion}", "{seconds:.0f}", "{rms_mm:.2f}", "{most_mm:.2f}")
-    rows = [[cell.format_map(one) for cell in shown] for one in found]
-    call.table("The twin, sent along the recorded path", ["motion", "s", "rms mm", "most mm"], rows)
-    call.result(
-        "These logs hold no commands: how well the twin predicts the arm cannot be told, and no page is written."
-    )
-    return {"followed": found, "judgement": None, "page": None}
 
 
 def by_motion(given: list[str] | None) -> dict[str, str]:

@@ -93,7 +93,7 @@ def repair(
         call.say("A quick try: little of everything was done, so none of this is a result.")
     from rejoint.pages.report.contents import before_after, read_contents
 
-    errors = before_after(read_contents(path), found.recommendation.controller)
+    errors = before_after(read_contents(path))
     spent = read_effort(job.folder)
     show.effort(call, spent)
     show.verdict(call, errors)

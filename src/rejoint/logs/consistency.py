@@ -194,7 +194,7 @@ def require_commands(logs: Sequence[RunLog], what: str) -> None:
     if states_alone(logs, what):
         raise InputError(
             f"{what}: these logs hold no commands, and without them stiffness, friction, lag and zeros cannot be told; "
-            "record what is sent as well (`replay` takes states alone)"
+            "record what is sent as well"
         )
 
 

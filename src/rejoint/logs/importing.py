@@ -78,8 +78,8 @@ _EPOCH = 1e8
 """[s] larger clocks count from 1970 (chosen)"""
 
 NO_COMMANDS = (
-    "holds no commands: it is good for `replay` of the states alone; stiffness, friction, lag and "
-    "zeros, and so a twin, cannot be told"
+    "holds no commands: `diagnose` tells friction where the log has torques or currents; stiffness, lag and zeros, "
+    "and so a twin, cannot be told"
 )
 
 

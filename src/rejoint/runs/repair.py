@@ -1,4 +1,4 @@
-"""The whole chain: diagnosis, twin, policy, comparison and report. Stages with a file are done."""
+"""The whole chain: diagnosis, twin, policy, comparison and report; and the session that does its stages by hand."""
 
 from __future__ import annotations
 
@@ -8,29 +8,27 @@ import time
 from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.recommend import recommend
 from rejoint.control.recording import Observer, StageObserver
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
-from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish, is_finished, newest_or_new, require_same_pace
-from rejoint.runs.stages.calibrate import calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, comparison_job
+from rejoint.runs.run import Run, exclusive, is_finished, newest_or_new, require_same_pace
+from rejoint.runs.stages.calibrate import Calibrated, calibrate
+from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
-from rejoint.runs.stages.train import train
+from rejoint.runs.stages.train import TrainedPolicy, train
 from rejoint.session.context import Controllers, any_geared, equipped, listed, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -51,6 +49,7 @@ from rejoint.session.inputs import (
     run_about,
     settled,
 )
+from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json, write_whole
@@ -58,14 +57,10 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
-    from rejoint.control.controllers.policy import Policy
-    from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 
-
-Found = TypeVar("Found")
 
 StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
@@ -89,13 +84,6 @@ class Stage:
     """why it is kept, if not for being done"""
     result: object = None
     """of the function of the same name; if kept, only of diagnosis and comparison"""
-
-
-def there(found: Found | None) -> Found:
-    """Return a finished run's result; FileError if its file was removed."""
-    if found is None:
-        raise FileError("run folder", "a file of a finished repair is missing", "repair again")
-    return found
 
 
 _FILES = ("diagnosis", "calibration", "twin", "gains", "policy", "comparison", "report")
@@ -183,43 +171,6 @@ QUICK_TARGETS = 3
 """Targets of a quick comparison; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Repaired:
-    """Result of a repair, read from its folder."""
-
-    run: Run
-
-    @cached_property
-    def diagnosis(self) -> Diagnosis:
-        """What was wrong with the arm."""
-        return there(self.run.diagnosis)
-
-    @cached_property
-    def twin(self) -> Twin:
-        """The twin fitted to the arm."""
-        return there(self.run.twin)
-
-    @cached_property
-    def policy(self) -> Policy:
-        """The policy trained on it."""
-        return there(self.run.policy)
-
-    @cached_property
-    def comparison(self) -> Comparison:
-        """Every controller on the arm: errors [m], times [s], with intervals."""
-        return there(self.run.comparison)
-
-    @cached_property
-    def recommendation(self) -> Recommendation:
-        """The controller to use, and why."""
-        return recommend(self.comparison)
-
-    @property
-    def page(self) -> Path:
-        """The report, for a browser."""
-        return self.run.folder.report
-
-
 @dataclass(frozen=True, kw_only=True)
 class RepairPlan:
     """Options of a repair."""
@@ -248,7 +199,7 @@ def repair(
     only: StageName | None = None,
     settings: Settings | None = None,
     observer: Observer | None = None,
-) -> Repaired:
+) -> Run:
     """Diagnose an arm, fit a twin, train a policy, compare controllers on the arm, and write the report.
 
     The same call resumes an interrupted repair. Nothing changes on the arm. Ctrl-C and SIGTERM first bring a moving arm
@@ -275,7 +226,7 @@ def repair(
 
     Returns
     -------
-    Repaired
+    Run
         all results, and the report's page
 
     Raises
@@ -309,10 +260,7 @@ def repair(
     found = about.begin()
     _RepairStages(robot, found, what, chosen, watching, quick=quick, only=only).do_all()
     watching.progress(1.0, "done")
-    if only in (None, "report"):
-        finish(found)
-        summarise(found)
-    return Repaired(run=found)
+    return found
 
 
 def _require_possible(robot: RobotLike, arm: Arm, plan: RepairPlan, period: Period | None) -> None:
@@ -407,9 +355,108 @@ class _RepairStages:
         self.observer.stage(replace(stage, state="done", result=result))
 
     def _kept(self, name: StageName) -> object:
-        if name == "diagnose":
-            return Diagnosed(diagnosis=there(self.run.diagnosis))
-        if name == "compare":
-            comparison = there(self.run.comparison)
+        diagnosis, comparison = self.run.diagnosis, self.run.comparison
+        if name == "diagnose" and diagnosis is not None:
+            return Diagnosed(diagnosis=diagnosis)
+        if name == "compare" and comparison is not None:
             return Compared(comparison=comparison, recommendation=recommend(comparison))
         return None
+
+
+class Session(ArmSession):
+    """An arm with everything that drives it, see `rejoint.connect`; its run takes up what a stage finds.
+
+    One motion at a time, always guarded; between motions the arm holds. Before its first motion to a point or along a
+    path it goes slowly to its rest posture. Use it in a ``with`` block.
+
+    Examples
+    --------
+    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
+    ...     arm.diagnose(), arm.identify(), arm.train(), arm.compare()
+    ...     arm.move_to([0.2, 0.05, 0.18])  # by the controller that the comparison recommends
+    """
+
+    def diagnose(self, *, quick: bool = False) -> Diagnosed:
+        """Excite the arm and say what is wrong with it; as `rejoint.diagnose`."""
+        with self.lent() as about:
+            return diagnose(self.robot, quick=quick, **about)
+
+    def calibrate(self, gauge: GaugeLike | None = None, *, count: int | None = None) -> Calibrated:
+        """Find out where the tool really is; as `rejoint.calibrate`."""
+        with self.lent() as about:
+            return calibrate(self.robot, gauge=gauge, count=count, **about)
+
+    def identify(self, *, quick: bool = False) -> Twin:
+        """Fit a twin to what the diagnosis recorded; as `rejoint.identify`."""
+        with self.lent() as about:
+            return identify(run=about["run"], quick=quick, observer=self.observer)
+
+    def train(self, *, quick: bool = False) -> TrainedPolicy:
+        """Train a policy on copies of the twin; as `rejoint.train`."""
+        with self.lent() as about:
+            return train(run=about["run"], quick=quick, observer=self.observer)
+
+    def compare(
+        self, controllers: Controllers = (), targets: Targets | None = None, *, plan: TrialPlan | None = None
+    ) -> Compared:
+        """Try controllers on the arm and recommend one; as `rejoint.compare`."""
+        with self.lent() as about:
+            return compare(self.robot, controllers, targets, plan=plan, **about)
+
+
+def connect(
+    address: RobotLike,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Session:
+    """Connect to an arm, to drive it under the guard; nothing moves yet.
+
+    Without a guard: `rejoint.open_robot`.
+
+    Parameters
+    ----------
+    address
+        ``emulated:worn`` (virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``, ``feetech:///dev/DEVICE``, or
+        an open robot
+    run
+        run, or its folder, for twin, calibration, recommended controller and logs; without one the generic policy
+        drives, if this arm has one
+    arm
+        arm, name or file; default: by the run or the address
+    settings
+        controller, payload, control period and the like
+    observer
+        receives messages, progress, control cycles
+
+    Returns
+    -------
+    Session
+        the arm
+
+    Raises
+    ------
+    AddressError
+        if nothing usable is there
+    MissingExtraError
+        for an emulated arm without the simulator
+    InputError, ContractError
+        if run, controller and arm do not fit
+
+    Examples
+    --------
+    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
+    ...     arm.move_to([0.2, 0.05, 0.18])
+    >>> settings = rejoint.Settings(payload=0.1)
+    >>> arm = rejoint.connect("emulated:worn", settings=settings)
+    """
+    found = Session(address, run=run, arm=arm, settings=settings, observer=observer)
+    try:
+        found.driver()
+        found.correction  # noqa: B018 - what does not fit is refused now
+        return found.open()
+    except BaseException as error:
+        found.__exit__(type(error), error, error.__traceback__)
+        raise

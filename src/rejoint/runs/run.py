@@ -10,15 +10,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_toml
+from rejoint.arms import CATALOGUE, Arm, differing, load_arm, write_arm_toml
 from rejoint.arms.inertia import bare
+from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
+from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, write_json
 from rejoint.system.numbers import as_seed
@@ -171,6 +168,17 @@ class Run:
         return read_json(path, Comparison) if path.exists() else None
 
     @property
+    def recommendation(self) -> Recommendation | None:
+        """The controller to use, and why, if compared."""
+        found = self.comparison
+        return None if found is None else recommend(found)
+
+    @property
+    def page(self) -> Path:
+        """The report, for a browser."""
+        return self.folder.report
+
+    @property
     def logs(self) -> dict[str, RunLog]:
         """All run logs by name, sorted."""
         return {name: read_log(path) for name, path in self.folder.logs().items()}
@@ -200,15 +208,8 @@ def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
 
 
 def is_finished(folder: RunFolder) -> bool:
-    """Whether a run is marked as finished, or has all stages and a later report."""
-    if folder.finished.exists():
-        return True
-    if not folder.info.exists():
-        return False
-    from_logs = read_info(folder.info).robot.startswith(LOGS)
-    results = (folder.judgement,) if from_logs else (folder.diagnosis, folder.policy, folder.comparison)
-    done = [path.stat().st_mtime for path in (folder.report, folder.twin, *results) if path.exists()]
-    return len(done) == len(results) + 2 and max(done) == done[0]
+    """Whether all stages were done, and reported."""
+    return folder.finished.exists()
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:
@@ -224,8 +225,13 @@ def require_same_pace(run: Run, *, quick: bool) -> None:
 
 
 def finish(run: Run) -> None:
-    """Mark a run as finished."""
-    write_json(run.folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
+    """Mark a run as finished if no result is missing."""
+    folder = run.folder
+    results = (
+        (folder.judgement,) if run.robot.startswith(LOGS) else (folder.diagnosis, folder.policy, folder.comparison)
+    )
+    if all(path.exists() for path in (folder.twin, *results)):
+        write_json(folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
 
 
 def remove_if_empty(run: Run) -> None:
@@ -267,44 +273,3 @@ def _digest(folder: RunFolder) -> str:
     remedy = "bring it back, or begin another run"
     with reading(folder.description, "cannot be read", remedy):
         return digest(read_bounded(folder.description, TOML_MOST, remedy)).decode()
-
-
-@dataclass(eq=False)
-class Meter:
-    """Counts the motion of robots."""
-
-    moving: float = 0.0
-    travel: float = 0.0
-
-    def watch(self, robot: Robot) -> Robot:
-        """Robot that counts its motion."""
-        return _Metered(robot, self) if robot.count == 1 else robot
-
-
-class _Metered(RobotWrapper):
-    def __init__(self, robot: Robot, meter: Meter) -> None:
-        super().__init__(robot)
-        self._meter = meter
-        self._before: Array | None = None
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Pass the command on."""
-        state = super().step(command, active)
-        now = np.append(state.time[0], state.position[0])
-        if self._before is not None:
-            passed, *turned = np.nan_to_num(now - self._before)
-            self._meter.moving += max(float(passed), 0.0)
-            self._meter.travel += float(np.abs(turned).sum())
-        self._before = now
-        return state
-
-
-@contextmanager
-def metered(folder: RunFolder | None, name: str) -> Iterator[Meter]:
-    """Add a stage's motion, also if failed, to the costs of the run in ``folder``."""
-    meter = Meter()
-    try:
-        yield meter
-    finally:
-        if folder is not None and meter.moving > 0.0:
-            add(folder, StageCost(name=name, moving=meter.moving, travel=meter.travel))

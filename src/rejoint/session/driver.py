@@ -30,7 +30,6 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import open_robot
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.run import metered as meter_of
 from rejoint.session.context import (
     ControllerLike,
     calibration_of,
@@ -57,7 +56,7 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.session.recorder import RunRecorder
+from rejoint.session.recorder import RunRecorder, staged
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
@@ -348,9 +347,9 @@ class ArmDriver:
 
     @contextmanager
     def metered(self, stage: str) -> Iterator[Robot]:
-        """Robot for a ``stage`` that drives it by itself, metered."""
-        with meter_of(None if self.run is None else self.run.folder, stage) as meter:
-            yield meter.watch(self.robot)
+        """Robot for a ``stage`` that drives it by itself; see `staged`."""
+        with staged(self.run, stage) as watch:
+            yield watch(self.robot)
 
     @cached_property
     def twin(self) -> Twin | None:
@@ -503,6 +502,4 @@ class ArmDriver:
             self.recorder.rescue(error)
             raise
         self._sent = recording.command[-1]
-        if take:
-            self.recorder.take(recording)
         return recording

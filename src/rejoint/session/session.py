@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import Controller, JointState
 from rejoint.control.targets import Pose, in_mm, placed
-from rejoint.runs.run import Run, exclusive
+from rejoint.runs.run import exclusive
 from rejoint.session.context import believed_motors, guard_limits
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
 from rejoint.session.inputs import is_virtual
@@ -103,14 +103,14 @@ class ArmSession(ArmDriver):
         return self
 
     @contextmanager
-    def lent(self) -> Iterator[Run]:
+    def lent(self) -> Iterator[dict[str, Any]]:
         """Leave run and robot to a stage; afterwards the run's new state counts."""
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
         self._alone.close()
         try:
-            yield self.run
+            yield {"run": self.run, "settings": self.settings, "observer": self.observer}
         finally:
             self._alone.enter_context(exclusive(self._named))
             for name in ("twin", "calibration", "correction"):
@@ -333,7 +333,7 @@ class ArmSession(ArmDriver):
             if not moving or self._seen is None:  # else the robot is the motion's to ask
                 self._seen = self.robot.read()
                 if self.watching:
-                    cycle = cycle_at_rest(self._seen, self.robot.true_tcp())
+                    cycle = cycle_at_rest(self._seen, self.robot.true_tcp(), self._sent)
                     for see in self.watching:
                         see(cycle)
             newest = self._last if moving and self._last is not None else self._seen

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
@@ -13,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from rejoint.arms import Arm, Array, load_arm
+from rejoint.control.comparison.recommend import recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.contract import PolicyContract
@@ -31,10 +31,6 @@ from rejoint.system.files import read_json
 from rejoint.system.shell import command
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin, read_twin
-
-# Names of the hold trials' run logs: controller, target set, repetition
-_TRIAL = re.compile(r"hold-(.+)-(\d+)-(\d+)")
-
 
 _LAST = 5  # updates that are averaged for "at the end"
 
@@ -136,7 +132,8 @@ def read_contents(path: Path) -> Contents:
     if all(found[name] is None for name in (*results, "curves", "policy", "calibration")):
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
     policy, comparison = found.pop("policy"), found["comparison"]
-    hold = _trials(folder, () if comparison is None else comparison.controllers)
+    tried = () if comparison is None else comparison.controllers
+    hold = {name: read_log(log) for name in tried if (log := folder.log(f"hold/{name}/0/0")).exists()}
     return Contents(folder=folder, arm=arm, contract=policy and policy.contract, hold=hold, **found)
 
 
@@ -150,16 +147,6 @@ def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
         found = ", ".join([arm.name, *others])
         raise FileError(path, f"its files are about different arms ({found})", "keep every arm in a folder of its own")
     return arm
-
-
-def _trials(folder: RunFolder, controllers: tuple[str, ...]) -> dict[str, RunLog]:
-    found: dict[str, tuple[int, int, Path]] = {}
-    for name, path in folder.logs().items():
-        match = _TRIAL.fullmatch(name)
-        if match and match[1] in controllers:
-            trial = (int(match[2]), int(match[3]), path)
-            found[match[1]] = min(found.get(match[1], trial), trial)
-    return {name: read_log(found[name][2]) for name in controllers if name in found}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,10 +186,11 @@ def _tool(error: TrueError, what: str) -> str:
     return f"{error.millimetres} mm ({what}{'' if error.how == 'known' else f', {error.how}'}{ends})"
 
 
-def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
-    """Compare the uncorrected arm with ``controller``; None: not compared."""
+def before_after(contents: Contents) -> BeforeAfter | None:
+    """Compare the uncorrected arm with the recommended controller; None: not compared."""
     if contents.comparison is None:
         return None
+    controller = recommend(contents.comparison).controller
     return BeforeAfter(controller=controller, before=found(contents), after=_errors(contents.comparison, controller))
 
 

@@ -67,7 +67,7 @@ def report_html(contents: Contents, gallery: Gallery) -> str:
         "report.html",
         it=it,
         advice=advice,
-        errors=None if advice is None else before_after(it, advice.controller),
+        errors=before_after(it),
         source=f"From logs in {robot.removeprefix(LOGS)}" if robot.startswith(LOGS) else f"Robot {robot}",
         quick=it.folder.quick.exists(),
         commands=commands(it),

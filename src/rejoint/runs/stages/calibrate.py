@@ -34,7 +34,6 @@ from rejoint.diagnosis.calibration.procedure import (
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_calibration
-from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
@@ -220,7 +219,7 @@ def calibrate(
         else:
             by = EmulatedGauge(seed=session.seed) if gauge is None or chosen.dry_run else cast("Gauge", gauge)
             share = part(update, 0.0, 0.95)
-            with session.metered("calibrate") as driven, kept_if_stopped(about, "calibrate"):
+            with session.metered("calibrate") as driven:
                 session.run = about = about and about.begin()
                 if isinstance(by, FilmingGauge):
                     drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))

@@ -27,11 +27,12 @@ from rejoint.logs.history import (
     utc_now,
     write_rows,
 )
-from rejoint.logs.journal import Journal, recover
-from rejoint.logs.runlog import RunLog
+from rejoint.logs.journal import recover
+from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
+from rejoint.session.recorder import staged
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
@@ -219,16 +220,14 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
-    names = robot.arm.joint_names
-    journal = Journal(folder / LOG, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
-        ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
-    except BaseException as error:
-        error.add_note(journal.rescue())
+        with staged(None, LABEL, folder / LOG) as watch:
+            ((log, warm),) = record_check(watch(robot), on_progress=on_progress)
+            write_log(folder / LOG, log)
+    except BaseException:
         if not any(folder.iterdir()):
             folder.rmdir()
         raise
-    journal.finish(log)
     return log, warm
 
 

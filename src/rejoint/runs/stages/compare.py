@@ -36,7 +36,7 @@ from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, metered
+from rejoint.runs.run import Run
 from rejoint.session.context import (
     Controllers,
     Factory,
@@ -63,7 +63,7 @@ from rejoint.session.inputs import (
     is_batchable,
     period_of,
 )
-from rejoint.session.recorder import kept_if_stopped
+from rejoint.session.recorder import staged
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
@@ -250,13 +250,12 @@ class ComparisonJob:
         helper = ahead or self._help()
         with (
             noted(),
-            metered(self.run.folder if self.run else None, "compare") as meter,
+            staged(self.run, "compare") as watch,
             nullcontext() if helper is None else closing(helper),
-            kept_if_stopped(None if self.settings.batched else self.run, "compare"),
         ):
 
             def watched(count: int, seed: int) -> Robot:
-                return meter.watch(self._open(count, seed))
+                return watch(self._open(count, seed))
 
             runner = self.runner(
                 self.factories,

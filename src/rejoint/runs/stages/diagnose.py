@@ -13,7 +13,7 @@ from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
+from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     ArmLike,
@@ -31,7 +31,6 @@ from rejoint.session.inputs import (
     settled,
     source_of,
 )
-from rejoint.session.recorder import start_journal
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
@@ -127,25 +126,21 @@ def diagnose(
     robot = cast(RobotLike, source)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     about = run_about(run, address_of(robot), built, chosen.seed)
-    about = None if about is None or chosen.dry_run else about.begin()
-    try:
-        with (
-            pacing(observer) as update,
-            noted(),
-            ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
-        ):
-            reference = _reference(built, healthy, address_of(robot))
-            with session.metered("diagnose") as driven:
-                if healthy is None:
-                    reference = _as_set(driven, reference)
-                found = _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
-            if session.run is not None:
-                keep(session.run, session.settings)
-            return found
-    except BaseException:
-        if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
-            remove_if_empty(about)
-        raise
+    with (
+        pacing(observer) as update,
+        noted(),
+        ArmSession(
+            robot, run=None if chosen.dry_run else about, arm=built, settings=chosen, observer=observer
+        ) as session,
+    ):
+        reference = _reference(built, healthy, address_of(robot))
+        with session.metered("diagnose") as driven:
+            if healthy is None:
+                reference = _as_set(driven, reference)
+            found = _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
+        if session.run is not None:
+            keep(session.run, session.settings)
+        return found
 
 
 def _drive(
@@ -154,26 +149,17 @@ def _drive(
     from rejoint.diagnosis.diagnosis import judge
     from rejoint.diagnosis.excitation import FULL, SHORT, record
 
-    journal = None if run is None else start_journal(run, "diagnosis", robot, "diagnosis")
-    on_cycle = None if journal is None else journal.see
-    try:
-        (logs,) = record(robot, seed=seed, plan=SHORT if quick else FULL, on_cycle=on_cycle, on_progress=on_progress)
-        found = judge(robot.arm, logs, healthy)
-    except BaseException as error:
-        if journal is not None:
-            error.add_note(journal.rescue())
-        raise
+    (logs,) = record(robot, seed=seed, plan=SHORT if quick else FULL, on_progress=on_progress)
+    found = judge(robot.arm, logs, healthy)
     gains = gains_in_force(robot)
     found = replace(found, servo_gains=None if gains is None else dict(gains))
     result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
-    if run is not None and journal is not None:
-        journal.close()
+    if run is not None:
         with saving(result):
             run.begin()
             mark_quick(run, quick=quick)
             _write(run.folder, result)
             summarise(run)
-        journal.discard()
     return result
 
 

@@ -8,7 +8,6 @@ from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
 from rejoint.session.context import recommended
 from rejoint.session.inputs import RobotLike, RunLike, Settings
-from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
@@ -65,8 +64,7 @@ def gains(
         session.metered("gains") as tried,
     ):
         points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
-        with kept_if_stopped(session.run, "gains"):
-            found = search(tried, points, limits=session.limits, on_progress=update)
+        found = search(tried, points, limits=session.limits, on_progress=update)
         if session.run is not None:
             with saving(found):
                 set_aside(session.run.folder.gains)

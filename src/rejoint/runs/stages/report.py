@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Array
-from rejoint.logs.consistency import states_alone
+from rejoint.logs.consistency import require_commands
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.run import exclusive
+from rejoint.runs.history import summarise
+from rejoint.runs.run import exclusive, finish
 from rejoint.session.inputs import ArmLike, LogsLike, RunLike, TwinLike, arm_of_twin, as_arm, as_logs, as_run, as_twin
 
 if TYPE_CHECKING:
@@ -34,8 +35,8 @@ class Replayed:
     logs: tuple[RunLog, ...]
     positions: tuple[Array, ...]
     """(T, n) [rad] for each log, open loop from its first measured position"""
-    judgement: Judgement | None
-    """errors by motion and twin, free and in contact; None without commands"""
+    judgement: Judgement
+    """errors by motion and twin, free and in contact"""
     page: Path | None = None
     """with figures, if asked for"""
 
@@ -50,7 +51,7 @@ def replay(
 ) -> Replayed:
     """Predict every motion open loop with a twin, and compare that with the encoders.
 
-    Motions of the fit flatter the twin. Without commands in the logs, the measured trajectory is the command.
+    Motions of the fit flatter the twin.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def replay(
     ContractError
         if the twin is of another arm
     InputError
-        for a log of another arm, or if only some hold commands
+        for a log of another arm, or without commands
 
     Examples
     --------
@@ -89,10 +90,7 @@ def replay(
     chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
     known.require(chosen)
     motions = as_logs(logs)
-    if states_alone(motions, "replay"):
-        sent = [replace(log, command=log.position) for log in motions]
-        follows = predict_logs(chosen, [Candidate.of(TWIN, known)], sent, threads=THREADS)[TWIN]
-        return Replayed(logs=tuple(motions), positions=tuple(follows), judgement=None)
+    require_commands(motions, "replay")
     with nullcontext() if out is None else locked(RunFolder(Path(out))):
         paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
         judgement = judge_paths(chosen, paths, motions)
@@ -134,4 +132,7 @@ def report(run: RunLike) -> Path:
 
     found = as_run(run)
     with exclusive(found):
-        return write_report(found.path)
+        page = write_report(found.path)
+        finish(found)
+        summarise(found)
+        return page
