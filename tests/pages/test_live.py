@@ -8,8 +8,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.pages.live.animation import SeenCycle
-from rejoint.pages.live.view import LiveView
+from rejoint.pages.live.view import LiveView, SeenCycle
 from rejoint.robots import open_robot
 from rejoint.robots import wrapper as wallclock
 from standin import state_of
@@ -36,9 +35,10 @@ def test_looking_on_changes_nothing_and_sees_what_is_recorded():
     for name in ("time", "position", "command", "target", "aim", "true_tcp", "load", "reasons"):
         expected = getattr(alone, name)
         assert np.array_equal(getattr(watched, name), expected, equal_nan=True)
-        assert np.array_equal(column(records, name), expected[:, 0], equal_nan=True)
+        assert np.array_equal(column([one.cycle for one in records], name), expected[:, 0], equal_nan=True)
     assert np.isfinite(column(records, "temperature")).all()
-    limited, wanted, command = (column(records, name) for name in ("reasons", "wanted", "command"))
+    limited, command = (column([one.cycle for one in records], name) for name in ("reasons", "command"))
+    wanted = column(records, "wanted")
     limited = limited > 0
     assert limited.any()
     assert np.array_equal(wanted[~limited][:-1], command[~limited][:-1])  # the last is not sent
@@ -75,7 +75,7 @@ def test_virtual_time_is_slowed_down_to_the_pace_which_may_change(monkeypatch):
 
 def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monkeypatch):
     view = LiveView()
-    view._page = SimpleNamespace(watched=True, show=lambda *_, **__: 1 / 0)
+    view._page = SimpleNamespace(watched=True, shown=None, show=lambda _: 1 / 0)
     robot = view.watch(open_robot("emulated:worn", seed=4), paced=False)
     view._thread.start()
     done = run(

@@ -35,13 +35,13 @@ def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 -
 
 def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
     """Print the verdict in words."""
-    terminal.say(result.verdict)
+    terminal.result(result.verdict)
     for finding in result.findings:
-        terminal.say(f"  - {finding.sentence}")
+        terminal.result(f"  - {finding.sentence}")
     for limit in result.unseen:
-        terminal.say(f"  ? {limit}")
+        terminal.result(f"  ? {limit}")
     if result.open_loop is not None:
-        terminal.say(
+        terminal.result(
             f"Open loop: {result.open_loop.error_mm.value:.1f} mm off by the encoders; the tool itself: "
             f"{result.open_loop.true_error}."
         )
@@ -50,15 +50,15 @@ def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
 def twin(terminal: Terminal, result: Twin) -> None:
     """Print how well the twin predicts motion it has not seen."""
     errors = result.held_out
-    terminal.say(
+    terminal.result(
         f"On {errors.seconds:.0f} s of motion that the fit has not seen, the twin predicts the joints within "
         f"{np.degrees(errors.twin.joint):.2f} deg and the tool within {1e3 * errors.twin.tcp:.1f} mm rms "
         f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm)."
     )
     if result.unknown:
-        terminal.say(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
+        terminal.result(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
     for note in result.notes:
-        terminal.say(f"  ! {note}")
+        terminal.result(f"  ! {note}")
 
 
 def calibration(terminal: Terminal, found: Calibrated) -> None:
@@ -74,7 +74,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
     if filmed is not None:
         rig = filmed.rig
         standing, mounted = ("camera", "board") if rig.carried == "board" else ("board", "camera")
-        terminal.say(
+        terminal.result(
             f"{len(filmed.residuals)} pictures, corners within {filmed.rms:.2f} px. Focal length {rig.lens.f:.0f} px; "
             f"{standing} in the base at {_place(rig.standing[:3, 3])} mm; {mounted} on the tool at "
             f"{_place(rig.mounted[:3, 3])} mm."
@@ -85,7 +85,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         f"where the encoders see it, and {after:.2f} mm from where the calibration does."
     )
     if own.frame_name != "base":
-        terminal.say(
+        terminal.result(
             f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
         )
     if astray(own.arm, own.missed):
@@ -105,12 +105,12 @@ def gains(terminal: Terminal, found: GainsFound) -> None:
         ("alone", found.alone, found.with_alone),
     ):
         joints = f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
-        terminal.say(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
+        terminal.result(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
 
 
 def training(terminal: Terminal, result: TrainingResult) -> None:
     """Print what the training reached."""
-    terminal.say(
+    terminal.result(
         f"{result.steps / 1e6:.2f} million transitions in {result.wall_s:.0f} s; on randomised twins "
         f"{100 * result.success_rate:.0f} % of the targets reached, median error {result.error_mm:.2f} mm. "
         f"Policy: {result.policy}"
@@ -145,7 +145,7 @@ def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
 def effort(terminal: Terminal, spent: Effort | None) -> None:
     """Print what a repair cost, stage by stage."""
     for stage in () if spent is None else spent.stages:
-        terminal.say(f"  {stage.name}: {cost(stage)}")
+        terminal.result(f"  {stage.name}: {cost(stage)}")
     if spent is not None and spent.stages:
         terminal.result(f"In all: {cost(spent.total)}.")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -166,13 +165,6 @@ class RunFolder:
     def logs(self) -> dict[str, Path]:
         """Run logs by name, sorted."""
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
-
-    def trial_logs(self) -> tuple[Path, ...]:
-        """Run logs of the comparison."""
-        return tuple(path for name, path in self.logs().items() if _TRIAL.fullmatch(name))
-
-
-_TRIAL = re.compile(r"(crossing|hold)-\D+-\d{1,4}-\d{1,4}")
 
 
 def read_info(path: Path) -> RunInfo:

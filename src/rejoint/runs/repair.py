@@ -6,7 +6,6 @@ import logging
 import shutil
 import time
 from collections.abc import Callable
-from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -57,7 +56,6 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
-    from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 
@@ -293,7 +291,7 @@ class _RepairStages:
         self.files = stages_of(robot, run.arm, run.folder, plan, quick=quick)
 
     def do_all(self) -> None:
-        """Do the stages in order; a comparison of an emulated arm begins during the training."""
+        """Do the stages in order."""
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
         emulated = is_batchable(robot)
         gauge = None if plan.gauge == NO_GAUGE else plan.gauge
@@ -305,12 +303,8 @@ class _RepairStages:
             why = keep_what_holds(run, plan.preset)
         self.do("identify", partial(identify, run=run, quick=quick), why)
         self.do("gains", partial(gains, robot, **moving), why)
-        early = emulated and self.only is None and not self.controllers
-        early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
-        ahead = self._comparison(Observer()).begin_ahead() if early else None
-        with nullcontext() if ahead is None else closing(ahead):
-            self.do("train", partial(train, run=run, preset=plan.preset, quick=quick), why)
-            self.do("compare", partial(self._compare, ahead))
+        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick), why)
+        self.do("compare", self._compare)
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
     def _comparison(self, observer: Observer) -> ComparisonJob:
@@ -330,9 +324,9 @@ class _RepairStages:
         about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
         return comparison_job(self.robot, self.controllers, targets, **about)
 
-    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
+    def _compare(self, observer: Observer) -> Compared:
         with exclusive(self.run):
-            return self._comparison(observer).drive(observer.progress, ahead)
+            return self._comparison(observer).drive(observer.progress)
 
     def do(self, name: StageName, work: Callable[..., object], why: Kept | None = None) -> None:
         """Do a stage, or report that it is done, and ``why`` it is kept."""

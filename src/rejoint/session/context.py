@@ -182,25 +182,15 @@ def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> No
 
 
 def _standing(log: RunLog) -> NDArray[Any]:
-    moved = np.abs(np.diff(log.position, axis=0)).max(axis=1) > 1.5 * _step(log)
-    sent = np.abs(np.diff(log.command, axis=0)).max(axis=1) > np.radians(0.5)
-    last, found, posture = log.time[0], [], None
-    for k in range(1, len(log.time)):
-        if moved[k - 1] or sent[k - 1]:
-            last = log.time[k]
-        elif log.time[k] - last >= STILL:
-            if posture is None or np.abs(log.position[k] - posture).max() > np.radians(2.0):
-                found.append(k)
-                posture = log.position[k]
-            else:
-                found[-1] = k  # the later one has settled more
-    return np.array(found, dtype=int)
-
-
-def _step(log: RunLog) -> float:
-    """Smallest motion [rad] that the encoders of a log show."""
+    """Rows (K,) of the postures in which the arm stood for `STILL`, the last of each."""
     steps = np.abs(np.diff(log.position, axis=0))
-    return float(steps[steps > 1e-9].min(initial=np.radians(0.1)))
+    least = steps[steps > 1e-9].min(initial=np.radians(0.1))  # that the encoders show
+    sent = np.abs(np.diff(log.command, axis=0)).max(axis=1) > np.radians(0.5)
+    moved = np.append(True, (steps.max(axis=1) > 1.5 * least) | sent)
+    still = log.time - np.maximum.accumulate(np.where(moved, log.time, -np.inf)) >= STILL
+    ends = np.flatnonzero(still & ~np.append(still[1:], False))
+    another = np.abs(np.diff(log.position[ends], axis=0)).max(axis=1) > np.radians(2.0)
+    return ends[np.append(another, True)[: len(ends)]]
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:

@@ -1,1 +1,1 @@
-"""The live view: the control loop writes a ring; a thread (`view`) draws it (`animation`) on the `page`."""
+"""The live view: the control loop writes a ring; a thread (`view`) draws it on the `page`."""

@@ -1,23 +1,54 @@
-"""The page itself, made by viser: a scene and a panel. The only module that knows it."""
+"""The page itself, made by viser: a scene and a panel. The only module that knows it.
+
+Drawn of an arm: what was seen of it, its ghost, trails and texts.
+"""
 
 from __future__ import annotations
 
 import logging
 import socket
-from collections.abc import Callable
-from contextlib import AbstractContextManager, redirect_stdout
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from contextlib import redirect_stdout
+from typing import cast
 
 import numpy as np
 import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array, frames
+from rejoint.arms import Arm, Array, frames, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.arms.workspace import reach
-from rejoint.pages.live.animation import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, cell_of
+from rejoint.control.guard import Reason
+from rejoint.pages.html import macros
+from rejoint.pages.live.view import Doing, SeenCycle, Shown
 from rejoint.system.errors import InputError
+from rejoint.twin.simulation import Draw, Simulation
+from rejoint.twin.twin import Twin
 
+Colour = tuple[int, int, int]
+
+LINKS: tuple[Colour, Colour] = (214, 219, 225), (168, 179, 192)
+"""of the links in turn"""
+GHOST: Colour = (47, 111, 237)
+TRAIL: Colour = (235, 120, 30)
+TARGET: Colour = (30, 160, 90)
+TRUE: Colour = (200, 30, 160)
+"""of the tool"""
+RED, AMBER, GREEN, GREY = "#c92a2a", "#b35c00", "#2b8a3e", "#868e96"
+TRAIL_POINTS = 400
+"""(chosen: at `APART` that is 0.8 m)"""
+APART = 2e-3
+"""[m] between points of a trail (chosen)"""
+MOVES = 5
+"""Points of a moving target (chosen)"""
+HOT = 55.0
+"""[deg C] of a marked temperature (chosen: 10 below the guard's limit)"""
+SLOWER = 6
+"""frames per text (chosen)"""
+KEPT = 1.5
+"""[s] for which a limit is shown (chosen)"""
 GHOST_OPACITY = 0.4
 GHOST_SHARE = 0.9
 """of the arm's thickness: where both agree, the arm is what one sees (chosen)"""
@@ -28,6 +59,59 @@ TOOL_SHARE = 0.3
 UP = np.array([0.0, 0.0, 1.0])
 PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as fast as it goes": np.inf}
 """at which an arm of virtual time can be watched"""
+
+
+# What the guard does, the end of a motion first; after a colon the joint is named whose command it changed most
+_WORDS = {
+    Reason.NOT_FINITE: "a command or a position is not a number; check the controller and the connection",
+    Reason.STALE: "no new joint state for too long; check the connection",
+    Reason.OUT_OF_RANGE: "a joint reads far outside its limits; check the arm's zero",
+    Reason.TEMPERATURE: "a servo is too hot; let it cool down",
+    Reason.SERVO_FAULT: "a servo reports a fault; free the arm and clear the fault",
+    Reason.NOT_FOLLOWING: "the reading of a joint does not change and is not trusted",
+    Reason.POSITION: "joint limit:",
+    Reason.STEP: "speed:",
+    Reason.LEAD: "distance ahead of the joint:",
+    Reason.ACCELERATION: "acceleration:",
+    Reason.FLOOR: "floor: the arm was asked to go lower than it may",
+    Reason.COLLISION: "contact: a link would touch another one, the ground or a box",
+    Reason.GAP: "no answers came for a while, or a joint was led back; the arm held and goes on slowly",
+}
+
+
+def guard_words(recent: Sequence[SeenCycle], joints: Sequence[str]) -> list[str]:
+    """Actions of the guard in ``recent`` cycles, trips first."""
+    said = []
+    for reason, words in _WORDS.items():
+        met = next((one for one in reversed(recent) if int(one.cycle.reasons) & reason.value), None)
+        if met is not None:
+            joint = joints[int(np.argmax(np.abs(met.wanted - met.cycle.command)))]
+            said.append(f"{words} the command of {joint} is limited" if words.endswith(":") else words)
+    return said
+
+
+LONGEST = 0.5
+"""[s] gap after which the twin restarts (chosen)"""
+
+
+class Ghost:
+    """A twin that receives the arm's commands."""
+
+    def __init__(self, arm: Arm, twin: Twin) -> None:
+        self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
+        self._simulation = Simulation(arm, 1)
+        self._last: SeenCycle | None = None
+
+    def follow(self, seen: SeenCycle) -> Array:
+        """Position (n,) [rad] of the twin at a cycle."""
+        now, last, self._last = seen.cycle, self._last, seen
+        passed = np.nan if last is None or last.arm != seen.arm else now.time - last.cycle.time
+        if 0.0 < passed <= LONGEST:
+            self._simulation.advance(np.array([passed]))
+        elif passed != 0.0:
+            self._simulation.place(self._draw, now.position[None], now.command[None])
+        self._simulation.send(now.command[None])
+        return self._simulation.measured[0]
 
 
 class WebPage:
@@ -51,7 +135,9 @@ class WebPage:
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         scene.add_light_ambient("/light", intensity=0.8)
         self._parts: list[viser.SceneNodeHandle] = []
-        self._shows: tuple[Arm, float] | None = None
+        self._built: tuple[Arm, float] | None = None
+        self.shown: Shown | None = None
+        """the run that is drawn"""
         self._texts = {"head": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
@@ -59,22 +145,28 @@ class WebPage:
         self._pace = pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
         pace.on_update(lambda _: on_pace(PACES[str(pace.value)]))
         self._texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
+        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
 
     @property
     def watched(self) -> bool:
         """Whether anybody looks at the page."""
         return bool(self._server.get_clients())
 
-    def atomic(self) -> AbstractContextManager[None]:
-        """Send the changes inside at once."""
-        return self._server.atomic()
+    def show(self, shown: Shown) -> None:
+        """Begin to draw a run, in place of another one."""
+        self.shown, self._count, self._recent = shown, 0, list[SeenCycle]()
+        self._ghost = None if shown.twin is None else Ghost(shown.robot.arm, shown.twin)
+        self._tool, self._aims = deque[Array](maxlen=TRAIL_POINTS), deque[Array](maxlen=TRAIL_POINTS)
+        while len(shown.cycles) > 1:  # what came before anyone looked
+            shown.cycles.popleft()
+        self._pace.visible = shown.paced
+        if self._built is None or self._built[0] is not shown.robot.arm or self._built[1] != shown.within:
+            self._built = shown.robot.arm, shown.within
+            self._build(*self._built)
 
-    def show(self, arm: Arm, *, within: float, paced: bool) -> None:
+    def _build(self, arm: Arm, within: float) -> None:
         """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
-        self._pace.visible = paced
-        if self._shows is not None and self._shows[0] is arm and self._shows[1] == within:
-            return
-        self._shows, scene, size = (arm, within), self._server.scene, reach(arm)
+        scene, size = self._server.scene, reach(arm)
         for part in self._parts:
             part.remove()
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
@@ -97,9 +189,8 @@ class WebPage:
             section_color=(200, 205, 212),
             shadow_opacity=0.2,
         )
-        self._arm = arm
-        self._limbs = self._add_limbs("/arm", LINKS, 1.0, None)
-        self._ghosts = self._add_limbs("/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
+        self._limbs = self._add_limbs(arm, "/arm", LINKS, 1.0, None)
+        self._ghosts = self._add_limbs(arm, "/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
         self._target = scene.add_icosphere("/target", 0.0025 * dot, TARGET, visible=False)
         scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
@@ -118,17 +209,18 @@ class WebPage:
             for k, box in enumerate(arm.keep_out)
         ]
         self._parts = [grid, *boxes, *self._limbs, *self._ghosts, self._target, self._true, self._trail, self._way]
-        self.pose(arm.rest, arm.rest)
+        _pose(arm, self._limbs, arm.rest)
+        _pose(arm, self._ghosts, arm.rest)
 
     def _add_limbs(
-        self, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
+        self, arm: Arm, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> list[viser.FrameHandle]:
         """Add base and links, each a capsule from its frame's origin to the next."""
-        scene, whole, found = self._server.scene, collision_shape(self._arm).radius, []
-        for link, end in enumerate([*self._arm.offset[:, :3, 3], self._arm.tip[:3, 3]]):
+        scene, whole, found = self._server.scene, collision_shape(arm).radius, []
+        for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
             found.append(scene.add_frame(f"{root}/{link}", show_axes=False))
             radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
-            if link == self._arm.joints:  # the tool, whose round end is its tip
+            if link == arm.joints:  # the tool, whose round end is its tip
                 radius = TOOL_SHARE * whole
                 end = end * max(1.0 - radius / length, 0.0) if length > radius else end
                 length = float(np.linalg.norm(end))
@@ -150,39 +242,65 @@ class WebPage:
             scene.add_cylinder(f"{root}/0/foot", 1.7 * whole, height, colours[1], position=(0.0, 0.0, 0.5 * height))
         return found
 
-    def pose(self, position: Array, ghost: Array) -> None:
-        """Put the joints of arm and ghost (n,) [rad]."""
-        for limbs, q in ((self._limbs, position), (self._ghosts, ghost)):
-            found = frames(self._arm, q)
-            turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
-            for limb, place, turn in zip(limbs[1:], found.position, turns, strict=True):
-                limb.position, limb.wxyz = place, turn
+    def draw(self, doing: Doing, stopped: str) -> None:
+        """Draw new cycles of the run."""
+        shown = cast("Shown", self.shown)
+        arm, cycles, ghost = shown.robot.arm, shown.cycles, None
+        for seen in [SeenCycle.of(*cycles.popleft()) for _ in range(len(cycles))]:
+            ghost = seen.cycle.command if self._ghost is None else self._ghost.follow(seen)
+            _extend(self._tool, tcp_position(arm, seen.cycle.position))
+            _extend(self._aims, seen.cycle.aim)
+            self._recent.append(seen)
+        newest = self._recent[-1] if self._recent else None
+        moves = len(self._aims) > MOVES
+        with self._server.atomic():
+            if newest is not None and ghost is not None:
+                now, since = newest.cycle, newest.cycle.time - KEPT
+                self._recent = [one for one in self._recent if one.arm == newest.arm and one.cycle.time > since]
+                known = np.isfinite(now.target).all()
+                _pose(arm, self._limbs, now.position)
+                _pose(arm, self._ghosts, ghost)
+                _place(self._target, now.aim)
+                _place(self._true, now.aim + now.true_tcp - now.target if known else now.true_tcp)
+                text = "target" if moves else f"target {int(now.target_index) + 1}"
+                if self._label.text != text:
+                    self._label.text = text
+            if self._count % SLOWER == 0:
+                _trail(self._trail, self._tool)
+                _trail(self._way, self._aims if moves else ())
+                self._write(shown, newest, doing, stopped)
+        self._count += 1
 
-    def aim(self, target: Array, true: Array, text: str) -> None:
-        """Show target with a ``text``, and true tool, (3,) [m]; NaN hides either."""
-        for handle, point in ((self._target, target), (self._true, true)):
-            known = bool(np.isfinite(point).all())
-            if handle.visible != known:
-                handle.visible = known
-            if known:
-                handle.position = point
-        if self._label.text != text:
-            self._label.text = text
-
-    def trail(self, tool: Array, target: Array) -> None:
-        """Draw trails (P, 3) [m] of tool and moving target."""
-        for handle, points in ((self._trail, tool), (self._way, target)):
-            if len(points) > 1:
-                handle.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-            handle.visible = len(points) > 1
-
-    def tell(self, share: float, **texts: str) -> None:
-        """Write into the panel: HTML by name, and the ``share`` that is done."""
+    def _write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+        """Write what changed into the panel."""
+        write, robot, names = self._panel, shown.robot, shown.robot.arm.joint_names
+        error, true, title, joints = np.nan, np.nan, robot.address, ""
+        if seen is not None:
+            now = seen.cycle
+            error = float(np.linalg.norm(now.aim - tcp_position(robot.arm, now.position)))
+            true = float(np.linalg.norm(now.target - now.true_tcp))
+            title += f", arm {seen.arm + 1} of {robot.count} side by side" if robot.count > 1 else ""
+            joints = write.joints(names, now, seen.temperature, HOT)
+        legend = {
+            "the arm": LINKS[1],
+            "where it is sent" if self._ghost is None else "its twin's prediction": GHOST,
+            "its tool, by its encoders": TRAIL,
+            "target, and what is accepted": TARGET,
+            "the tool itself, where it is known": TRUE,
+        }
+        entries = [(f"rgb{colour}", text) for text, colour in legend.items()]
+        texts = {
+            "head": write.head(title, shown.controller, doing),
+            "error": write.error(error, true, shown.within),
+            "guard": write.guard(guard_words(self._recent, names), stopped),
+            "joints": joints,
+            "legend": write.legend([*entries, (GREY, f"squares of {1e3 * cell_of(reach(robot.arm)):.0f} mm")]),
+        }
         for name, text in texts.items():
             if self._texts[name].content != text:
                 self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
-        if abs(self._bar.value - 100.0 * share) > 0.05:
-            self._bar.value = 100.0 * share  # type: ignore[misc]  # declared read-only, and is not
+        if abs(self._bar.value - 100.0 * doing.share) > 0.05:
+            self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
 
     def held(self, text: str) -> None:
         """Disable the button."""
@@ -193,6 +311,45 @@ class WebPage:
         self._server.flush()
         with redirect_stdout(None):
             self._server.stop()
+
+
+def cell_of(size: float) -> float:
+    """[m] edge of a ground square under an arm of reach ``size`` [m]."""
+    return 0.05 if size < 1.0 else 0.1
+
+
+def _extend(trail: deque[Array], point: Array) -> None:
+    if not np.isfinite(point).all():
+        return
+    way = np.inf if not trail else float(np.linalg.norm(point - trail[-1]))
+    if way > 25.0 * APART:
+        trail.clear()
+    if way > APART:
+        trail.append(point.copy())
+
+
+def _pose(arm: Arm, limbs: Sequence[viser.FrameHandle], position: Array) -> None:
+    """Put the joints at ``position`` (n,) [rad]."""
+    found = frames(arm, position)
+    turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
+    for limb, place, turn in zip(limbs[1:], found.position, turns, strict=True):
+        limb.position, limb.wxyz = place, turn
+
+
+def _place(handle: viser.IcosphereHandle, point: Array) -> None:
+    """Put a ball at ``point`` (3,) [m]; NaN hides it."""
+    known = bool(np.isfinite(point).all())
+    if handle.visible != known:
+        handle.visible = known
+    if known:
+        handle.position = point
+
+
+def _trail(handle: viser.LineSegmentsHandle, trail: Collection[Array]) -> None:
+    points = np.array(trail, dtype=np.float32).reshape(-1, 3)
+    if len(points) > 1:
+        handle.points = np.stack([points[:-1], points[1:]], axis=1)
+    handle.visible = len(points) > 1
 
 
 def _free(host: str, port: int) -> int:

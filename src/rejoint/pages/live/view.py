@@ -6,14 +6,16 @@ import sys
 import threading
 import time
 from collections import deque
-from dataclasses import replace
-from typing import TYPE_CHECKING, Self, cast
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple, Self, cast
 
+import numpy as np
+
+from rejoint.arms import Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
-from rejoint.control.recording import Look, Observer
-from rejoint.control.robot import Robot
-from rejoint.pages.live.animation import SLOTS, Animation, Doing, Shown
+from rejoint.control.recording import Cycle, Look, Observer
+from rejoint.control.robot import JointState, Robot
 from rejoint.pages.words import is_virtual
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import first_line
@@ -37,6 +39,57 @@ HAND_OVER = 0.2e-3
 """[s] of Python's thread switch while serving (chosen: the control loop waits for it)"""
 BUTTON = "the button of the live view"
 """Source of an interruption"""
+
+
+SLOTS = 512
+"""Cycles that wait to be drawn (chosen: ten seconds at the shortest usual period)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shown:
+    """A run of an arm: the control loop writes its cycles, the thread of the page takes them."""
+
+    robot: Robot
+    twin: Twin | None
+    within: float
+    """[m] accepted error"""
+    paced: bool
+    """slowed down to the page's pace"""
+    controller: str = ""
+    cycles: deque[tuple[Cycle, JointState, Array]] = field(default_factory=lambda: deque(maxlen=SLOTS))
+    """the newest, each with the wanted command before the guard"""
+
+
+class SeenCycle(NamedTuple):
+    """One cycle of one arm."""
+
+    arm: int
+    """index"""
+    cycle: Cycle
+    """its columns, without the leading axis"""
+    wanted: Array
+    """(n,) [rad] command of the controller, before the guard"""
+    temperature: Array
+    """(n,) [deg C]; NaN: unknown"""
+
+    @classmethod
+    def of(cls, cycle: Cycle, state: JointState, wanted: Array) -> SeenCycle:
+        """Newest arm of a cycle."""
+        b = int(cycle.active.argmax())
+        heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
+        return cls(b, Cycle._make(column[b] for column in cycle), wanted[b], heat)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doing:
+    """A task and its progress."""
+
+    title: str = ""
+    """command, or stage of a repair"""
+    what: str = ""
+    """label"""
+    share: float = 0.0
+    """0 to 1"""
 
 
 class LiveView(Observer):
@@ -134,17 +187,16 @@ class LiveView(Observer):
             self.failure = f"{type(error).__name__}: {first_line(error)}"
 
     def _draw(self, page: WebPage) -> None:
-        drawn: Animation | None = None
         while not self._over.is_set():
             shown = self.shown
             if not page.watched or shown is None:
-                drawn = None
+                page.shown = None
                 self._over.wait(ASLEEP)
                 continue
             began = time.monotonic()
-            if drawn is None or drawn.shown is not shown:
-                drawn = Animation(page, shown)
-            drawn.draw(self._doing, self._stopped)
+            if page.shown is not shown:
+                page.show(shown)
+            page.draw(self._doing, self._stopped)
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
 
 
