@@ -29,15 +29,14 @@ if TYPE_CHECKING:
     from rejoint.logs.runlog import RunLog
     from rejoint.pages.live.view import LiveView
     from rejoint.robots import open_robot
-    from rejoint.runs.repair import RepairPlan, Session, Stage, connect, repair
+    from rejoint.runs.repair import RepairPlan, Session, Stage, connect, repair, report
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.check import Checked, CheckNotes, check
     from rejoint.runs.stages.compare import Compared, TrialPlan, compare
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
     from rejoint.runs.stages.gains import gains
-    from rejoint.runs.stages.identify import LogPlan, identify
-    from rejoint.runs.stages.report import Replayed, replay, report
+    from rejoint.runs.stages.identify import LogPlan, Replayed, identify, replay
     from rejoint.runs.stages.train import TrainedPolicy, TrainSettings, train
     from rejoint.session.inputs import Settings
     from rejoint.session.motions import deploy, follow
@@ -87,15 +86,14 @@ _HOMES = {
     "control.deployment": ("Deployed",),
     "pages.live.view": ("LiveView",),
     "robots": ("open_robot",),
-    "runs.repair": ("RepairPlan", "Session", "Stage", "connect", "repair"),
+    "runs.repair": ("RepairPlan", "Session", "Stage", "connect", "repair", "report"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.check": ("CheckNotes", "Checked", "check"),
     "runs.stages.compare": ("Compared", "TrialPlan", "compare"),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
     "runs.stages.gains": ("gains",),
-    "runs.stages.identify": ("LogPlan", "identify"),
-    "runs.stages.report": ("Replayed", "replay", "report"),
+    "runs.stages.identify": ("LogPlan", "Replayed", "identify", "replay"),
     "runs.stages.train": ("TrainSettings", "TrainedPolicy", "train"),
     "session.motions": ("deploy", "follow"),
     "session.serving": ("Serving", "serve"),

@@ -39,7 +39,7 @@ def logs(motions, tmp_path_factory):
 def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = cli("diagnose", "--logs", logs, "--arm", "SO101", "--run", "one", "--json")
-    assert "elbow_flex is soft" in done.err
+    assert "elbow_flex is soft" in done.out
     folder = RunFolder(tmp_path / "one")
     diagnosis = read_json(folder.diagnosis, Diagnosis)
     assert done.last["diagnosis"]["verdict"] == diagnosis.verdict
@@ -57,7 +57,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path,
     notes = done.last["notes"]
     assert REFITTED in notes
     for note in notes:
-        assert " ".join(note.split()) in " ".join(done.err.split())
+        assert " ".join(note.split()) in " ".join(done.out.split())
         assert note[1:] in html.unescape(page)
     assert f"rejoint diagnose --logs {logs} --arm so101 --run" in page
 

@@ -20,13 +20,13 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
-from rejoint.runs.run import Run, exclusive, is_finished, newest_or_new, require_same_pace
+from rejoint.runs.history import summarise
+from rejoint.runs.run import Run, exclusive, finish, is_finished, newest_or_new, require_same_pace
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
-from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import TrainedPolicy, train
 from rejoint.session.context import Controllers, any_geared, equipped, listed, require_possible
 from rejoint.session.inputs import (
@@ -41,6 +41,7 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     arm_of,
+    as_run,
     as_targets,
     is_batchable,
     laden,
@@ -355,6 +356,39 @@ class _RepairStages:
         if name == "compare" and comparison is not None:
             return Compared(comparison=comparison, recommendation=recommend(comparison))
         return None
+
+
+def report(run: RunLike) -> Path:
+    """Write the report of a run: one self-contained page, and its figures as PNG files.
+
+    Parameters
+    ----------
+    run
+        run, or its folder
+
+    Returns
+    -------
+    Path
+        of ``report.html``
+
+    Raises
+    ------
+    FileError
+        if the run is empty, or a file damaged
+
+    Examples
+    --------
+    >>> page = rejoint.report("runs/mine")
+    >>> webbrowser.open(page.resolve().as_uri())
+    """
+    from rejoint.pages.report.page import write_report
+
+    found = as_run(run)
+    with exclusive(found):
+        page = write_report(found.path)
+        finish(found)
+        summarise(found)
+        return page
 
 
 class Session(ArmSession):

@@ -1,19 +1,33 @@
-"""Identification: a twin of an arm from its motion."""
+"""Twins: identification from an arm's motion, and replay of motion."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer, pacing
 from rejoint.diagnosis.segments import is_excitation
 from rejoint.logs.consistency import forced_remarks, require_commands
-from rejoint.logs.runfolder import LOGS
+from rejoint.logs.runfolder import LOGS, RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.run import Run, exclusive, mark_quick
-from rejoint.session.inputs import ArmLike, LogsLike, RunLike, as_logs, as_run, laden, run_of_logs
+from rejoint.session.inputs import (
+    ArmLike,
+    LogsLike,
+    RunLike,
+    TwinLike,
+    arm_of_twin,
+    as_arm,
+    as_logs,
+    as_run,
+    as_twin,
+    laden,
+    run_of_logs,
+)
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed
@@ -22,6 +36,7 @@ from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
+    from rejoint.twin.judgement import Judgement
     from rejoint.twin.twin import Twin
 
 
@@ -89,6 +104,9 @@ def identify(
     >>> twin = rejoint.identify(found.excitation)
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
+    from rejoint.twin.identify import identify as fit
+
+    less: dict[str, Any] = {"starts": 2, "iterations": 2} if quick else {}
     with pacing(observer) as update:
         if logs is None:
             if run is None:
@@ -96,7 +114,7 @@ def identify(
             found = as_run(run).seeded(seed)
             with exclusive(found):
                 mark_quick(found, quick=quick)
-                twin = _from_excitation(laden(found), [_excitation(found)], found.seed, update, quick=quick)
+                twin = fit(laden(found), [_excitation(found)], update, seed=found.seed, **less)
                 _write(found, twin)
             return twin
         about, chosen = run_of_logs(run, logs, arm)
@@ -105,19 +123,13 @@ def identify(
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
             if about is None and all(is_excitation(log) for log in motions):
-                return _from_excitation(chosen, motions, as_seed(seed), update, quick=quick)
+                return fit(chosen, motions, update, seed=as_seed(seed), **less)
             drawn = about.seed if seed is None and about is not None else as_seed(seed)
             twin = _from_any_motion(chosen, motions, what, drawn, update, quick=quick)
             if about is not None:
                 _write(about.begin(), twin)
                 mark_quick(about, quick=quick)
         return twin
-
-
-def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: Progress, *, quick: bool) -> Twin:
-    from rejoint.twin.identify import identify as fit
-
-    return fit(arm, logs, on_progress, seed=seed, **{"starts": 2, "iterations": 2} if quick else {})
 
 
 def _from_any_motion(
@@ -155,3 +167,87 @@ def _write(run: Run, twin: Twin) -> None:
     write_twin(run.folder.twin, twin)
     if twin.judgement is not None:
         write_json(run.folder.judgement, twin.judgement)
+
+
+TWIN = "twin"
+"""Name among the predictions"""
+
+THREADS = 2
+"""of the simulation; no effect on results"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replayed:
+    """A twin's prediction and its errors."""
+
+    logs: tuple[RunLog, ...]
+    positions: tuple[Array, ...]
+    """(T, n) [rad] for each log, open loop from its first measured position"""
+    judgement: Judgement
+    """errors by motion and twin, free and in contact"""
+    page: Path | None = None
+    """with figures, if asked for"""
+
+
+def replay(
+    twin: TwinLike,
+    logs: LogsLike,
+    *,
+    arm: ArmLike | None = None,
+    beside: Sequence[Candidate] = (),
+    out: Path | str | None = None,
+) -> Replayed:
+    """Predict every motion open loop with a twin, and compare that with the encoders.
+
+    Motions of the fit flatter the twin.
+
+    Parameters
+    ----------
+    twin
+        twin or its file
+    logs
+        run logs of any motion, their files or folder
+    arm
+        arm, name or file; default: that of the twin
+    beside
+        other twins to judge
+    out
+        folder for a page with figures; default: nothing is written
+
+    Returns
+    -------
+    Replayed
+        ``positions``, and their errors as ``judgement``
+
+    Raises
+    ------
+    ContractError
+        if the twin is of another arm
+    InputError
+        for a log of another arm, or without commands
+
+    Examples
+    --------
+    >>> found = rejoint.replay(twin, log)
+    >>> found.positions[0] - log.position  # (T, n) radians
+    >>> found.judgement.mean["twin"].free.tcp  # metres
+    """
+    from rejoint.twin.judge import Candidate, judge_paths, predict_logs
+
+    known = as_twin(twin)
+    chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
+    known.require(chosen)
+    motions = as_logs(logs)
+    require_commands(motions, "replay")
+    with nullcontext() if out is None else locked(RunFolder(Path(out))):
+        paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
+        judgement = judge_paths(chosen, paths, motions)
+        page = None if out is None else _write_replay(Path(out), judgement, twin, logs)
+    return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
+
+
+def _write_replay(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> Path:
+    from rejoint.pages.report.page import write_replay
+
+    named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
+    return write_replay(out, judgement, twin=named[0], logs=named[1])
