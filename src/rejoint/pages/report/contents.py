@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.comparison.recommend import recommend
@@ -26,8 +25,8 @@ from rejoint.logs.runfolder import LOGS, Effort, Kept, RunFolder, RunInfo, read_
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
 from rejoint.pages.words import is_virtual, number
 from rejoint.robots import DEFAULT_ARM
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import read_json
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_json, reading
 from rejoint.system.shell import command
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin, read_twin
@@ -60,14 +59,10 @@ class Curves:
 def read_curves(path: Path) -> Curves:
     """Read ``training/curves.parquet``; FileError."""
     remedy = "delete it and train again"
-    try:
+    with reading(path, "not readable as training curves", remedy):
         names = [one.name for one in fields(Curves)]
         table = read_parquet(path, remedy, names)
         columns = {name: table[name].to_numpy().astype(float) for name in names}
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "train a policy first") from error
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"not readable as training curves ({first_line(error)})", remedy) from error
     if not len(columns["step"]):
         raise FileError(path, "no update in the training curves", remedy)
     return Curves(**columns)

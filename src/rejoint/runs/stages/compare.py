@@ -25,8 +25,8 @@ from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
-from rejoint.control.recording import Observer, Recording, pacing
-from rejoint.control.robot import Robot
+from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
+from rejoint.control.robot import JointState, Robot
 from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
@@ -114,27 +114,16 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
     index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
     first = np.searchsorted(index, np.arange(index[-1] + 1))
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
-    columns = {
-        "time": time,
-        "position": log.position[rows],
-        "command": log.command[rows],
-        "target": target,
-        "aim": target.copy(),
-        "target_index": index.astype(np.intp),
-        "since_target": time - begun[index],
-        "true_tcp": log.true_tcp[rows],
-        "active": np.ones(len(rows), dtype=bool),
-        "reasons": np.zeros(len(rows), dtype=np.uint16),
-        "load": np.full_like(log.position[rows], np.nan),
-        "turned": np.full(len(rows), np.nan),
-    }
+    state = JointState(time=time, position=log.position[rows], age=np.zeros(len(rows)))
+    cycles = cycle_at_rest(state, log.true_tcp[rows], log.command[rows])
+    cycles = cycles._replace(target=target, aim=target, target_index=index, since_target=time - begun[index])
     return Recording(
         arm=log.arm,
         joint_names=log.joint_names,
         robot=log.robot,
         controller=DEFAULT,
         tripped=np.zeros(1, dtype=np.uint16),
-        **{name: values[:, None] for name, values in columns.items()},
+        **{name: values[:, None].copy() for name, values in cycles._asdict().items()},
     ), target[first]
 
 
