@@ -77,7 +77,7 @@ class SeenCycle(NamedTuple):
         """Newest arm of a cycle."""
         b = int(cycle.active.argmax())
         heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
-        return cls(b, Cycle._make(column[b] for column in cycle), wanted[b], heat)
+        return cls(b, Cycle(**{name: column[b] for name, column in vars(cycle).items()}), wanted[b], heat)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -116,14 +116,14 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
     state = JointState(time=time, position=log.position[rows], age=np.zeros(len(rows)))
     cycles = cycle_at_rest(state, log.true_tcp[rows], log.command[rows])
-    cycles = cycles._replace(target=target, aim=target, target_index=index, since_target=time - begun[index])
+    cycles = replace(cycles, target=target, aim=target, target_index=index, since_target=time - begun[index])
     return Recording(
         arm=log.arm,
         joint_names=log.joint_names,
         robot=log.robot,
         controller=DEFAULT,
         tripped=np.zeros(1, dtype=np.uint16),
-        **{name: values[:, None].copy() for name, values in cycles._asdict().items()},
+        **{name: values[:, None].copy() for name, values in vars(cycles).items()},
     ), target[first]
 
 
