@@ -131,7 +131,7 @@ def fleet(
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.stages import rehearse
-    from rejoint.runs.fleet.campaign import Rules, run_fleet
+    from rejoint.runs.fleet.campaign import FleetRules, run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
@@ -154,7 +154,7 @@ def fleet(
         return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
     trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
-    rules = Rules(
+    rules = FleetRules(
         somebody=somebody,
         fresh=fresh,
         needed=needed,

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.logs.history import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder import RunFolder, RunInfo
-from rejoint.runs.fleet.campaign import Rules, Work, WorkOutcome, run_fleet
+from rejoint.runs.fleet.campaign import FleetRules, Work, WorkOutcome, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.session.inputs import arm_of
@@ -97,7 +97,7 @@ def call(
     **given,
 ):
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, lambda _: executor, rules or Rules(now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, lambda _: executor, rules or FleetRules(now=lambda: MONDAY), **given)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def call(
 )
 def test_nothing_moves_without_permission_and_outside_its_hours(tmp_path, given, verb, somebody, why):
     executor = PlayedExecutor()
-    rules = Rules(somebody=somebody, now=lambda: MONDAY)
+    rules = FleetRules(somebody=somebody, now=lambda: MONDAY)
     found = call(tmp_path, [arm("a", **given)], executor, verb, rules)
     (row,) = found.rows
     assert executor.begun == ([] if why else [("a", "check")])
@@ -213,7 +213,7 @@ def test_only_those_are_repaired_that_need_it(tmp_path):
             return [(work, DONE)]
 
     executor = Checked()
-    found = call(tmp_path, arms, executor, "repair", Rules(needed=True, now=lambda: MONDAY))
+    found = call(tmp_path, arms, executor, "repair", FleetRules(needed=True, now=lambda: MONDAY))
     assert [name for name, step in executor.begun if step == "check"] == ["a", "b", "c", "d"]
     assert {name for name, step in executor.begun if step == "report"} == {"a", "b"}
     rows = {row.name: row for row in found.rows}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.fleet.campaign import Rules, run_fleet
+from rejoint.runs.fleet.campaign import FleetRules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check
@@ -86,7 +86,7 @@ def called(address, tmp_path_factory):
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
-    rules = Rules(now=world.now)
+    rules = FleetRules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
     found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before

@@ -30,8 +30,8 @@ Step: TypeAlias = Literal["check"] | StageName
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
-    """Rules for all arms of one call, and options of each repair as in `rejoint.repair`."""
+class FleetRules:
+    """FleetRules for all arms of one call, and options of each repair as in `rejoint.repair`."""
 
     somebody: bool = False
     """whether a person is present"""
@@ -134,13 +134,13 @@ class Campaign:
 
     fleet: Fleet
     verb: Verb
-    rules: Rules
+    rules: FleetRules
     info: CampaignInfo
     resumed: bool
     """whether an earlier call began it"""
 
     @classmethod
-    def open(cls, fleet: Fleet, verb: Verb, rules: Rules, only: tuple[str, ...] = ()) -> Campaign:
+    def open(cls, fleet: Fleet, verb: Verb, rules: FleetRules, only: tuple[str, ...] = ()) -> Campaign:
         """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = info = CampaignInfo(begun=now, runs={})
@@ -377,7 +377,7 @@ def drive(
     return standings
 
 
-def refused(work: Work, rules: Rules) -> str:
+def refused(work: Work, rules: FleetRules) -> str:
     """Say why an arm may not move now, or return an empty text."""
     arm = work.arm
     if not arm.may_move:
@@ -520,7 +520,7 @@ def run_fleet(
     fleet: Fleet,
     verb: Verb,
     executor: MakeExecutor,
-    rules: Rules,
+    rules: FleetRules,
     *,
     only: tuple[str, ...] = (),
     tell: Callable[[str], object] = lambda _: None,
