@@ -35,10 +35,9 @@ from rejoint.system.numbers import as_floats
 from rejoint.system.textfile import ANGLES, LENGTHS, read_sheet, split_unit
 
 PLACE = ("x", "y", "z")
-KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
+KINDS = {"direction": ("dx", "dy", "dz"), "angles_rad": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
 ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-_FIELDS = {"direction": "direction", "angles": "angles_rad", "quaternion": "quaternion"}
-_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, **dict.fromkeys(PLACE, LENGTHS), **dict.fromkeys(KINDS["angles"], ANGLES)}
+_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, **dict.fromkeys(PLACE, LENGTHS), **dict.fromkeys(KINDS["angles_rad"], ANGLES)}
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
 
@@ -63,29 +62,31 @@ class Pose:
     """[m/rad] of the orientation"""
 
     def __post_init__(self) -> None:
-        given = [(name, value) for name, value in self._ways() if value is not None]
-        if len(given) > 1:
-            raise InputError(f"pose: {given[0][0]} and {given[1][0]} are given, expected one of them")
-        for name, value, size in [("place_m", self.place_m, 3), *((n, v, len(KINDS[n])) for n, v in given)]:
+        kinds = self._kinds
+        if len(kinds) > 1:
+            raise InputError(f"pose: {kinds[0]} and {kinds[1]} are given, expected one of them")
+        for name in ("place_m", *kinds):
+            value, size = getattr(self, name), len(KINDS.get(name, PLACE))
             found = as_floats("pose", value, f"{size} finite numbers as {name}")
             if found.shape != (size,) or not np.isfinite(found).all():
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
             if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
                 raise InputError(f"pose: {name} is zero; give one of any other length")
-            farthest = np.abs(found).max() if name == "angles" else 0.0
-            if farthest > TWO_TURNS:
+            farthest = np.abs(found).max()
+            if name == "angles_rad" and farthest > TWO_TURNS:
                 said = f"{farthest:.4g} rad ({np.degrees(farthest):.5g} deg)"
                 raise InputError(f"pose: an angle of {said}, beyond two turns; angles_rad is in radians")
         if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
             raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")
 
-    def _ways(self) -> tuple[tuple[str, ArrayLike | None], ...]:
-        return ("direction", self.direction), ("angles", self.angles_rad), ("quaternion", self.quaternion)
+    @property
+    def _kinds(self) -> list[str]:
+        return [name for name in KINDS if getattr(self, name) is not None]
 
     @property
     def turned(self) -> bool:
         """Whether an orientation is wanted."""
-        return self.weight_m > 0.0 and any(value is not None for _, value in self._ways())
+        return self.weight_m > 0.0 and bool(self._kinds)
 
     def rotation(self, axis: Array) -> Array:
         """Wanted frame (3, 3) of a tool along ``axis`` (3,)."""
@@ -135,10 +136,10 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
     sheet = read_sheet(path, most=most)
     read = [_column(title) for title in sheet.titles]
     names = [name for name, _ in read]
-    rest = names[len(first) :]
-    weighed = rest[-1:] == ["weight"]
-    kind = next((kind for kind, own in KINDS.items() if rest[: len(rest) - weighed] == list(own)), None)
-    if names[: len(first)] != list(first) or (kind is None and rest):
+    at = len(first)
+    end = len(names) - (names[at:][-1:] == ["weight"])
+    kind = next((kind for kind, own in KINDS.items() if names[at:end] == list(own)), None)
+    if names[:at] != list(first) or (kind is None and len(names) > at):
         units = "mm and deg" if first == PLACE else "s, mm and deg"
         raise FileError(
             path,
@@ -148,15 +149,15 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
     values = sheet.numbers(range(len(names))) * [factor for _, factor in read]
     poses = []
     for line, row in zip(sheet.lines.tolist(), values, strict=True):
-        oriented = kind is not None and not np.isnan(row[len(first) :]).all()
-        own = row[: None if oriented else len(first)]
-        given: dict[str, Any] = {_FIELDS[str(kind)]: own[len(first) : len(names) - weighed]} if oriented else {}
-        if oriented and weighed:
-            given["weight_m"] = float(row[-1]) / _DEGREE
+        own, given = row[:at], dict[str, Any]()
+        if kind is not None and not np.isnan(row[at:]).all():
+            own, given[kind] = row, row[at:end]
+            if end < len(row):
+                given["weight_m"] = float(row[end]) / _DEGREE
         try:
             if not np.isfinite(own).all():
                 raise InputError(f"expected {len(own)} finite numbers")
-            poses.append(Pose(place_m=row[len(first) - len(PLACE) : len(first)], **given))
+            poses.append(Pose(place_m=row[at - len(PLACE) : at], **given))
         except InputError as error:
             raise FileError(path, f"line {line}: {error}", "give what the header says") from error
     return sheet.lines.tolist(), values[:, 0], poses

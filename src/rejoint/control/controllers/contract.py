@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, Box
+from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import bare
 from rejoint.control.controllers.observation import Layout, Slot, layout_slots
 from rejoint.control.controllers.residual import CommandLaw
@@ -97,7 +97,8 @@ def law_digests(arm: Arm) -> dict[str, str]:
         "rest": arm.rest,
         "targets": np.stack([arm.targets.lower, arm.targets.upper]),
     }
-    return {name: hashlib.sha256(_rounded(array)).hexdigest()[:16] for name, array in read.items()}
+    rounded = {name: np.round(array, 9) + 0.0 for name, array in read.items()}  # + 0.0 turns -0.0 into 0.0
+    return {name: hashlib.sha256(array.astype("<f8").tobytes()).hexdigest()[:16] for name, array in rounded.items()}
 
 
 def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
@@ -105,25 +106,6 @@ def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
     if law.anchor == "goal":
         return ("offset", "axis", "tip", "mass", "com", "rest", "targets")
     return ("offset", "axis", "tip", *(["rest"] if layout != "residual" else []))
-
-
-def arm_digest(arm: Arm) -> str:
-    """Digest of an arm without `Arm.keep_out`."""
-    digest = hashlib.sha256()
-    for entry in fields(arm):
-        if entry.name == "keep_out":
-            continue
-        value = getattr(arm, entry.name)
-        if isinstance(value, Box):
-            value = np.stack([value.lower, value.upper])
-        named = isinstance(value, str | tuple)
-        digest.update(f"{entry.name}={value}".encode() if named else _rounded(np.asarray(value, dtype=float)))
-    return digest.hexdigest()[:16]
-
-
-def _rounded(array: Array) -> bytes:
-    rounded = np.round(array, 9) + 0.0  # + 0.0 turns -0.0 into 0.0
-    return np.ascontiguousarray(rounded, dtype="<f8").tobytes()
 
 
 def encode_contract(contract: PolicyContract) -> str:
