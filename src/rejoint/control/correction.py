@@ -135,10 +135,11 @@ class Modelled:
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        self._came = self._posture = np.zeros((0, self.arm.joints))  # [rad] where arms came from, and last moved
-        self._since = np.zeros(0)  # [s] when they last moved
-        self._done: Mask = np.zeros(0, dtype=bool)  # whether the target was aimed at again
-        self._turned = np.zeros((0, 3, 3))  # wanted encoder orientations
+        # Of B arms from the first target on:
+        self._came = self._posture = np.zeros(self.arm.joints)  # [rad] where arms came from, and last moved
+        self._since: Array = np.full(1, np.nan)  # [s] when they last moved
+        self._done: Mask = np.zeros(1, dtype=bool)  # whether the target was aimed at again
+        self._turned = np.eye(3)  # wanted encoder orientations
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
         """Shifts (..., 3) [m] from encoder TCP to tool at ``position`` (..., n) [rad].
@@ -161,12 +162,6 @@ class Modelled:
 
         None: at postures found from ``start`` (B, n) [rad].
         """
-        if len(self._since) != len(where):
-            self._came = self._posture = start.copy()
-            self._since = np.full(len(where), -np.inf)
-            self._done = np.zeros(len(where), dtype=bool)
-        if turn is not None and len(self._turned) != len(where):
-            self._turned = turn.rotation.copy()
         self._done, self._since = self._done & ~where, np.where(where, np.nan, self._since)
         self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
@@ -180,9 +175,11 @@ class Modelled:
                 place = goal - self.shift(posture, start[aimed])
                 if wanted is not None:
                     own = self.untwisted(wanted, posture, start[aimed])
-            if own is not None:
-                self._turned[aimed] = own.rotation
             aims[aimed] = checked(goal, place)
+            if turn is not None and own is not None:
+                fresh = turn.rotation.copy()
+                fresh[aimed] = own.rotation
+                self._turned = np.where(aimed[:, None, None], fresh, self._turned)
         return aims, None if turn is None else replace(turn, rotation=self._turned.copy())
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:

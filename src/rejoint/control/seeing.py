@@ -8,7 +8,7 @@ Results: `python -m benchmarks seeing`. Constants without a source are chosen.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
 import numpy as np
@@ -69,21 +69,25 @@ class Eye(Protocol):
 class Seen(Modelled):
     """Corrects targets of one arm by the model, then by detections."""
 
-    eye: Eye = field(kw_only=True)
-    used: int = field(default=0, init=False)
-    """accepted detections"""
-    visits: list[tuple[int, float | None]] = field(default_factory=list, init=False)
-    """per target: accepted detections, and averaged error [m]"""
-    beyond: list[Array] = field(default_factory=list, init=False)
-    """(3,) [m] per target: detection minus model"""
-    _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
-    _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
-    _spread: Array = field(default_factory=lambda: np.eye(3), init=False)  # (3, 3) [m^2] its covariance
-    _place: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] by the encoders, at the last of them
-    _count: int = field(default=0, init=False)  # sightings believed at this target
-    _last: float = field(default=-np.inf, init=False)  # [s] of the newest sighting that was looked at
-    _believed: float = field(default=-np.inf, init=False)  # [s] of the newest that was believed
-    _told: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=HISTORY), init=False)
+    _: KW_ONLY
+    eye: Eye
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.used = 0
+        """accepted detections"""
+        self.visits: list[tuple[int, float | None]] = []
+        """per target: accepted detections, and averaged error [m]"""
+        self.beyond: list[Array] = []
+        """(3,) [m] per target: detection minus model"""
+        self._target = np.full(3, np.nan)
+        self._extra = self._place = np.zeros(
+            3
+        )  # [m] shift beyond the model; place by the encoders, at the last sighting
+        self._spread = np.eye(3)  # [m^2] covariance of that shift
+        self._count = 0  # sightings believed at this target
+        self._last = self._believed = -np.inf  # [s] of the newest sighting that was looked at, and believed
+        self._told: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
 
     def aim(
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
@@ -214,21 +218,11 @@ class Finishing:
 
     def __init__(self, arm: Arm, controller: Controller, seen: Seen) -> None:
         self._arm, self._controller, self._seen = arm, controller, seen
-        self.state = "far"
+        self.name, self.contract = controller.name, getattr(controller, "contract", None)
         self._amplitude = np.full(arm.joints, FIRST)
         self._told: deque[tuple[float, Array]] = deque(maxlen=12)
         self._aim = np.full(3, np.nan)
         self._begin_target()
-
-    @property
-    def name(self) -> str:
-        """Name."""
-        return self._controller.name
-
-    @property
-    def contract(self) -> object:
-        """The policy's contract, else None."""
-        return getattr(self._controller, "contract", None)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Begin a new target; small changes are none."""

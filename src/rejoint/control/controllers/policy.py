@@ -39,16 +39,13 @@ _DAMAGED = "not a readable ONNX file, truncated or damaged"
 class PolicyController:
     """Drives B arms with a trained network."""
 
+    name = "policy"
+
     def __init__(self, arm: Arm, session: ort.InferenceSession, contract: PolicyContract) -> None:
         self.arm, self.contract = arm, contract
         self._session = session
         self._observer = Observer(arm, 1, contract.layout)
         self._commander = Commander(arm, contract.law)
-
-    @property
-    def name(self) -> str:
-        """Name."""
-        return "policy"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Restart where ``where`` (B,)."""

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
@@ -72,7 +73,7 @@ class Path:
     _values: CubicSpline = field(init=False, repr=False)  # of places, then of directions (3,) or quaternions (4,)
 
     def __post_init__(self) -> None:
-        time = as_floats("path", self.time, "times (T,) in seconds").copy()
+        time = as_floats("path", self.time, "times (T,) in seconds")
         place = as_floats("path", self.place, "places (T, 3) in metres").copy()
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
@@ -83,9 +84,8 @@ class Path:
             k = int(late[0]) + 1
             raise InputError(f"path: the time {time[k]:g} s of point {k + 1} is not after {time[k - 1]:g} s before it")
         time = time - time[0]
-        for name, value in (("time", time), ("place", place)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "time", frozen(time))
+        object.__setattr__(self, "place", frozen(place))
         rows = place
         if self.turn is not None:
             knots = knots_of(self.turn)
@@ -327,11 +327,9 @@ class Stream:
     """places (3,) [m], followed by the unit direction (3,) or quaternion (4,) of poses"""
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
     """(3,) tool axis in the tool frame"""
-    _weight: float = 0.0
-    _now: float = 0.0
-    _lock: Lock = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
+        self._weight, self._now, self._lock = 0.0, 0.0, Lock()
         if not 0.0 <= self.lag <= 1.0:
             raise InputError(f"stream: the lag must be between 0 and 1 s, got {self.lag}")
 
