@@ -254,12 +254,10 @@ class Observers(Observer):
     message, progress, stage = _to_all("message"), _to_all("progress"), _to_all("stage")
     partial, served, cycle = _to_all("partial"), _to_all("served"), _to_all("cycle")
 
-    def watch(
-        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
-    ) -> Robot:
+    def watch(self, robot: Robot, **facts: Any) -> Robot:  # noqa: ANN401 - as given
         """See `Observer`."""
         for one in self.observers:
-            robot = one.watch(robot, twin=twin, within=within, paced=paced)
+            robot = one.watch(robot, **facts)
         return robot
 
 

@@ -367,13 +367,12 @@ class _RoundWatch:
         self.joints: Mask = np.zeros(arm.joints, dtype=bool)
         self._labours = np.zeros(arm.joints)
         self._seen: list[tuple[float, Array]] = []
-        self._last: float | None = None
+        self._last = np.inf
 
     def bad(self, inputs: ControlInput) -> Mask:
         """Whether the round ends, (1,)."""
         state, now = inputs.state, float(inputs.state.time[0])
-        elapsed = 0.0 if self._last is None else now - self._last
-        self._last = now
+        elapsed, self._last = max(now - self._last, 0.0), now
         if state.temperature is not None:
             self.joints |= state.temperature[0] > HOTTEST
         if state.load is not None:

@@ -9,7 +9,7 @@ from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Repetition, along, judge
-from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of
+from rejoint.control.moving.posture import PathPostures, Servos, command_for, home_of
 from rejoint.control.moving.reference import Ahead, PathReference, standard_path
 from rejoint.control.moving.tracker import PushObserver, Tracker
 from rejoint_lab.emulated import EmulatedRobot
@@ -44,9 +44,8 @@ def drive(controller, guides, seed=0, **wire):
 def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():
     servos = replace(worn_servos(2), offset=np.full((2, ARM.joints), 0.02))
     posture = np.stack([ARM.rest, ARM.rest + 0.1])
-    still = Moment(around=np.stack([posture] * 3), step=0.03)
     expected = posture - 0.02 + gravity_torque(ARM, posture) / servos.stiffness
-    assert np.allclose(command_for(ARM, servos, still), expected)
+    assert np.allclose(command_for(ARM, servos, np.stack([posture] * 3), 0.03), expected)
 
 
 def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():

@@ -140,50 +140,22 @@ class Servos:
         return self.torque_limit / self.stiffness
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Moment:
-    """A motion of B arms at one time."""
-
-    around: Array
-    """(3, B, n) [rad] ``step`` before, now, and after"""
-    step: float
-    """[s]"""
-
-    @property
-    def position(self) -> Array:
-        """(B, n) [rad]."""
-        return np.asarray(self.around[1])
-
-    @property
-    def speed(self) -> Array:
-        """(B, n) [rad/s]."""
-        return (self.around[2] - self.around[0]) / (2.0 * self.step)
-
-    @property
-    def acceleration(self) -> Array:
-        """(B, n) [rad/s^2]."""
-        return (self.around[2] - 2.0 * self.around[1] + self.around[0]) / self.step**2
+def speed_of(around: Array, step: float) -> Array:
+    """Speeds (B, n) [rad/s] in the middle of positions (3, B, n) [rad], ``step`` [s] apart."""
+    return (around[2] - around[0]) / (2.0 * step)
 
 
-def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
-    """Commands (B, n) [rad] by the twin's inverse."""
-    speed = motion.speed
-    torque = (
-        link_torque(arm, motion)
-        + servos.coulomb * np.tanh(speed / TURNING)
-        + servos.damping * speed
-        + servos.armature * motion.acceleration
-    )
-    return motion.position - servos.offset + torque / servos.stiffness
-
-
-def link_torque(arm: Arm, motion: Moment) -> Array:
-    """Torques (B, n) [N m] of point masses."""
-    f = frames(arm, motion.around)
+def command_for(arm: Arm, servos: Servos, around: Array, step: float) -> Array:
+    """Commands (B, n) [rad] by the twin's inverse, with point masses; ``around`` as in `speed_of`."""
+    f = frames(arm, around)
     centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
-    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / motion.step**2 - GRAVITY
+    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / step**2 - GRAVITY
     force = arm.mass[:, None] * pull
     moment = np.cross(centre[1], force)
     # Of all that hangs on each joint: force and moment, the latter about the joint's own place.
     force, moment = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, moment))
-    return (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1)
+    links, speed = (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1), speed_of(around, step)
+    acceleration = (around[2] - 2.0 * around[1] + around[0]) / step**2
+    friction = servos.coulomb * np.tanh(speed / TURNING)
+    torque = links + friction + servos.damping * speed + servos.armature * acceleration
+    return around[1] - servos.offset + torque / servos.stiffness

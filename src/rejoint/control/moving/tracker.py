@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controllers.law import NOMINAL_PERIOD, Pace, limit_position
-from rejoint.control.moving.posture import Moment, Servos, command_for, joint_weights
+from rejoint.control.moving.posture import Servos, command_for, joint_weights, speed_of
 from rejoint.control.robot import ControlInput, Mask
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
@@ -162,11 +162,12 @@ class Tracker:
         shift = self._relieve(position, position - planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
         away, speed = observer.soon(now)
-        motion = self._motion(inputs, shift)
-        self._wanted, self._last = command_for(self._arm, self._servos, motion), now.copy()
-        self._expected = motion.position + away
+        ahead = self._servos.delay + 0.5 * self._period + gains.early
+        around = inputs.goals(ahead + gains.step * np.arange(-1.0, 2.0)[:, None]) + shift
+        self._wanted, self._last = command_for(self._arm, self._servos, around, gains.step), now.copy()
+        self._expected = around[1] + away
         push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
-        damping = gains.damping + gains.slow_damping * np.exp(-((motion.speed / gains.slow) ** 2))
+        damping = gains.damping + gains.slow_damping * np.exp(-((speed_of(around, gains.step) / gains.slow) ** 2))
         held = gains.stiffness * away + damping * speed
         return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
 
@@ -184,12 +185,6 @@ class Tracker:
         missed = ((jacobian * light) @ away[..., None])[..., 0]
         self._missed += (1.0 - np.exp(-elapsed / self._gains.relief))[:, None] * (missed - self._missed)
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
-
-    def _motion(self, inputs: ControlInput, shift: Array) -> Moment:
-        step = self._gains.step
-        ahead = self._servos.delay + 0.5 * self._period + self._gains.early
-        later = ahead + step * np.arange(-1.0, 2.0)[:, None]
-        return Moment(around=inputs.goals(later) + shift, step=step)
 
     def _effective(self, sent: Array) -> Array:
         """Limit ``sent`` (B, n) [rad] to the servo's torque: no windup."""
