@@ -81,7 +81,10 @@ def test_normalised_values_need_the_calibration(tmp_path: Path):
         import_logs(DATASET, ARM, out=tmp_path / "other", options=options)
 
 
-def test_several_files_and_mixed_rows_make_the_same_logs(dataset: Path, tmp_path: Path):
+def test_several_files_mixed_rows_and_prefixed_names_make_the_same_logs(dataset: Path, tmp_path: Path):
+    info = dataset / "meta/info.json"
+    for name in ARM.joint_names:
+        info.write_text(info.read_text().replace(name, f"main_{name}"))
     table = pq.read_table(dataset / DATA)
     mixed = table.take(np.random.default_rng(3).permutation(90))
     pq.write_table(mixed.slice(0, 30), dataset / DATA)

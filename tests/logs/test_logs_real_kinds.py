@@ -87,6 +87,11 @@ def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path: Path):
     bad = FOUND.position[:, 2].copy()
     bad[200] = -9.48e297
     columns(tmp_path / "in/a.csv", names | {"position.elbow_flex_rad": bad})
+    cut = tmp_path / "in/a.csv"
+    lines = cut.read_text().splitlines()
+    lines[301] = f"{lines[301].rpartition(',')[0]},#REF!"
+    lines[351] = lines[351][:30]
+    cut.write_text("\n".join(lines))
     columns(
         tmp_path / "in/b.csv",
         names | {f"position.{joint}_rad": names[f"command.{joint}_rad"] for joint in ARM.joint_names},
@@ -94,5 +99,5 @@ def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path: Path):
     done = CliRunner().invoke(app, ["import", str(tmp_path / "in"), str(tmp_path / "logs"), "--arm", "so101", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout.splitlines()[-1])
-    assert (told["logs"], len(told["skipped"])) == (2, 1)
-    assert [len(read_log(tmp_path / f"logs/a-{k}of2.parquet")) for k in (1, 2)] == [200, 199]
+    assert (told["logs"], len(told["skipped"])) == (3, 1)
+    assert [len(read_log(tmp_path / f"logs/a-{k}of3.parquet")) for k in (1, 2, 3)] == [200, 99, 97]

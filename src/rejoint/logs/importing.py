@@ -25,16 +25,15 @@ from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.textfile import DAMAGED
 
 PAUSE = 1.0
 """[s] between motions (chosen: ten times a hobby servo's lag)"""
-CORRUPT = 0.02
-"""Largest share of corrupt numbers (chosen)"""
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
-    """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
-    notes, bad = list(motion.notes), _corrupt(motion, "state", motion.position)
+    """Split at pauses and corrupt numbers; FileError beyond `DAMAGED`."""
+    notes, bad = list(motion.notes), _corrupt(motion, "state", motion.position) | ~np.isfinite(motion.time)
     if motion.command is not None:
         bad |= _corrupt(motion, "command", motion.command)
     good = np.flatnonzero(~bad)
@@ -65,13 +64,13 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
 def _corrupt(motion: RecordedMotion, what: str, values: Array) -> NDArray[np.bool_]:
     """Return rows (T,) with a corrupt number."""
     missing = ~np.isfinite(values).all(axis=1)
-    if missing.sum() > CORRUPT * len(values):
+    if missing.sum() > DAMAGED * len(values):
         row, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
         said = f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]}, one "
         said += f"of {int(missing.sum())} rows with values that are not finite"
         raise FileError(motion.path, said, "mend the values or cut the rows")
     huge = ~(np.abs(values) <= TWO_TURNS).all(axis=1)
-    return np.asarray(huge if huge.sum() <= CORRUPT * len(values) else missing)
+    return np.asarray(huge if huge.sum() <= DAMAGED * len(values) else missing)
 
 
 _EPOCH = 1e8
@@ -210,7 +209,7 @@ def import_logs(
                     if name in logs:
                         raise FileError(source, f"a second log with the name {name}", "import it into another folder")
                     logs[name] = log
-                    for remark in remarks:
+                    for remark in dict.fromkeys(remarks):
                         notes.setdefault(remark, []).append(name)
         on_progress(done / len(paths), _file_name(path.stem))
     for name, original in copies(logs.items()).items():

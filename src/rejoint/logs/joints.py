@@ -152,12 +152,14 @@ def joint_of(name: str, arm: Arm) -> str | None:
 
 
 def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: Sequence[str] | None = None) -> Match:
-    """Find every joint of the arm exactly once in a file: by `joint_of`, else by numbers from 0 or 1.
+    """Find every joint of the arm exactly once in a file: by `joint_of`, behind a prefix, or by numbers from 0 or 1.
 
     ``titles`` are full column names. FileError.
     """
     titles = names if titles is None else titles
     joints = [joint_of(name, arm) for name in names]
+    if not any(joints):  # with a prefix: main_elbow_flex
+        joints = [joint_of(re.split("[_/]", name, maxsplit=1)[-1], arm) for name in names]
     numbered = not any(joints)
     if numbered:
         joints = _numbers(names, arm)

@@ -18,6 +18,8 @@ from rejoint.system.files import MEGABYTE, read_bounded, reading
 
 TEXT_MOST = 200 * MEGABYTE
 """[bytes] (chosen)"""
+DAMAGED = 0.02
+"""Largest share of damaged numbers (chosen)"""
 ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
 """[rad] units of angles in titles"""
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
@@ -63,6 +65,8 @@ class Sheet:
     """UTF-8 with commas and titles"""
     ends: bool
     """the last line is complete"""
+    sound: bool
+    """no cell may be damaged"""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -73,20 +77,25 @@ class Sheet:
         return shown(self.titles)
 
     def _cells(self) -> Iterator[list[str]]:
-        """Trimmed cells, row by row; FileError."""
-        width = len(self.titles)
+        """Trimmed cells, row by row, NaN in a damaged row; FileError."""
+        width, wrong = len(self.titles), list[FileError]()
         rows = csv.reader(self.rows, delimiter=self.separator, skipinitialspace=True, strict=True)
         try:
             for line, row in zip(self.lines, rows, strict=True):
                 if len(row) != width and row[width:] != [""]:
                     hint = " (decimal commas need another separator between columns)"
                     hint *= self.separator == "," and len(row) > width
-                    raise FileError(
-                        self.path, f"line {line}: {len(row)} columns, the header has {width}{hint}", _REMEDY
-                    )
+                    self._damage(wrong, f"line {line}: {len(row)} columns, the header has {width}{hint}", _REMEDY)
+                    row = ["nan"] * width
                 yield [cell.strip() for cell in row]
         except (csv.Error, ValueError) as error:
             raise FileError(self.path, f"no table, or a quote does not end ({first_line(error)})", _REMEDY) from error
+
+    def _damage(self, wrong: list[FileError], problem: str, remedy: str) -> None:
+        """Add to what is ``wrong``; raise the first of too many."""
+        wrong.append(FileError(self.path, problem, remedy))
+        if self.sound or len(wrong) > DAMAGED * len(self):
+            raise wrong[0]
 
     def words(self, column: int) -> list[str]:
         """Cells of a column; FileError."""
@@ -96,17 +105,16 @@ class Sheet:
         """Columns (rows, columns) as numbers, NaN: empty; FileError. Commas are decimal where no cell has a point."""
         picked = [[row[column] for column in columns] for row in self._cells()]
         pointed = any("." in cell for row in picked for cell in row)
-        values = np.full((len(self), len(columns)), np.nan)
+        values, wrong = np.full((len(self), len(columns)), np.nan), list[FileError]()
         for k, row in enumerate(picked):
             for place, cell in enumerate(row):
                 if cell.casefold() in _EMPTY:
                     continue
                 try:
                     values[k, place] = float(cell if pointed else cell.replace(",", "."))
-                except ValueError as error:
+                except ValueError:
                     where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
-                    said = f"{where}: {cell[:40]!r} is no number"
-                    raise FileError(self.path, said, "mend the cell; dates as seconds") from error
+                    self._damage(wrong, f"{where}: {cell[:40]!r} is no number", "mend the cell; dates as seconds")
         return values
 
 
@@ -127,7 +135,8 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
 def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
-    ``names``: titles of a file without them. ``whole``: keep an incomplete last line.
+    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is left out, and damaged rows
+    and cells are empty.
     """
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, most, "cut it into several files")
@@ -200,6 +209,7 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
         found=f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints),
         plain=encoding == "UTF-8" and separator == "," and named and not prints,
         ends=ends,
+        sound=whole,
     )
 
 
