@@ -22,9 +22,8 @@ from rejoint.camera.detector import KINDS, Detector, Unusable, read_picture
 from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import (
-    COUNT,
+    SHEET_MOST,
     joint_columns,
-    read_columns,
     read_table,
     readable,
     require_degrees,
@@ -33,7 +32,7 @@ from rejoint.diagnosis.calibration.measurements import (
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
-from rejoint.system.textfile import ANGLES
+from rejoint.system.textfile import ANGLES, COUNT, read_columns
 
 if TYPE_CHECKING:
     from rejoint.camera.fit import Filmed
@@ -219,7 +218,7 @@ def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
     if not path.exists():
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
     with readable(path, "postures"):
-        found, lines = read_columns(path, meanings, ["picture", *joints], joints)
+        found, lines = read_columns(path, meanings, ["picture", *joints], joints, most=SHEET_MOST)
     empty = np.full(len(lines), np.nan)
     position, approach = (np.array([found.get(name, empty) for name in names]).T for names in (joints, came))
     require_degrees(path, position)

@@ -32,12 +32,17 @@ from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import TWO_TURNS
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.numbers import as_floats
-from rejoint.system.textfile import ANGLES, LENGTHS, read_sheet, split_unit
+from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles_rad": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
 ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, **dict.fromkeys(PLACE, LENGTHS), **dict.fromkeys(KINDS["angles_rad"], ANGLES)}
+_MEANINGS = {
+    "time": {"s": 1.0, "ms": 1e-3},
+    **dict.fromkeys(PLACE, LENGTHS),
+    **{name: ANGLES if kind == "angles_rad" else COUNT for kind, names in KINDS.items() for name in names},
+    "weight": COUNT,
+}
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
 
@@ -133,22 +138,20 @@ def in_words(turn: Orientation) -> str:
 
 def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[list[int], Array, list[Pose]]:
     """Read a file with columns ``first``, and perhaps orientations: lines, first column [s, m] and poses; FileError."""
-    sheet = read_sheet(path, most=most)
-    read = [_column(title) for title in sheet.titles]
-    names = [name for name, _ in read]
-    at = len(first)
-    end = len(names) - (names[at:][-1:] == ["weight"])
-    kind = next((kind for kind, own in KINDS.items() if names[at:end] == list(own)), None)
-    if names[:at] != list(first) or (kind is None and len(names) > at):
+    found, lines = read_columns(path, _MEANINGS, first, most=most, exact=False)
+    kind = next((kind for kind, own in KINDS.items() if found.keys() >= {*own}), None)
+    at, end = len(first), len(first) + len(KINDS.get(str(kind), ()))
+    names = [*first, *KINDS.get(str(kind), ()), *["weight"] * (kind is not None and "weight" in found)]
+    if found.keys() != {*names}:
         units = "mm and deg" if first == PLACE else "s, mm and deg"
         raise FileError(
             path,
-            f"the columns are {sheet.shown}, expected {','.join(first)}",
-            f"name them so, and after z perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
+            f"the columns are {', '.join(found)}, expected {','.join(first)}",
+            f"name them so, and perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
         )
-    values = sheet.numbers(range(len(names))) * [factor for _, factor in read]
+    values = np.stack([found[name] for name in names], axis=-1)
     poses = []
-    for line, row in zip(sheet.lines.tolist(), values, strict=True):
+    for line, row in zip(lines.tolist(), values, strict=True):
         own, given = row[:at], dict[str, Any]()
         if kind is not None and not np.isnan(row[at:]).all():
             own, given[kind] = row, row[at:end]
@@ -160,14 +163,7 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
             poses.append(Pose(place_m=row[at - len(PLACE) : at], **given))
         except InputError as error:
             raise FileError(path, f"line {line}: {error}", "give what the header says") from error
-    return sheet.lines.tolist(), values[:, 0], poses
-
-
-def _column(title: str) -> tuple[str, float]:
-    """Name and SI factor of a column; by default in mm, degrees, seconds."""
-    name, unit = split_unit(title.casefold(), {unit for units in _UNITS.values() for unit in units})
-    units = _UNITS.get(name, {"": 1.0})
-    return (name, units[unit or next(iter(units))]) if unit is None or unit in units else (title, 1.0)
+    return lines.tolist(), values[:, 0], poses
 
 
 def knots_of(turn: Orientation) -> Array:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
 """[rad] units of angles in titles"""
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """[m] units of lengths in titles"""
+COUNT = {"": 1.0}
+"""Of numbers without a unit"""
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 # Encodings in the order of the attempts
@@ -141,6 +144,52 @@ def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = 
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, most, "cut it into several files")
     return _parsed(*_decoded(data, path), path, names, whole=whole)
+
+
+def read_columns(
+    path: Path,
+    meanings: Mapping[str, Mapping[str, float] | None],
+    needed: Collection[str],
+    filled: Collection[str] = (),
+    *,
+    most: int,
+    exact: bool = True,
+) -> tuple[dict[str, Any], NDArray[np.int64]]:
+    """Columns of a text table by name, and the line of each row.
+
+    ``meanings``: name to SI factors of its units, or None for words. FileError for missing ``needed`` columns, other
+    units, and empty cells in those ``filled``. Unless ``exact``, a title without a unit has the first, and other
+    columns are refused.
+    """
+    sheet, found = read_sheet(path, most=most), dict[str, Any]()
+    usual = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
+    titled = {name: f"{name}_{unit}" if unit and exact else name for name, unit in usual.items()}
+    names, known = (
+        {name.casefold(): name for name in meanings},
+        {unit for one in meanings.values() for unit in one or ()},
+    )
+    for index, title in enumerate(sheet.titles):
+        stem, unit = split_unit(title.casefold(), known)
+        name = names.get(stem)
+        if name is None and exact:
+            continue
+        units = meanings[name] if name else {}
+        unit = unit or ("" if exact or not name else usual[name])
+        if name is None or unit not in (units or COUNT) or name in found:
+            said = (
+                f"column {title} has no unit or another one, or comes twice" if name else f"column {title} is not known"
+            )
+            raise FileError(path, said, f"name it {titled[name] if name else ' or '.join(titled.values())}")
+        if units is None:
+            found[name] = sheet.words(index)
+            continue
+        found[name] = units[unit] * sheet.numbers([index])[:, 0]
+        if name in filled and np.isnan(found[name]).any():
+            line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
+            raise FileError(path, f"line {line}, column {title} is empty", "mend that line")
+    if missing := [titled[name] for name in needed if name not in found]:
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", "add them")
+    return found, sheet.lines
 
 
 def head(path: Path) -> Sheet | None:

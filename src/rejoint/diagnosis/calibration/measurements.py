@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -29,7 +29,7 @@ from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, write_whole
-from rejoint.system.textfile import ANGLES, LENGTHS, read_sheet, split_unit
+from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
 
@@ -126,41 +126,6 @@ def align(arm: Arm, measurements: Measurements) -> Array:
 
 SHEET_MOST = 4 * MEGABYTE
 """Largest CSV file; chosen: ten thousand rows"""
-COUNT = {"": 1.0}
-
-
-def read_columns(
-    path: Path, meanings: Mapping[str, Mapping[str, float] | None], needed: Collection[str], filled: Collection[str]
-) -> tuple[dict[str, Any], Numbers]:
-    """Columns of a text table by name, and the line of each row.
-
-    ``meanings``: name to SI factors of its units, or None for words. FileError for missing ``needed`` columns, other
-    units, and empty cells in those ``filled``.
-    """
-    sheet, found = read_sheet(path, most=SHEET_MOST), dict[str, Any]()
-    first = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
-    titled = {name: f"{name}_{unit}" if unit else name for name, unit in first.items()}
-    names = {name.casefold(): name for name in meanings}
-    for index, title in enumerate(sheet.titles):
-        stem, unit = split_unit(title.casefold(), {*ANGLES, *LENGTHS})
-        name = names.get(stem)
-        if name is None:
-            continue
-        units = meanings[name] or COUNT
-        if (unit or "") not in units or name in found:
-            raise FileError(
-                path, f"column {title} has no unit or another one, or comes twice", f"name it {titled[name]}"
-            )
-        if meanings[name] is None:
-            found[name] = sheet.words(index)
-            continue
-        found[name] = units[unit or ""] * sheet.numbers([index])[:, 0]
-        if name in filled and np.isnan(found[name]).any():
-            line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
-            raise FileError(path, f"line {line}, column {title} is empty", "mend that line")
-    if missing := [titled[name] for name in needed if name not in found]:
-        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", "add them")
-    return found, sheet.lines
 
 
 T = TypeVar("T")
@@ -277,7 +242,7 @@ def require_degrees(path: Path, position: Array) -> None:
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
     joints, came = joint_columns(arm)
     meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
-    found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"})
+    found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"}, most=SHEET_MOST)
     if not len(lines):
         raise FileError(path, "no measurements below the header", "add one line for each")
     empty = np.full(len(lines), np.nan)
