@@ -22,7 +22,7 @@ from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_o
 from rejoint.arms.kinematics import chain_of
 from rejoint.arms.workspace import length_size
 from rejoint.control.monitor import Bands, Following, Knowledge
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 
@@ -176,9 +176,6 @@ def reason_names(reasons: int) -> tuple[str, ...]:
     return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
 
 
-_TRIP_BITS = np.uint16(TRIPS.value)
-
-
 class Guarded(NamedTuple):
     """Answer of the guard."""
 
@@ -188,11 +185,6 @@ class Guarded(NamedTuple):
     """(B,) `Reason` flags"""
     speed: Array
     """(B, n) [rad/s] for the next call"""
-
-    @property
-    def tripped(self) -> Mask:
-        """(B,)."""
-        return (self.reasons & _TRIP_BITS) != 0
 
 
 def guard(

@@ -6,7 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,6 @@ from rejoint.control.recording import Recording
 STANDS_FOR = 3.0
 """[s] stationary before a dwell ends (chosen)"""
 
-_CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
-
 
 def schedule(
     kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
@@ -51,16 +50,6 @@ def schedule(
     return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
 
 
-def encoder_tcp(arm: Arm, recording: Recording) -> Array:
-    """TCP (T, B, 3) [m] by the encoders; NaN without a new reading."""
-    tcp = np.full((*recording.active.shape, 3), np.nan)
-    rows = np.argwhere(recording.active)
-    for some in np.array_split(rows, 1 + len(rows) // _CHUNK):
-        at = tuple(some.T)
-        tcp[at] = tcp_position(arm, recording.position[at])
-    return tcp
-
-
 class _TargetVisit(NamedTuple):
     """Signals of one arm at one target, T rows."""
 
@@ -74,6 +63,8 @@ class _TargetVisit(NamedTuple):
     """(T, 3) [m] from the target, of the tool"""
     turned: Array
     """(T,) [rad] orientation error"""
+    position: Array
+    """(T, n) [rad]"""
 
 
 def metrics_of(
@@ -99,17 +90,15 @@ def metrics_of(
         last = np.where(recording.active, recording.target_index, -1).max(axis=0, initial=-1)
         spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
         columns["crossed"] = np.where(spared, np.nan, 0.0)
-    tcp, posture = encoder_tcp(arm, recording), np.full((*shape, arm.joints), np.nan)
-    away, away_true = tcp - recording.aim, recording.true_tcp - recording.target
-    for b, k, rows in _segments(recording, targets):
-        signals = (recording.since_target, tcp, away, away_true, recording.turned)
-        visit, found = _TargetVisit(*(signal[rows, b] for signal in signals)), dict[str, float]()
+    posture = np.full((*shape, arm.joints), np.nan)
+    for b, k, visit in _visits(arm, recording, shape[1]):
+        found = dict[str, float]()
         if "crossing" in kinds:
             found |= _crossed(visit, protocol, within_hold="hold" in kinds)
         if "hold" in kinds and visit.since[-1] >= protocol.hold:
             found |= _held(visit, protocol)
             if np.isnan(found["away_true_x"]):
-                posture[b, k] = recording.position[rows, b][_last(visit, protocol)].mean(axis=0)
+                posture[b, k] = visit.position[_last(visit, protocol)].mean(axis=0)
         for name, value in found.items():
             columns[name][b, k] = value
     if models and "hold" in kinds:
@@ -151,14 +140,22 @@ def _last(visit: _TargetVisit, protocol: Protocol) -> NDArray[np.bool_]:
     return np.asarray(visit.since > visit.since[-1] - protocol.window)
 
 
-def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDArray[np.intp]]]:
-    count, length = targets.shape[:2]
-    found = []
-    for b in range(count):
+def _visits(arm: Arm, recording: Recording, count: int) -> Iterator[tuple[int, int, _TargetVisit]]:
+    """Arms, targets of ``count``, and what was seen there."""
+    for b in range(recording.active.shape[1]):
         rows = np.flatnonzero(recording.active[:, b])
-        edges = np.searchsorted(recording.target_index[rows, b], np.arange(length + 1))
-        found += [(b, k, rows[edges[k] : edges[k + 1]]) for k in range(length) if edges[k + 1] > edges[k]]
-    return found
+        edges = np.searchsorted(recording.target_index[rows, b], np.arange(count + 1)).tolist()
+        for k, (first, end) in enumerate(pairwise(edges)):
+            at = rows[first:end], b
+            position, true = recording.position[at], recording.true_tcp[at]
+            if end > first:
+                tcp = tcp_position(arm, position)
+                away, away_true = tcp - recording.aim[at], true - recording.target[at]
+                yield (
+                    b,
+                    k,
+                    _TargetVisit(recording.since_target[at], tcp, away, away_true, recording.turned[at], position),
+                )
 
 
 def crossing(error: Array, threshold: float) -> tuple[bool, int]:

@@ -38,30 +38,20 @@ class Recommendation:
 class _Criterion:
     name: str
     results: dict[str, Array]
-    """(N,) per target by controller; smaller is better"""
+    """(N,) per target by controller; smaller is better; NaN: missing"""
     unit: str
     """format of a value"""
     factor: float = 1.0
     """to that unit"""
-    missing: float
-    """value of a missing result"""
     plain: float = np.inf
     """significant difference without an interval"""
     matters: float = 0.0
     """smallest relevant difference"""
 
-    def filled(self, name: str) -> Array:
-        """Results, a value for missing ones too."""
-        return np.where(np.isfinite(self.results[name]), self.results[name], self.missing)
-
     def mean(self, row: ControllerRow) -> float:
-        """Over all targets."""
-        return float(self.filled(row.controller).mean())
-
-    def show(self, row: ControllerRow, missing: str) -> str:
-        """Print the mean."""
-        mean = self.mean(row)
-        return self.unit.format(self.factor * mean) if np.isfinite(mean) else missing
+        """Over all targets; infinite where one is missing."""
+        values = self.results[row.controller]
+        return float(values.mean()) if np.isfinite(values).all() else np.inf
 
 
 def recommend(comparison: Comparison) -> Recommendation:
@@ -95,20 +85,14 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
     protocol = comparison.protocol
     narrow, *wider = map(int, np.argsort(protocol.within))
 
-    def results(metric: str) -> dict[str, Array]:
-        return {name: comparison.array(metric, name).ravel() for name in comparison.controllers}
+    def results(metric: str, missing: float = np.nan) -> dict[str, Array]:
+        arrays = {name: comparison.array(metric, name).ravel() for name in comparison.controllers}
+        return {name: np.where(np.isnan(array), missing, array) for name, array in arrays.items()}
 
-    missed = {name: 1.0 - crossed for name, crossed in results("crossed").items()}
+    missed = {name: 1.0 - crossed for name, crossed in results("crossed", 0.0).items()}
+    yield _Criterion(name="of the targets missed", results=missed, unit="{:.0f} %", factor=100.0, plain=0.0)
     yield _Criterion(
-        name="of the targets missed", results=missed, unit="{:.0f} %", factor=100.0, missing=1.0, plain=0.0
-    )
-    yield _Criterion(
-        name="settled error",
-        results=results("settled"),
-        unit="{:.2f} mm",
-        factor=1e3,
-        missing=np.inf,
-        plain=protocol.within[narrow],
+        name="settled error", results=results("settled"), unit="{:.2f} mm", factor=1e3, plain=protocol.within[narrow]
     )
     if comparison.orientations:
         asked = np.array(comparison.orientations)[:, None] != ""
@@ -118,27 +102,22 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
             results={name: np.where(rows, turned, 0.0) for name, turned in results("turned").items()},
             unit="{:.2f} deg",
             factor=float(np.degrees(1.0)),
-            missing=np.inf,
             plain=float(np.radians(1.0)),
         )
     for within in (narrow, *wider):
         yield _Criterion(
             name=f"to stay within {1e3 * protocol.within[within]:g} mm",
-            results=results(protocol.stay_names[within]),
+            results=results(protocol.stay_names[within], protocol.hold),
             unit="{:.2f} s",
-            missing=protocol.hold,
             matters=0.0 if within == narrow else SOONER,
         )
 
 
 def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow, shape: tuple[int, int, int]) -> bool:
     ours, theirs = criterion.results[best.controller], criterion.results[row.controller]
-    if not np.isfinite(criterion.missing):
-        lost = int(np.isnan(theirs).sum()) - int(np.isnan(ours).sum())
-        if lost:  # holds that the guard cut short: no number stands for them
-            return lost < 0
-    else:
-        ours, theirs = criterion.filled(best.controller), criterion.filled(row.controller)
+    lost = int(np.isnan(theirs).sum()) - int(np.isnan(ours).sum())
+    if lost:  # holds that the guard cut short: no number stands for them
+        return lost < 0
     estimate = paired_difference(theirs, ours, cluster(shape)[1])
     if estimate is not None and estimate.low is None:
         return estimate.value <= criterion.plain
@@ -146,10 +125,12 @@ def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow, shape: 
 
 
 def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
+    ours, theirs = (criterion.factor * criterion.mean(one) for one in (best, row))
     short = f"{row.controller}: holds cut short, so that no {criterion.name} is known."
-    if np.isfinite(criterion.mean(row)):
-        against = criterion.show(best, "fewer holds")
-        short = f"{row.controller}: {criterion.show(row, '')} {criterion.name}, against {against} of {best.controller}."
+    if np.isfinite(theirs):
+        against = criterion.unit.format(ours) if np.isfinite(ours) else "fewer holds"
+        short = f"{row.controller}: {criterion.unit.format(theirs)} {criterion.name}, against {against} of "
+        short += f"{best.controller}."
     return f"{short} {failure(row)}" if row.failures else short
 
 
