@@ -1,13 +1,12 @@
 """Bringing joints to postures: on the emulated worn arm, and by the parts of the law."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.controllers import posture as posture_control
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.controllers.posture import PostureController, PostureGains, _without
+from rejoint.control.controllers.posture import PostureController, _without
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
@@ -80,11 +79,11 @@ def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak():
     weak = np.zeros((20, 6), dtype=bool)
     weak[:, 3] = True
     position = posture - weak * np.radians(10.0)
-    goal = _without(ARM, posture, position, weak, PostureGains.turn)
+    goal = _without(ARM, posture, position, weak)
     np.testing.assert_array_equal(goal[:, 3], position[:, 3])
     away = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, posture), axis=-1)
     assert away.max() < 1e-4
-    nothing = _without(ARM, posture, posture, np.zeros_like(weak), PostureGains.turn)
+    nothing = _without(ARM, posture, posture, np.zeros_like(weak))
     np.testing.assert_allclose(nothing, posture, atol=1e-9)
 
 
@@ -94,9 +93,10 @@ def told(position, sent, time=0.0):
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.02])
-def test_it_begins_with_the_command_in_force(offset):
+def test_it_begins_with_the_command_in_force(offset, monkeypatch):
     sent = ARM.rest[None] + 0.05
-    controller = PostureController(ARM, offset=offset, gains=dataclasses.replace(PostureGains(), push=0.0))
+    monkeypatch.setattr(posture_control, "PUSH", 0.0)
+    controller = PostureController(ARM, offset=offset)
     np.testing.assert_allclose(controller.command(told(ARM.rest, sent)), sent, atol=1e-12)
 
 

@@ -33,7 +33,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
-from rejoint.control.controllers.posture import PostureGains
+from rejoint.control.controllers.posture import MOVING, PostureGains
 from rejoint.control.controllers.unloading import OFF, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
@@ -187,7 +187,7 @@ class ServedArm(Mover, Reference):
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
 
     def _judge_stopped(self, now: float) -> None:
-        slow = bool((np.abs(self._speed) < PostureGains.moving).all())
+        slow = bool((np.abs(self._speed) < MOVING).all())
         self._close_since = (self._close_since or now) if slow else None
         if self._close_since is not None and now - self._close_since >= STANDS:
             self._hold_here()

@@ -45,7 +45,7 @@ def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():
     servos = replace(worn_servos(2), offset=np.full((2, ARM.joints), 0.02))
     posture = np.stack([ARM.rest, ARM.rest + 0.1])
     expected = posture - 0.02 + gravity_torque(ARM, posture) / servos.stiffness
-    assert np.allclose(command_for(ARM, servos, np.stack([posture] * 3), 0.03), expected)
+    assert np.allclose(command_for(ARM, servos, np.stack([posture] * 3)), expected)
 
 
 def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():

@@ -22,32 +22,31 @@ STILL = 1.5
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
 
 
+# Chosen by `python -m benchmarks serve`:
+RATE = 4.0
+"""[1/s] integrated share of the error"""
+FADE = np.radians(0.3)
+"""[rad] error at which that fades to half"""
+PUSH, WITHIN = np.radians(5.0), np.radians(0.06)
+"""[rad/s] extra push at rest, and [rad] error without it"""
+TAKEN_BACK = 0.9
+"""removed share of the push after motion"""
+MOVING, STANDING = np.radians(5.0), np.radians(1.0)
+"""[rad/s] without correction, and of a stationary joint"""
+OFF = np.radians(0.3)
+"""[rad] error of a joint without torque"""
+TURN = 0.03
+"""[m/rad] of the tool's direction"""
+CALM = 0.15
+"""[s] within `STILL` of a stationary arm"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PostureGains:
-    """Settings; chosen by `python -m benchmarks serve`."""
+    """Settings; chosen likewise."""
 
-    rate: float = 4.0
-    """[1/s] integrated share of the error"""
-    fade: float = float(np.radians(0.3))
-    """[rad] error at which that fades to half"""
-    push: float = float(np.radians(5.0))
-    """[rad/s] extra push at rest"""
-    within: float = float(np.radians(0.06))
-    """[rad] error without a push"""
-    taken_back: float = 0.9
-    """removed share of the push after motion"""
-    moving: float = float(np.radians(5.0))
-    """[rad/s] without correction"""
-    standing: float = float(np.radians(1.0))
-    """[rad/s] of a stationary joint"""
     weak: float = float(np.radians(12.0))
     """[rad] following error without torque"""
-    off: float = float(np.radians(0.3))
-    """[rad] error of such a joint"""
-    turn: float = 0.03
-    """[m/rad] of the tool's direction"""
-    calm: float = 0.15
-    """[s] within `STILL` of a stationary arm"""
     close: float = 4e-4
     """[m] uncorrected tool error at rest"""
     again: float = 7e-4
@@ -131,14 +130,14 @@ class PostureController:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
         gains, posture = self._gains, wanted.goal
         lead, away = self._command - self._position, posture - self._position
-        off = wanted.arrived[:, None] & (np.abs(away) > gains.off)
-        spent = (np.abs(lead) > gains.weak) & (away * lead > 0.0) & (np.abs(self._speed) < gains.standing)
+        off = wanted.arrived[:, None] & (np.abs(away) > OFF)
+        spent = (np.abs(lead) > gains.weak) & (away * lead > 0.0) & (np.abs(self._speed) < STANDING)
         self._weak = (self._weak | spent) & off
         rows = self._weak.any(axis=1)
         if not rows.any():
             return posture
         goal = posture.copy()
-        goal[rows] = _without(self._arm, posture[rows], self._position[rows], self._weak[rows], gains.turn)
+        goal[rows] = _without(self._arm, posture[rows], self._position[rows], self._weak[rows])
         return goal
 
     def _at_rest(self, wanted: ControlInput) -> Mask:
@@ -146,28 +145,28 @@ class PostureController:
         gains = self._gains
         away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.goal)
         distance = np.linalg.norm(away, axis=-1)
-        stands = (self._stood >= gains.calm) & wanted.arrived
+        stands = (self._stood >= CALM) & wanted.arrived
         self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
         return self._rests
 
     def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> Array:
         """Integrate the ``error`` (B, n) [rad] of slow joints; returns the change."""
-        gains, size = self._gains, np.abs(error)
-        on_its_way = (np.abs(self._speed) > gains.moving) & (self._speed * error > 0.0)
-        push = gains.push * np.sign(error) * ((size > gains.within) & arrived)
-        added = elapsed * np.where(on_its_way, 0.0, gains.rate * error * size / (size + gains.fade) + push)
+        size = np.abs(error)
+        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * error > 0.0)
+        push = PUSH * np.sign(error) * ((size > WITHIN) & arrived)
+        added = elapsed * np.where(on_its_way, 0.0, RATE * error * size / (size + FADE) + push)
         loose = (moved != 0.0) & arrived & (self._pushed * moved > 0.0)
-        taken = np.where(loose, gains.taken_back * self._pushed, 0.0)
+        taken = np.where(loose, TAKEN_BACK * self._pushed, 0.0)
         self._learned = self._learned + added - taken
         return added
 
 
-def _without(arm: Arm, posture: Array, position: Array, weak: Mask, turn: float) -> Array:
+def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     """Postures (B, n) [rad] near ``posture`` with the same tool place and constant ``weak`` joints."""
     goal = np.where(weak, position, posture)
     place, direction = tcp_position(arm, posture), frames(arm, posture).tcp_rotation
     free = ~weak[:, None, :]
-    for weight, damping in ((turn, 0.004), (turn, 0.004), (turn, 0.004), (0.0, 0.001)):  # its place comes last
+    for weight, damping in ((TURN, 0.004), (TURN, 0.004), (TURN, 0.004), (0.0, 0.001)):  # its place comes last
         tool, jacobian = position_kinematics(arm, goal)
         seen = frames(arm, goal)
         turning = weight * rotation_error(seen.tcp_rotation, direction)

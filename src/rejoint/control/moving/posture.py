@@ -140,22 +140,26 @@ class Servos:
         return self.torque_limit / self.stiffness
 
 
-def speed_of(around: Array, step: float) -> Array:
-    """Speeds (B, n) [rad/s] in the middle of positions (3, B, n) [rad], ``step`` [s] apart."""
-    return (around[2] - around[0]) / (2.0 * step)
+STEP = 0.03
+"""[s] between places for speed and acceleration (chosen)"""
 
 
-def command_for(arm: Arm, servos: Servos, around: Array, step: float) -> Array:
+def speed_of(around: Array) -> Array:
+    """Speeds (B, n) [rad/s] in the middle of positions (3, B, n) [rad], `STEP` apart."""
+    return (around[2] - around[0]) / (2.0 * STEP)
+
+
+def command_for(arm: Arm, servos: Servos, around: Array) -> Array:
     """Commands (B, n) [rad] by the twin's inverse, with point masses; ``around`` as in `speed_of`."""
     f = frames(arm, around)
     centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
-    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / step**2 - GRAVITY
+    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / STEP**2 - GRAVITY
     force = arm.mass[:, None] * pull
     moment = np.cross(centre[1], force)
     # Of all that hangs on each joint: force and moment, the latter about the joint's own place.
     force, moment = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, moment))
-    links, speed = (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1), speed_of(around, step)
-    acceleration = (around[2] - 2.0 * around[1] + around[0]) / step**2
+    links, speed = (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1), speed_of(around)
+    acceleration = (around[2] - 2.0 * around[1] + around[0]) / STEP**2
     friction = servos.coulomb * np.tanh(speed / TURNING)
     torque = links + friction + servos.damping * speed + servos.armature * acceleration
     return around[1] - servos.offset + torque / servos.stiffness

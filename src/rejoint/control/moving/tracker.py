@@ -7,14 +7,12 @@ damping.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controllers.law import NOMINAL_PERIOD, Pace, limit_position
-from rejoint.control.moving.posture import Servos, command_for, joint_weights, speed_of
+from rejoint.control.moving.posture import STEP, Servos, command_for, joint_weights, speed_of
 from rejoint.control.robot import ControlInput, Mask
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
@@ -101,28 +99,21 @@ _SLOWER = 1.2  # times the usual period up to which a wire is as quick as ever (
 _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackerGains:
-    """Settings; chosen on the worn arms 30001 to 30004."""
-
-    stiffness: float = 1.25
-    """added, over the servo's"""
-    damping: float = 0.065
-    """[s] added, over the servo's stiffness"""
-    slow_damping: float = 0.12
-    """[s] for slow joints, against stick-slip (chosen)"""
-    slow: float = 0.08
-    """[rad/s] of a slow joint (chosen)"""
-    early: float = 0.0075
-    """[s] beyond delay and half a period: the servo's filter"""
-    pace: float = 1.0
-    """largest product of a joint's frequency [rad/s] and the delay (measured)"""
-    step: float = 0.03
-    """[s] between places for speed and acceleration"""
-    relief: float = 0.15
-    """[s] in which heavy joints take over from light ones"""
-    push_limit: float = float(np.radians(30.0))
-    """[rad] largest correction of a disturbance"""
+# Chosen on the worn arms 30001 to 30004:
+STIFFNESS = 1.25
+"""added, over the servo's"""
+ADDED_DAMPING = 0.065
+"""[s] added, over the servo's stiffness"""
+SLOW_DAMPING, SLOW = 0.12, 0.08
+"""[s] for joints slower than about [rad/s], against stick-slip"""
+EARLY = 0.0075
+"""[s] beyond delay and half a period: the servo's filter"""
+PACE = 1.0
+"""largest product of a joint's frequency [rad/s] and the delay (measured)"""
+RELIEF = 0.15
+"""[s] in which heavy joints take over from light ones"""
+PUSH_LIMIT = np.radians(30.0)
+"""[rad] largest correction of a disturbance"""
 
 
 class Tracker:
@@ -130,12 +121,8 @@ class Tracker:
 
     name = "tracker"
 
-    def __init__(
-        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD
-    ) -> None:
-        self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
-        self._usual = period
-        self._begun = False
+    def __init__(self, arm: Arm, servos: Servos, period: float = NOMINAL_PERIOD) -> None:
+        self._arm, self._servos, self._usual, self._begun = arm, servos, period, False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
         """Begin here; later resets change nothing."""
@@ -153,7 +140,7 @@ class Tracker:
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
-        gains, observer, now = self._gains, self._observer, inputs.state.time
+        observer, now = self._observer, inputs.state.time
         if self._last is not None:
             observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
         elapsed = self._pace.tick(now)
@@ -162,28 +149,28 @@ class Tracker:
         shift = self._relieve(position, position - planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
         away, speed = observer.soon(now)
-        ahead = self._servos.delay + 0.5 * self._period + gains.early
-        around = inputs.goals(ahead + gains.step * np.arange(-1.0, 2.0)[:, None]) + shift
-        self._wanted, self._last = command_for(self._arm, self._servos, around, gains.step), now.copy()
+        ahead = self._servos.delay + 0.5 * self._period + EARLY
+        around = inputs.goals(ahead + STEP * np.arange(-1.0, 2.0)[:, None]) + shift
+        self._wanted, self._last = command_for(self._arm, self._servos, around), now.copy()
         self._expected = around[1] + away
-        push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
-        damping = gains.damping + gains.slow_damping * np.exp(-((speed_of(around, gains.step) / gains.slow) ** 2))
-        held = gains.stiffness * away + damping * speed
+        push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
+        damping = ADDED_DAMPING + SLOW_DAMPING * np.exp(-((speed_of(around) / SLOW) ** 2))
+        held = STIFFNESS * away + damping * speed
         return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
 
     def _firm(self, mass: Array) -> Array:
         """Stable share (B, n) of the gains of joints with ``mass`` (B, n) [kg m^2]."""
         slower = np.maximum(self._period - _SLOWER * self._usual, 0.0)
         late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + slower)[:, None]
-        most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
-        return np.clip(most / self._gains.stiffness, 0.0, 1.0)
+        most = (PACE / late) ** 2 * mass / self._servos.stiffness - 1.0
+        return np.clip(most / STIFFNESS, 0.0, 1.0)
 
     def _relieve(self, position: Array, away: Array, elapsed: Array) -> Array:
         """Extra motion (B, n) [rad] of heavy joints for light ones ``away`` (B, n)."""
         light = joint_weights(self._arm) > 1.0
         jacobian = position_kinematics(self._arm, position)[1]
         missed = ((jacobian * light) @ away[..., None])[..., 0]
-        self._missed += (1.0 - np.exp(-elapsed / self._gains.relief))[:, None] * (missed - self._missed)
+        self._missed += (1.0 - np.exp(-elapsed / RELIEF))[:, None] * (missed - self._missed)
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
 
     def _effective(self, sent: Array) -> Array:
