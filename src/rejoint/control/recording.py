@@ -96,16 +96,16 @@ class Recording(Cycle):
         parts: dict[str, Any] = {item.name: getattr(self, item.name)[:, arms] for item in fields(Cycle)}
         return replace(self, **parts, tripped=self.tripped[arms])
 
-    def usual_period(self, b: int = 0) -> float:
-        """Median control period [s]; NaN: none."""
-        periods = np.diff(self.time[self.active[:, b], b])
+    def usual_period(self) -> float:
+        """Median control period [s] of the first arm; NaN: none."""
+        periods = np.diff(self.time[self.active[:, 0], 0])
         return float(np.median(periods)) if len(periods) else float("nan")
 
-    def gaps(self, b: int = 0) -> Array:
-        """Gap lengths (T,) [s], else 0."""
-        rows = np.flatnonzero(self.active[:, b])
-        elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
-        marked = (self.reasons[rows, b] & Reason.GAP) != 0
+    def gaps(self) -> Array:
+        """Gap lengths (T,) [s] of the first arm, else 0."""
+        rows = np.flatnonzero(self.active[:, 0])
+        elapsed = np.diff(self.time[rows, 0], prepend=self.time[rows[:1], 0])
+        marked = (self.reasons[rows, 0] & Reason.GAP) != 0
         gaps = np.zeros(len(self.time))
         gaps[rows] = np.where(marked & (elapsed > GAP), elapsed, 0.0)  # it also goes on so after a joint was led back
         return gaps
