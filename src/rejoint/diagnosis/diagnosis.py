@@ -180,7 +180,7 @@ def diagnose_logs(
     evidence = _evidence(arm, logs, excluded, height)
     if evidence.free_seconds < SHORTEST:
         raise InputError(
-            f"diagnosis: {evidence.free_seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s"
+            f"diagnosis: {evidence.free_seconds:.1f} s of free motion, expected at least {SHORTEST:.0f} s"
             f"{evidence.left_out}; record longer motions, off table and stops"
         )
     data = join_logs(arm, logs, excluded)
@@ -190,15 +190,17 @@ def diagnose_logs(
         rows.append(measure_joint(data, joint))
     measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
-    told = _by_effort(measurement, data.effort_unit or "")
+    grown = _grown(measurement, healthy)
+    told, condition = _by_effort(measurement, data.effort_unit, grown), "worn" if grown else "unknown"
     if not bare:
-        told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement))
-    unknown = not findings and all(row.lag_s is None for row in rows)
+        told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement, healthy))
+        told_of = healthy is not None and any(row.lag_s is not None for row in rows)
+        condition = _condition(findings) if findings or told_of else "unknown"
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
         arm=arm.name,
         robot=source,
-        condition="unknown" if unknown else _condition(findings),
+        condition=condition,
         verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
         findings=findings,
         unseen=(
@@ -239,7 +241,7 @@ def _verdict_of(
     joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
-    missed = error is not None and error.value > ((healthy and healthy.error_mm.high) or 0.0)
+    missed = error is not None and error.value > ((healthy and healthy.error_mm and healthy.error_mm.high) or 0.0)
     ringing, rings = ringing_most(findings), ""
     if ringing is not None and ringing not in worst:
         worst.append(ringing)
@@ -250,7 +252,7 @@ def _verdict_of(
 
 
 def _usual(healthy: HealthyReference | None) -> str:
-    if healthy is None:
+    if healthy is None or healthy.error_mm is None:
         return ""
     return f"; a healthy arm of this kind{healthy.setting}: {healthy.error_mm.value:.1f} mm"
 
@@ -337,10 +339,15 @@ def _motions(evidence: Evidence) -> str:
     return f"From {motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
 
 
-def _nothing(measurement: Measurement) -> str:
+def _nothing(measurement: Measurement, healthy: HealthyReference | None) -> str:
     unmeasured = [row.joint for row in measurement.joints if row.lag_s is None]
     if len(unmeasured) < len(measurement.joints):
         left = f"; they do not tell about {', '.join(unmeasured)}" if unmeasured else ""
+        if healthy is None:
+            return (
+                f"No joint of those that move is stuck, rings, hunts or rests beside its commands{left}. Other wear "
+                "shows only beside a healthy arm of this kind, and none is known (--healthy)."
+            )
         return f"No joint shows wear in these logs{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
@@ -348,15 +355,28 @@ def _nothing(measurement: Measurement) -> str:
     return f"Whether the arm is worn cannot be told: {why}."
 
 
-def _by_effort(measurement: Measurement, unit: str) -> str:
-    def said(found: Estimate | None, unit: str) -> str:
-        return "" if found is None else f"{found.value:.3g} {unit} ({found.low:.3g} to {found.high:.3g})"
+def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[str] | None:
+    """Joints with more friction than the healthy arm, by torque or current; None without such an arm."""
+    if healthy is None:
+        return None
+    pairs = [
+        (row.coulomb_effort, good.coulomb_effort) for row, good in zip(measurement.joints, healthy.joints, strict=True)
+    ]
+    above = [bool(now and usual and (now.low or 0.0) > (usual.high or np.inf)) for now, usual in pairs]
+    return [row.joint for row, more in zip(measurement.joints, above, strict=True) if more]
 
-    rows = [row for row in measurement.joints if row.coulomb_effort is not None]
+
+def _by_effort(measurement: Measurement, unit: str | None, grown: list[str] | None) -> str:
+    def said(found: Estimate | None, unit: str) -> str:
+        return "" if found is None else f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
+
+    rows, unit = [row for row in measurement.joints if row.coulomb_effort is not None], f" {unit}" if unit else ""
     named = "; ".join(
         f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}" for row in rows
     )
+    than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
     return (
-        f"These logs hold no commands: whether the arm is worn cannot be told. Dry friction, and friction by speed, by "
-        f"what the motors give: {named or 'not known, as no joint moves in both directions for long enough'}."
+        f"These logs hold no commands{'' if grown else ': whether the arm is worn cannot be told'}. Dry friction, and "
+        f"friction by speed, by what the motors give{'' if unit else ', in the unit of the column'}: "
+        f"{named or 'not known, as no joint moves in both directions for long enough'}.{than}"
     )

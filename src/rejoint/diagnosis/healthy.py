@@ -73,8 +73,8 @@ class HealthyReference:
     motors_kg_m2: tuple[float | None, ...]
     """of motor and gear at each joint"""
     joints: tuple[JointMetrics, ...]
-    error_mm: Estimate
-    """of ten targets open loop, by encoders"""
+    error_mm: Estimate | None
+    """of ten targets open loop, or at rest, by encoders"""
     hidden_mm: Estimate | None
     """between tool and encoders"""
     setting: str = ""
@@ -128,7 +128,7 @@ def as_set(
     return replace(
         whole,
         joints=tuple(rows),
-        error_mm=scaled(whole.error_mm, of / typical / float(share.mean())),
+        error_mm=whole.error_mm and scaled(whole.error_mm, of / typical / float(share.mean())),
         source=f"{whole.source},{setting}",
         setting=setting,
     )
@@ -245,25 +245,23 @@ def _spread(ends: Array) -> Array:
     return np.array([mean, mean - half, mean + half])
 
 
-POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
+POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s", "coulomb_effort")
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
     """Make a reference from a diagnosis, widened by the spread between arms.
 
-    InputError for another arm or too few numbers.
+    InputError for another arm.
     """
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
     error = None if good.evidence is None else good.evidence.rest_error_mm
     error = error if good.open_loop is None else good.open_loop.error_mm
-    if error is None:
-        raise InputError("the diagnosis of the arm known to be good says nothing about rest; take another one")
     return HealthyReference(
         arm=arm.name,
         source=f"an arm known to be good ({good.robot})",
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
-        error_mm=_factor([error]),
+        error_mm=None if error is None else _factor([error]),
         hidden_mm=None,
     )

@@ -10,8 +10,19 @@ import numpy as np
 from rejoint.arms import CATALOGUE, Arm, link_inertia
 from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis import metrics
-from rejoint.diagnosis.metrics import INERTIA, LAG, OFFSET, SOFTNESS, WIDTH, Law, arm_delay, fit_law, torque_given
-from rejoint.diagnosis.regression import product, reciprocal, scaled, shifted, within
+from rejoint.diagnosis.metrics import (
+    INERTIA,
+    LAG,
+    OFFSET,
+    SOFTNESS,
+    WIDTH,
+    Law,
+    arm_delay,
+    fit_law,
+    fit_torque,
+    torque_given,
+)
+from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
 from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
@@ -26,6 +37,9 @@ stiffness, at most 0.74 with gravity fed forward
 
 MASSES = 0.05
 """Relative sigma of a joint's gravity torque by a stranger's model; chosen"""
+
+TORQUES = 0.05
+"""Relative sigma of logged torques; chosen"""
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
 """Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
@@ -125,8 +139,8 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
     """Measure one joint from joined logs."""
     law = fit_law(data, joint)
-    k = _by_sag(data.arm, law, KNOWN_WITHIN)
-    row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "gravity"))
+    k = _known(data, joint, law)
+    row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "statics"))
     load = float(np.quantile(np.abs(data.gravity[:, joint]), 0.995))
     return replace(row, torque_seen_nm=load + (0.0 if row.coulomb_nm is None else row.coulomb_nm.value))
 
@@ -179,31 +193,30 @@ def _stiffness(
     return found
 
 
-def sag(data: ExcitationLog, joint: int) -> tuple[float, float | None]:
-    """Sag per gravity torque [rad/(N m)] of a joint, infinite if unknown, and relative sigma of the model's gravity.
-
-    The sigma is None where the sag does not tell the stiffness.
-    """
+def sag(data: ExcitationLog, joint: int) -> tuple[float, Estimate | None]:
+    """Sag per gravity torque [rad/(N m)] of a joint, infinite if unknown, and its stiffness, if that is known."""
     law = fit_law(data, joint)
-    if law is None:
-        return np.inf, None
-    known = _by_sag(data.arm, law, KNOWN_WITHIN) is not None
-    return float(law.fit.coefficients[SOFTNESS]), _doubt(data.arm, law) if known else None
+    return np.inf if law is None else float(law.fit.coefficients[SOFTNESS]), _known(data, joint, law)
 
 
-def _doubt(arm: Arm, law: Law) -> float:
-    """Relative sigma of the model's gravity torque."""
-    return 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
+def _known(data: ExcitationLog, joint: int, law: Law | None) -> Estimate | None:
+    """Stiffness by logged torque, else by gravity."""
+    return _slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) or _by_sag(data.arm, law, KNOWN_WITHIN)
 
 
 def _by_sag(arm: Arm, law: Law | None, ratio: float) -> Estimate | None:
-    """Stiffness by gravity; None if its ends are ``ratio`` apart, or if the sag does not follow the model."""
+    """Stiffness by gravity; None if the sag does not follow the model, or as `_slope`."""
     if law is None or law.follows < FOLLOWS or law.torque_range < LOADED * torque_size(arm):
         return None
-    if law.fit.coefficients[SOFTNESS] <= 0:
+    doubt = 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
+    return _slope(law.fit, doubt, ratio)
+
+
+def _slope(fit: LinearFit | None, doubt: float, ratio: float) -> Estimate | None:
+    """Stiffness by following error over a torque of relative sigma ``doubt``; None if its ends are ``ratio`` apart."""
+    if fit is None or fit.coefficients[SOFTNESS] <= 0:
         return None
-    doubt = within(1.0, min(2.0 * _doubt(arm, law), 1.0))
-    k = product(reciprocal(law.fit.estimate(SOFTNESS)), doubt)
+    k = product(reciprocal(fit.estimate(SOFTNESS)), within(1.0, min(2.0 * doubt, 1.0)))
     return None if not k.low or k.high is None or k.high > ratio * k.low else k
 
 

@@ -58,6 +58,8 @@ class Averages:
     """(N,) [N m] that holds the arm"""
     effort: Array
     """(N,) torque or current, in the log's unit; else zero"""
+    load: Array
+    """(N,) [N m] that gravity and the links' inertia take; without effort only gravity"""
     cluster: NDArray[np.intp]
     """(N,) number of the motion; of independent observations"""
     time: Array
@@ -125,6 +127,7 @@ def _averages(
         direction=average(np.tanh(smooth / _STILL_SPEED), window),
         gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window),
         effort=average(np.interp(time, log.time, data.effort[:, joint]), window),
+        load=average(np.interp(time, log.time, data.load[:, joint]), window),
         cluster=first_cluster + (begins / duration).astype(np.intp),
         time=time[0] + begins + 0.5 * length,
     ).at(read)
@@ -158,6 +161,9 @@ _SETTLING = 0.2
 
 _MOVING = 0.7
 """Averaged direction of a moving window; chosen: 0.04 rad/s"""
+
+_TURNING = 0.9
+"""The same of a window that tells friction by effort, without the standstill between; chosen: 0.07 rad/s"""
 
 _SLOW, _GENTLE = 0.6, 5.0
 """[rad/s] and [rad/s^2] of slow motion; chosen"""
@@ -266,11 +272,30 @@ def gravity_terms(arm: Arm, position: Array) -> Array:
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
-    """Fit torque or current to the terms of the law; None with too little motion."""
+    """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion."""
     motion = _motion(data, joint, np.zeros(1), fast=True)
+    motion = motion.at(np.abs(motion.direction) > _TURNING)
     if data.effort_unit is None or not motion.enough:
         return None
-    return fit_trimmed(motion.design, motion.effort, motion.cluster)
+    design = motion.design
+    design[:, WIDTH], design[:, SOFTNESS] = motion.direction, motion.load
+    return fit_trimmed(design, motion.effort, motion.cluster)
+
+
+def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
+    """Fit the following error to logged torque [N m], speeds, and gravity that may be fed forward; None without torque.
+
+    A servo's torque over its following error is its stiffness, whatever the links weigh. A delay shows as the
+    command's speed.
+    """
+    if data.log.torque is None or data.log.units.get("torque") != "N m" or not data.log.commanded:
+        return None
+    motion = _motion(replace(data, log=replace(data.log, current=None)), joint, np.zeros(1), fast=True)
+    if not motion.enough:
+        return None
+    design = motion.design
+    design[:, WIDTH], design[:, INERTIA], design[:, SOFTNESS] = motion.command_speed, motion.gravity, motion.effort
+    return fit_trimmed(design, motion.error[0], motion.cluster)
 
 
 def followed(data: ExcitationLog, joint: int) -> float | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms.kinematics import frames
 from rejoint.logs.exclusions import Exclusions, Rows, free_runs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -101,6 +103,12 @@ class ExcitationLog:
         way = speed * np.maximum(time - log.time[row], 0.0)
         return start + np.clip(goal - start, -way, way)
 
+    @cached_property
+    def load(self) -> Array:
+        """(T, n) [N m] that gravity and, where effort is logged, the links' inertia take."""
+        moving = 0.0 if self.effort_unit is None else inertial_torque(self.arm, self.log.time, self.log.position)
+        return self.gravity + moving
+
     @property
     def effort(self) -> Array:
         """(T, n) measured current, else torque, else zero."""
@@ -133,6 +141,25 @@ class ExcitationLog:
             raise InputError(
                 f"run log {self.log.label} holds too few {what} of joint {joint + 1}; record the excitation again"
             )
+
+
+def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
+    """Torques (T, n) [N m] for the acceleration of the links along ``position`` (T, n) [rad] at ``time`` (T,) [s].
+
+    Differences are not smoothed: averages under a window do that.
+    """
+    f = frames(arm, position)
+
+    def rate(values: Array) -> Array:
+        return np.asarray(np.gradient(values, time, axis=0))
+
+    com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
+    spin = np.cumsum(rate(position)[..., None] * f.axis, axis=1)
+    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    force = arm.mass[:, None] * rate(rate(com))
+    moment = np.cross(com, force) + rate(np.einsum("...ij,...j->...i", inertia, spin))
+    force, moment = (np.cumsum(one[:, ::-1], axis=1)[:, ::-1] for one in (force, moment))  # of all behind each joint
+    return np.asarray((f.axis * (moment - np.cross(f.position, force))).sum(axis=-1))
 
 
 def _ramp(arm: Arm, log: RunLog) -> Array:

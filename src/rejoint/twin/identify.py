@@ -55,6 +55,7 @@ from rejoint.twin.structure import (
     expressible,
     find_acceleration,
     find_structure,
+    given,
     rough_fit,
     simplest,
 )
@@ -161,25 +162,16 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
         mean[place] = mean[place].mean()
         covariance[np.ix_(place, place)] = COMMON**2 + OWN**2 * np.eye(len(group))
     within = np.broadcast_to(lines.within, arm.joints)
-    for joint in [joint for joint in np.concatenate(alike) if np.isfinite(within[joint])]:
+    shown = [joint for joint in np.concatenate(alike) if np.isfinite(within[joint])]
+    for joint in shown:
         covariance[gains.start + joint, gains.start + joint] = ANY**2
+    sigma = np.sqrt(np.diag(covariance))
+    known = replace(belief, mean=mean, sigma=sigma, correlation=covariance / np.outer(sigma, sigma))
+    for joint in shown:
         row = np.zeros(len(mean))
         row[gains.start + joint], row[limits.start + joint] = 1.0, -1.0
-        mean, covariance = _seen(mean, covariance, row, float(np.log(lines.gain[joint])), float(within[joint]))
-    sigma = np.sqrt(np.diag(covariance))
-    return replace(
-        belief,
-        mean=np.clip(mean, belief.lower, belief.upper),
-        sigma=sigma,
-        correlation=covariance / np.outer(sigma, sigma),
-    )
-
-
-def _seen(mean: Array, covariance: Array, row: Array, value: float, error: float) -> tuple[Array, Array]:
-    """Mean (k,) and covariance (k, k) given ``value`` of ``row`` (k,) times the parameters."""
-    reach = covariance @ row
-    share = reach / (row @ reach + error**2)
-    return mean + share * (value - row @ mean), covariance - np.outer(share, reach)
+        known = given(known, row, float(np.log(lines.gain[joint])), float(within[joint]))
+    return known
 
 
 def identify(
@@ -241,7 +233,7 @@ def fitted_twin(
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
     replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
     covariance = uncertainty(problem, found, clusters)
-    narrowing = np.sqrt(np.diag(covariance)) / belief.sigma
+    narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held = largest_static_torque(replay.arm, replay.logs, parameters.coulomb)
     limited = identified[problem.layout.at("torque_limit")]

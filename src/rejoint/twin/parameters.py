@@ -44,7 +44,7 @@ class TwinParameters:
     ramp_speed: Array
     """(...) [rad/s] speed of the servo's reference"""
     compensation: Array = field(default_factory=lambda: np.zeros(()))
-    """(..., n) share of gravity's torque that the controller feeds forward; 0 for hobby servos"""
+    """(..., n) share of the model's gravity that does not show, fed forward or too heavy; 0 for hobby servos"""
 
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
@@ -104,8 +104,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
               nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
               wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
-    Parameter(name="compensation", unit="1", meaning="share of gravity's torque that the controller feeds forward",
-              nominal=0.0, sigma=0.01, lower=0.0, upper=1.0, log=False, fitted=False),
+    Parameter(name="compensation", unit="1", meaning="share of the model's gravity torque that the controller feeds "
+              "forward, or by which the model is too heavy",
+              nominal=0.0, sigma=0.01, lower=-1.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
@@ -248,6 +249,8 @@ class Prior:
     upper: Array
     correlation: Array | None = None
     """(k, k); None: uncorrelated"""
+    told: Array | None = None
+    """(k,) sigma before the logs told a stiffness; None: ``sigma``"""
 
     def groups(self, joints: int) -> NDArray[np.integer]:
         """(n,) number of each joint's group."""

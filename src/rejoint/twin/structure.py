@@ -15,6 +15,7 @@ from rejoint.diagnosis.measurement import sag
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
+from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import Layout, Prior, is_hobby, number
 from rejoint.twin.replay import Window
@@ -76,21 +77,38 @@ class Structure:
     """[rad/s^2] of the reference, while commands change"""
 
 
-def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
-    """Assume gravity fed forward at joints whose sag does not tell their stiffness, but for hobby servos.
+def given(belief: Prior, row: Array, value: float, error: float) -> Prior:
+    """Prior given a ``value`` with an ``error`` (sigma) of ``row`` (k,) times the parameters."""
+    covariance = np.linalg.inv(belief.precision)
+    reach = covariance @ row
+    share = reach / (row @ reach + error**2)
+    covariance -= np.outer(share, reach)
+    sigma = np.sqrt(np.diag(covariance))
+    mean = np.clip(belief.mean + share * (value - row @ belief.mean), belief.lower, belief.upper)
+    return replace(belief, mean=mean, sigma=sigma, correlation=covariance / np.outer(sigma, sigma))
 
-    Their sag is then that of the prior's stiffness; the others' sigma contains gravity that no sag follows.
+
+def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
+    """Take over the stiffness that torque or sag tells, and what it tells of equal servos, but for hobby servos.
+
+    Gravity that does not show in the sag is fed forward, or the model is too heavy. The sigma of ``compensation`` is
+    that of the scale.
     """
     if is_hobby(arm):
         return belief
-    data, mean, layout = join_logs(arm, logs, excluded), belief.mean.copy(), Layout(arm.joints)
-    sigma, fed = belief.sigma.copy(), layout.at("compensation")
-    stiffness, share = np.exp(mean[layout.at("stiffness")]), mean[fed]
-    for joint in range(arm.joints):
-        softness, doubt = sag(data, joint)
-        share[joint] = np.clip(1.0 - softness * stiffness[joint], LEAST_FED, 1.0) if doubt is None else 0.0
-        sigma[fed][joint] = doubt or sigma[fed][joint]
-    return replace(belief, mean=mean, sigma=sigma)
+    data, layout, known = join_logs(arm, logs, excluded), Layout(arm.joints), belief
+    stiffness, fed = layout.at("stiffness"), layout.at("compensation")
+    found = [sag(data, joint) for joint in range(arm.joints)]
+    for place, (_, k) in enumerate(found, start=stiffness.start):
+        if k is not None and k.low and k.high:
+            error = np.log(k.high / k.low) / (2 * NORMAL95)
+            known = given(known, np.eye(layout.size)[place], np.log(k.value), error)
+    mean, sigma = known.mean.copy(), known.sigma.copy()
+    least = np.where([k is None for _, k in found], LEAST_FED, -1.0)
+    share = 1.0 - np.array([softness for softness, _ in found]) * np.exp(mean[stiffness])
+    mean[fed] = np.clip(share, least, 1.0)
+    sigma[fed] = sigma[stiffness]
+    return replace(known, mean=mean, sigma=sigma, told=belief.sigma)
 
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:

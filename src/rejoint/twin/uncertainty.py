@@ -42,7 +42,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
     jacobian = _steadied(problem, fit, jacobian, covariance)
     curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
     covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
-    covariance += _fed_forward(problem, fit.vector)
+    covariance += _fed_forward(problem)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     return np.asarray(0.5 * (covariance + covariance.T))
 
@@ -54,10 +54,9 @@ def _resolution(problem: Problem, x: Array) -> Array:
     return np.outer(step, step) * (problem.owner[:, None] == problem.owner)
 
 
-def _fed_forward(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of each joint's common scale: the gravity's, or the prior's where the sag does not tell it."""
-    at, owner, sigma = problem.layout.at, problem.owner, problem.prior.sigma
-    scale = np.where(x[at("compensation")] > 0.0, sigma[at("stiffness")], sigma[at("compensation")])
+def _fed_forward(problem: Problem) -> Array:
+    """Covariance (k, k) of each joint's common scale."""
+    owner, scale = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
     step = np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0)
     return np.outer(step, step) * (owner[:, None] == owner)
 
