@@ -21,6 +21,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.logs.columns import ColumnFrame, RawMotion, RecordedMotion, angles_of, begun
 from rejoint.logs.joints import ImportOptions
+from rejoint.logs.readers import Reader
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
@@ -37,25 +38,14 @@ _CHUNK_MOST = 1000 * MEGABYTE
 
 Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
 """Topics and their types; and decoded messages of some topics, with topic and time of recording [ns]"""
+Opener = Callable[[Path], AbstractContextManager[Opened]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Store:
-    """A kind of file with messages; a `Reader` of bags, each with one motion."""
-
-    magic: dict[str, bytes]
-    """first bytes by ending; empty: any"""
-    open: Callable[[Path], AbstractContextManager[Opened]]
-
-    def found(self, source: Path, _: ImportOptions) -> list[Path]:
-        """Files of this kind, sorted by name."""
-        files = sorted(source.iterdir()) if source.is_dir() else [source]
-        magics = [(file, self.magic.get(file.suffix) or (file is source and self.magic.get(""))) for file in files]
-        return [file for file, magic in magics if magic and begins_with(file, magic)]
-
-    def read(self, file: Path, options: ImportOptions) -> list[RawMotion]:
-        """Read a bag; FileError."""
-        return [_read(self, file, options)]
+def _bags(magic: dict[str, bytes], source: Path, _: ImportOptions) -> list[Path]:
+    """Files with the ``magic`` first bytes of their ending, sorted by name; the empty ending is any, of one file."""
+    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    magics = [(file, magic.get(file.suffix) or (file is source and magic.get(""))) for file in files]
+    return [file for file, found in magics if found and begins_with(file, found)]
 
 
 @contextmanager
@@ -109,9 +99,6 @@ def _open_rosbag(file: Path) -> Iterator[Opened]:
 
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-MCAP = Store(magic={"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}, open=_open_mcap)
-ROSBAG = Store(magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, open=_open_rosbag)
-
 STATES = ("JointState", "JointStates")
 """Message types with joint positions and names"""
 TRAJECTORY, ARRAY, CONTROLLER = "JointTrajectory", "Float64MultiArray", "JointTrajectoryControllerState"
@@ -139,12 +126,13 @@ class Message:
     """(K, n) positions, velocities and accelerations of the points, as far as all have them"""
 
 
-def _read(store: Store, file: Path, options: ImportOptions) -> RawMotion:
+def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]:
+    """Read the motion of a bag; FileError."""
     require(f"{file}: reading bags", "logs")
     notes: list[str] = []
     found: dict[str, list[Message]] = {}
     try:
-        with store.open(file) as (held, read):
+        with opened(file) as (held, read):
             groups = _topics(held, options, file, notes)
             for topic, time, content in read({*groups}):
                 messages = found.setdefault(topic, [])
@@ -181,7 +169,7 @@ def _read(store: Store, file: Path, options: ImportOptions) -> RawMotion:
             motion = motion._replace(complete=partial(_planned, messages, times, f"command topic {topic}"))
         else:
             motion.frames.append(_frame(messages, times, file, topic, options, notes))
-    return motion
+    return [motion]
 
 
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
@@ -344,3 +332,7 @@ def _present(motion: RecordedMotion, time: float) -> Array:
     speed = (motion.position[row] - motion.position[before]) / max(motion.time[row] - motion.time[before], 1e-9)
     position = np.array([np.interp(time, motion.time, one) for one in motion.position.T])
     return np.stack([position, speed, np.zeros_like(position)])[None]
+
+
+MCAP = Reader(partial(_bags, {"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}), partial(_read, _open_mcap))
+ROSBAG = Reader(partial(_bags, {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}), partial(_read, _open_rosbag))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.logs.bags import MCAP, ROSBAG, Store
+from rejoint.logs.bags import MCAP, ROSBAG
 from rejoint.logs.columns import FEWEST, RawMotion, RecordedMotion, read_motion
 from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
@@ -133,7 +133,7 @@ class Imported:
     """failed logs with reasons"""
 
 
-READERS: dict[str, Reader | Store] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
+READERS: dict[str, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 FORMATS = tuple(READERS)
 """Importable formats"""
 

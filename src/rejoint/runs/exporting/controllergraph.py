@@ -70,8 +70,6 @@ class Design:
     network: bytes | None
     """the policy's ONNX file; None: the law alone, the feed-forward controller"""
     name: str = "policy"
-    damping: tuple[float, ...] = ()
-    """[N m s/rad] of the servos, or ()"""
     periods: tuple[float, float] = (0.018, 0.055)
     """[s] shortest and longest control period"""
     gains: str = ""

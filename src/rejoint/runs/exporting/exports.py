@@ -17,7 +17,6 @@ from rejoint.arms.workspace import torque_size
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, FeedforwardController
-from rejoint.control.controllers.law import STEP_LIMIT
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -33,7 +32,6 @@ from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
     from rejoint.runs.exporting.controllergraph import Design
-    from rejoint.twin.twin import Twin
 
 
 Kind = Literal["urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2"]
@@ -183,8 +181,12 @@ def design_of(run: Run, best: str) -> Design:
         policy, name = shelf_policy(arm), f"{SHELF} policy"
     elif best != name and run.folder.policy.exists():
         policy, name = as_policy(run.folder.policy), POLICY
-    design = Design(arm=arm, law=_feedforward_law(arm, twin), network=None, name=name, periods=_PERIODS)
-    if policy is not None:
+    if policy is None:
+        nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
+        stiffness = nominal if twin is None else twin.parameters.stiffness
+        law = CommandLaw(anchor="goal", stiffness=tuple(stiffness.tolist()), envelope_margin=2.0 * np.pi)
+        design = Design(arm=arm, law=law, network=None, name=name, periods=_PERIODS)
+    else:
         contract = policy.contract
         check_contract(contract, arm)
         if contract.law.anchor != "goal" or contract.layout != "residual":
@@ -192,28 +194,12 @@ def design_of(run: Run, best: str) -> Design:
                 f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
                 "expected 'goal' and 'residual'; train with the default preset"
             )
-        periods, gains = (contract.min_period, contract.max_period), contract.servo_gains
-        design = replace(design, law=contract.law, network=policy.content, periods=periods)
-        design = replace(design, gains="" if gains is None else in_words(gains))
-    if twin is not None:
-        design = replace(design, damping=tuple(float(value) for value in twin.parameters.damping))
+        periods, gains = (contract.min_period, contract.max_period), in_words(contract.servo_gains or {})
+        design = Design(arm=arm, law=contract.law, network=policy.content, name=name, periods=periods, gains=gains)
     written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
     if written == name:
         return design
     return replace(design, instead=f"{best} cannot be written so; this is the {name} of the run instead.")
-
-
-def _feedforward_law(arm: Arm, twin: Twin | None) -> CommandLaw:
-    stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm)) if twin is None else twin.parameters.stiffness
-    return CommandLaw(
-        anchor="goal",
-        stiffness=tuple(float(value) for value in stiffness),
-        step_limit=float(STEP_LIMIT),
-        authority_floor=0.0,
-        authority_slope=0.0,
-        load_penalty=0.0,
-        envelope_margin=2.0 * np.pi,
-    )
 
 
 def notice(design: Design) -> str:
@@ -222,22 +208,16 @@ def notice(design: Design) -> str:
 
 
 def metadata(design: Design) -> dict[str, str]:
-    """Metadata: the keys of C++ policy runtimes, and a description."""
-    n, (low, high) = design.arm.joints, design.periods
+    """Metadata: a description."""
+    low, high = design.periods
     return {
         "joint_names": ",".join(design.arm.joint_names),
-        "joint_stiffness": _list(design.law.stiffness),
-        **({"joint_damping": _list(design.damping)} if design.damping else {}),
-        "default_joint_pos": _list([0.0] * n),
-        "action_scale": _list([1.0] * n),
-        "command_names": "target",
-        "observation_names": "joint_pos,target,period,state_in",
         "rejoint.controller": design.name,
         "rejoint.arm": design.arm.name,
         "rejoint.period_s": f"{low:g},{high:g}",
         "rejoint.memory_use": (
             "zeros begin again; where a command was limited on its way, write what was sent into the first "
-            f"{n} entries of state_out before it goes back as state_in"
+            f"{design.arm.joints} entries of state_out before it goes back as state_in"
         ),
         **({"rejoint.servo_gains": design.gains} if design.gains else {}),
         "rejoint.not_inside": notice(design),
@@ -292,10 +272,6 @@ pipeline:
 frequency: {2.0 / (low + high):.4g}
 system information: {{leapp config version: '1.3', written by: rejoint}}
 """
-
-
-def _list(values: object) -> str:
-    return ",".join(f"{value:.9g}" for value in np.asarray(values, dtype=float))
 
 
 _TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
