@@ -203,8 +203,8 @@ FEWEST = 2
 """Rows of a log"""
 RECORD_AGAIN = "record it again"
 _MEASURED = ("torque", "current", "gain", "powered", *POINTS)
-_TIMES = ("time", "t", "timestamp")
 _TITLES = {
+    "time": ("time", "t", "timestamp"),
     "position": ("position", "pos", "q", "actual", "act", "present_position", "actual_q", "state.q"),
     "command": ("command", "cmd", "goal", "goal_position", "tgt", "q_cmd", "positioncmptd", "target_q", "state.q_d"),
     "torque": ("torque", "effort", "tau", "tau_measured", "state.tau_j"),
@@ -514,9 +514,6 @@ class _GroupedColumns:
 
 def _classified(title: str) -> tuple[str, str, str, str | None] | None:
     """Prefix, group, joint or axis, and unit of a title; None: another title."""
-    stem, unit = split_unit(title, TIME_UNITS)
-    if stem.casefold() in _TIMES:
-        return stem.casefold(), "time", "", unit
     for prefix, group in _PREFIXES:
         if not title.casefold().startswith(prefix):
             continue
@@ -524,6 +521,7 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
         rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
         found = _JOINT.fullmatch(rest[1:])
         name = found and (found["number"] or found["name"] or "")
-        if name is not None and (group not in POINTS or name in AXES):
+        names = {"time": ("",), **dict.fromkeys(POINTS, AXES)}.get(group)
+        if name is not None and (names is None or name in names):
             return prefix, group, name, spelled.get(unit or "")
     return None

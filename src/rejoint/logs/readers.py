@@ -21,7 +21,7 @@ from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
-from rejoint.system.textfile import TEXT_MOST, head, read_sheet
+from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, split_unit
 
 
 class Reader(NamedTuple):
@@ -131,7 +131,7 @@ def _records(file: Path) -> tuple[dict[str, Array], str]:
 
 
 def _archive(file: Path) -> tuple[dict[str, Array], str]:
-    """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on."""
+    """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on, with the unit of NAME at their ends."""
     with reading(file, "no archive of NumPy arrays", _AGAIN):
         require_file(file, LOG_MOST, "cut it into several files")
         with zipfile.ZipFile(file) as archive:
@@ -145,7 +145,9 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     columns: dict[str, Array] = {}
     for name, one in numbers.items():
         if len(one) == rows:
-            titles = [name] if one.ndim == 1 else [f"{name}_{i}" for i in range(one.shape[1])]
+            stem, unit = split_unit(name, ANGLES)
+            ending = f"_{unit}" * bool(unit)
+            titles = [name] if one.ndim == 1 else [f"{stem}_{i}{ending}" for i in range(one.shape[1])]
             columns |= zip(titles, one.reshape(rows, -1).T.astype(float), strict=True)
     return columns, "a NumPy archive"
 
