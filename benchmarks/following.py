@@ -3,10 +3,10 @@
     python -m benchmarks following --arms 64 --first 0
 
 Arms are drawn, driven through their diagnosis, and then by every controller to targets of their own; where encoders
-break, once more with the same noise and a fault. Four monitors look on and stop nothing, so that all of them see the
+break, once more with the same noise and a fault. Three monitors look on and stop nothing, so that all of them see the
 same motion: one that knows what a run folder tells of its arm, the lines of load over error and at which pushes joints
-stand by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told the load, but
-knows nothing; one that is told nothing but positions.
+stand by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told nothing but
+positions.
 
 ``--first`` is added to all seeds: constants are chosen with
 other draws than those that judge them.
@@ -29,6 +29,7 @@ from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines, standing_bands
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
+from rejoint.diagnosis.measurement import measure
 from rejoint.system.errors import GuardTripError
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.servo import Channel, Delays, Interval, Keys
@@ -65,7 +66,7 @@ TARGETS, DWELL = 4, 2.5
 """Targets of a run, and [s] for each"""
 FAR = 0.030
 """[m] off its way that the tool may be before the trip"""
-MONITORS = ("diagnosed", "diagnosed, no load told", "load alone", "positions alone")
+MONITORS = ("diagnosed", "diagnosed, no load told", "positions alone")
 THREADS = 2
 
 
@@ -180,7 +181,8 @@ def diagnosed(wears: list[Wear], wire: str, seed: int) -> Diagnosed:
     for logs in recorded(wears, wire, seed):
         pair = () if logs is None else (logs.excitation, logs.targets)
         found.append(servo_lines(ARM, pair) or unknown)
-        bands.append(standing_bands(ARM, pair))
+        law = 2 * [np.full(ARM.joints, np.nan)] if logs is None else measure(ARM, logs.excitation).balance
+        bands.append(standing_bands(ARM, pair, *law))
 
     def stacked(name: str) -> Array:
         return np.array([np.broadcast_to(getattr(servos, name), ARM.joints) for servos in found])
@@ -213,7 +215,6 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
         Following(ARM, state, sent, known.servos, bands=known.bands),
         Following(ARM, state, sent, bands=known.bands),
         Following(ARM, state, sent),
-        Following(ARM, state, sent),
     ]
     trip, joint = np.full((len(watchers), count), np.inf), np.full((len(watchers), count), -1)
     done, aimed, speed = np.zeros(count, bool), np.ones(count, bool), np.zeros_like(sent)
@@ -224,7 +225,7 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
         index, begun = index + renewed, np.where(renewed, state.time, begun)
         path.append(robot.true_tcp()), clock.append(state.time.copy())
         for m, watcher in enumerate(watchers):
-            bad = watcher.check(state if m in (0, 2) else replace(state, load=None), sent, aimed)
+            bad = watcher.check(state if m == 0 else replace(state, load=None), sent, aimed)
             if bad is not None:
                 new = bad.any(axis=-1) & np.isinf(trip[m])
                 trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]

@@ -52,7 +52,7 @@ def stuck(wear, joint, lead_deg):
 
 def known(wears):
     gain = np.array([wear.position_gain / wear.torque_limit for wear in wears])
-    return replace(GuardLimits.of(ARM), servos=Knowledge(gain=gain))
+    return replace(GuardLimits.of(ARM), servos=Knowledge(gain=gain, within=0.1))
 
 
 def targets(count, number=2, seed=5):
@@ -261,13 +261,6 @@ def test_a_load_in_proportion_to_the_command_is_a_stuck_joint_and_one_that_falls
     first = next(k for k, bad in enumerate(found) if bad is not None)
     assert found[first].tolist() == [[True, False, False, False, False, False]]
     assert first * 0.1 < 3.0, "caught within 4 deg of command"
-
-
-def test_the_line_of_a_standing_joint_is_learned():
-    watch, _ = follow(lambda lead: np.minimum(14.0 * lead + 0.01, 1.0))
-    track = watch._tracks[0, 0]
-    assert track["gain"] == pytest.approx(14.0, rel=0.1)
-    assert np.sqrt(track["p00"]) < 1.0
 
 
 def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged():

@@ -96,24 +96,3 @@ def test_a_load_on_its_line_is_believed_and_one_off_it_the_sooner_the_farther_it
 
 def test_a_joint_without_a_line_is_not_judged_by_its_load():
     assert watch(lambda _: -0.5, within=np.r_[np.inf, np.full(5, 0.1)]) is None
-
-
-def learned(off_for, breaks_loose=False):
-    """Joints that are not believed, where a line was learned, a command goes far, and loads are off for some cycles."""
-    position, one = np.tile(ARM.rest, (1, 1)), np.arange(6) == 1
-    begin = state_of(position - 0.05 * one, load=np.zeros((1, 6)))
-    monitor, found, lead = Following(ARM, begin, position), [], 0.0  # its joint has moved before
-    for k in range(1, 160):
-        load = 3.4 * lead - 0.4 * (150 <= k < 150 + off_for)
-        read = position + 0.01 * one * (breaks_loose and k >= 150 + off_for)
-        now = state_of(read, 0.025 * k, load=(load * one)[None])
-        bad = monitor.check(now, position + lead * one, np.ones(1, dtype=bool))
-        found += [] if bad is None else [bad[0].tolist()]
-        lead = 0.001 * (k // 8) + 0.23 * (k > 140)  # [rad] stands at every lead for a while
-    return found
-
-
-def test_a_joint_of_a_learned_line_may_be_off_it_for_a_cycle():
-    """It breaks loose, and its reading comes a cycle later than its load."""
-    assert learned(0) == learned(1) == learned(2, breaks_loose=True) == []
-    assert learned(4)[0] == [False, True, False, False, False, False]

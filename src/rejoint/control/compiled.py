@@ -7,7 +7,7 @@ Arrays are contiguous float64. Constants without a source are chosen.
 from __future__ import annotations
 
 import numpy as np
-from numba import bool_, float64, from_dtype, int64, njit, types, void
+from numba import float64, from_dtype, int64, njit, types, void
 
 IN1, IN2, IN3 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3))
 OUT3 = float64[:, :, ::1]
@@ -37,16 +37,10 @@ STEADY, STEADY_COUNTS = 12, 0.3
 """Cycles that average encoder flicker, and its steps"""
 STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
 """Share of the largest torque, and multiple of noise, for so long"""
-NOISE = 0.015
-"""Deviation of a learned load over the largest torque"""
 SURE = 1.5
 """Allowed deviations of the expected load"""
-KNOWN = 0.5
-"""relative error of an unusable gain"""
-FULL = 0.9
-"""Share of full torque"""
-FULL_CYCLES = 8
-"""Cycles of full torque of a stuck joint"""
+DOUBT = 0.3
+"""Allowed share of a line's largest error; chosen on emulated arms"""
 MOST, AND = 1.5, np.radians(0.2)
 """Allowed multiple of the largest push in the diagnosis, plus [rad]"""
 LATE = 2
@@ -55,32 +49,24 @@ PATIENCE = 0.05
 """[s] The excess, integrated twice, may reach the band times its square"""
 LONGEST = 0.1
 """[s] longest counted cycle"""
-LEARN_SPREAD = np.radians(0.5)
-"""[rad] spread of commands when a load is learned"""
-LEARN_STILL = 4
-"""Stationary cycles before a load is learned"""
-LEARN_LAST = 200
-"""Stationary cycles after which none is learned"""
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
         ("home", "f8"), ("moved", "f8"),
-        ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
-        ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("noise", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("late", "i8"),
-        ("given", "?"),
+        ("gain", "f8"), ("offset", "f8"), ("within", "f8"), ("noise", "f8"), ("load", "f8"), ("expected", "f8"),
+        ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("late", "i8"),
     ]
 )  # fmt: skip
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
-``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with covariance ``p`` and ``noise``.
-Only a ``given`` gain shows turning joints; ``least`` bounds a learned one. Following errors beyond ``reach`` [rad] push
-no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings beyond it;
-``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
+``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with ``noise``; the gain is known
+``within`` a share, infinite: unknown. Following errors beyond ``reach`` [rad] push no harder. ``width`` and ``push``
+[rad]: largest push in the diagnosis, and now. ``late``: readings beyond it; ``pushed`` [rad s], ``due`` [rad s^2]:
+integrals of the excess."""
 
-FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
-"""Verdicts: reading changes; stationary by load; stationary, no load; turning by load; overdue by push"""
+FINE, UNKNOWN, TURNING, OVERDUE = range(4)
+"""Verdicts: nothing to doubt; stationary, nothing tells why; turning by load; overdue by push"""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 
@@ -95,54 +81,21 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
     track.moves += 1
     track.moved = max(track.moved, abs(position - track.home))
     track.position, track.held, track.since, track.travel = position, command, now, 0.0
-    track.still = track.strikes = track.steady = track.full = 0
+    track.still = track.strikes = track.steady = 0
 
 
 @njit(cache=True)
-def _learn(track, lead, spread):  # noqa: ANN001, ANN202
-    """Recursive least squares of load = gain * lead + offset; the lead is known within ``spread`` [rad]."""
-    a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
-    wrong = track.load - track.gain * lead - track.offset
-    unsure = track.gain * spread
-    share = NOISE * NOISE + unsure * unsure / 12.0 + lead * a + b
-    track.gain = max(track.gain + a * wrong / share, track.least)
-    track.offset += b * wrong / share
-    track.p00 -= a * a / share
-    track.p01 -= a * b / share
-    track.p11 -= b * b / share
-
-
-@njit(cache=True)
-def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
-    lead = 0.5 * (low + high)
-    unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
+def _turns(track, load, low, high, step):  # noqa: ANN001, ANN202
+    """Whether a ``load`` is off its line for leads from ``low`` to ``high`` [rad]: far at once, else for a while."""
+    lead, reading = 0.5 * (low + high), step * track.gain
     least = min(max(track.gain * low + track.offset, -1.0), 1.0)
     most = min(max(track.gain * high + track.offset, -1.0), 1.0)
     if low < COUNTS * step:  # the dead zone of the servo
         least = min(least, 0.0)
     if high > -COUNTS * step:
         most = max(most, 0.0)
-    track.expected = 0.5 * (least + most)
-    known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
-    agrees = max(least - track.load, track.load - most) <= MARGIN + COUNTS * step * track.gain + unsure
-    telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
-    if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
-        _learn(track, lead, high - low)
-    if track.given:
-        if _turns(track, max(least - told, told - most) - unsure, step):
-            return TURNING
-    else:
-        track.strikes = 0 if agrees else track.strikes + 1
-    if abs(track.load) >= FULL and track.load * lead > 0.0:
-        track.full += 1
-        return STANDING
-    explained = known and (track.given or track.strikes < STRIKES)  # one that breaks loose disagrees for a cycle
-    return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
-
-
-@njit(cache=True)
-def _turns(track, off, step):  # noqa: ANN001, ANN202
-    reading = step * track.gain
+    track.load, track.expected = load, 0.5 * (least + most)
+    off = max(least - load, load - most) - np.hypot(DOUBT * track.within * track.gain * lead, SURE * track.noise)
     track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
     steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
     track.steady = track.steady + 1 if steady else 0
@@ -173,32 +126,8 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
     return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
 
 
-@njit(void(from_dtype(TRACK)[::1], IN1, IN2, IN2, bool_[::1]), **OPTIONS)
-def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
-    """Set ``out`` (n,) for overdue joints in a log of ``time`` (T,) and ``position`` (T, n)."""
-    for j in range(len(tracks)):
-        track = tracks[j]
-        for k in range(1, len(time)):
-            track.still = track.still + 1 if position[k, j] == position[k - 1, j] else 0
-            track.push = push[k, j]
-            if _overdue(track, time[k] - time[k - 1]):
-                out[j] = True
-
-
-@njit(cache=True)
-def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, ANN202
-    stands = track.still >= STILL
-    if not loaded:
-        return UNKNOWN if stands else FINE
-    if unsettled or np.isnan(load):
-        return UNKNOWN if stands and not track.given else STANDING if stands else FINE
-    median = max(min(load, track.load1), min(max(load, track.load1), track.load2))
-    track.load2, track.load1, track.load = track.load1, load, median
-    return _judge(track, load, low, high, step) if stands else FINE
-
-
-@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, bool_, float64, int64[:, ::1]), **OPTIONS)
-def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa: ANN001, ANN201
+@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, float64, int64[:, ::1]), **OPTIONS)
+def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001, ANN201
     """Take a reading and give a ``verdict`` (B, n).
 
     ``clock`` (2, B) [s]: now, and time of the command. ``reading`` (4, B, n): position and command [rad], load (NaN:
@@ -226,8 +155,13 @@ def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa
             low, high = low - position[i, j], high - position[i, j]
             track = tracks[i, j]
             _follow(track, now[i], position[i, j], sent[i, reach, j])
-            verdict[i, j] = _by_load(track, load[i, j], loaded, unsettled, low, high, step)
-            if unsettled or (loaded and track.given and not np.isnan(load[i, j])):
+            stands = track.still >= STILL
+            if track.within < np.inf and not np.isnan(load[i, j]):
+                turns = stands and not unsettled and _turns(track, load[i, j], low, high, step)
+                verdict[i, j] = TURNING if turns else FINE
+                continue
+            verdict[i, j] = UNKNOWN if stands else FINE
+            if unsettled:
                 continue
             track.push = _push(low, high, balance[i, j], track.reach)
             if _overdue(track, now[i] - last[i]):

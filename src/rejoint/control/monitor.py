@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.law import between, plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late
@@ -38,12 +37,6 @@ ARRIVED = np.radians(1.0)
 """[rad] following error at arrival"""
 SETTLED = 30
 """changes of a reading before its sticking is known"""
-GAIN, GAIN_SPREAD = 20.0, 2.0
-"""[1/rad] and relative deviation of unknown servos (measured)"""
-LEAST_GAIN = 3.0
-"""[1/rad]"""
-OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
-"""deviations of the unloaded torque share"""
 PULL = 2.0
 """times the allowed push, to pull an overdue joint back"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
@@ -59,7 +52,7 @@ class Knowledge:
     """(n,) [rad] unloaded joint minus command"""
     within: Array | float = 0.2
     """(n,) largest relative error of ``gain``; infinite: unknown"""
-    noise: Array | float = OFFSET_SPREAD
+    noise: Array | float = 0.02
     """(n,) deviation of loads from the line"""
 
 
@@ -118,32 +111,24 @@ class Following:
         self._tracks["width"] = np.inf if bands is None else bands.width
         self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
         self._tracks["since"] = state.time[:, None]
-        self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
+        self._tracks["within"] = np.inf
+        if knowledge is not None:
+            for name in ("gain", "within", "noise"):
+                self._tracks[name] = getattr(knowledge, name)
+            self._tracks["offset"] = knowledge.gain * knowledge.offset
         self._sent_at = np.repeat(state.time[:, None], compiled.HISTORY, axis=1)
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], compiled.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
-        self._nothing = np.zeros(shape)
+        self._nothing, self._told = np.zeros(shape), np.zeros(shape, dtype=bool)
         self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
-        self._loaded = False
-
-    def _know(self, knowledge: Knowledge) -> None:
-        tracks, shape = self._tracks, self._tracks.shape
-        given = np.broadcast_to(np.isfinite(knowledge.within), shape)
-        gain = np.where(given, knowledge.gain, GAIN)
-        spread = np.where(given, knowledge.within, GAIN_SPREAD * compiled.SURE) / compiled.SURE
-        tracks["given"], tracks["noise"] = given, knowledge.noise
-        tracks["gain"], tracks["p00"] = gain, (spread * gain) ** 2
-        tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
-        tracks["offset"] = np.where(given, gain * knowledge.offset, 0.0)
-        tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
         """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
 
         Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
         """
-        self._loaded = state.load is not None
-        load = self._nothing if state.load is None else state.load
+        load = np.full_like(self._nothing, np.nan) if state.load is None else state.load
+        self._told = np.isfinite(self._tracks["within"]) & np.isfinite(load)
         balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         compiled.watch(
             self._tracks,
@@ -151,7 +136,6 @@ class Following:
             self._sent,
             np.array([state.time, self._last]),
             np.array([state.position, sent, load, balance]),
-            self._loaded,
             self._arm.encoder_step,
             self._verdict,
         )
@@ -180,11 +164,9 @@ class Following:
         return excused
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
-        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings, without load."""
-        if self._loaded:
-            return wanted
+        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings, without load line."""
         held = self._tracks["held"]
-        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
+        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None] & ~self._told
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
@@ -200,7 +182,7 @@ class Following:
         tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
         tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
         tracks["since"][where] = state.time[where, None]
-        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "full", "late"):
+        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "late"):
             tracks[name][where] = 0
         self._verdict[where] = compiled.FINE
         self._last = np.where(where, state.time, self._last)
@@ -279,6 +261,10 @@ STILL = 4
 """rows of a constant reading"""
 AT_REST = np.radians(0.1)
 """[rad] allowed change of commands (chosen: an encoder count)"""
+FULL = 0.9
+"""Share of full torque that tells no line"""
+USABLE = 0.5
+"""Largest relative error of a slope"""
 SURE = 4.0
 """Allowed error of a slope, times residual over spread"""
 LEAST_ERROR = 0.01
@@ -303,10 +289,8 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
     rows = [_standing(arm, log, load) for log, load in told]
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
     gain, offset, within, noise = np.array(lines).T
-    within = np.where(within < compiled.KNOWN, within, np.inf)
-    known = Knowledge(gain=gain, offset=offset / gain, within=within, noise=noise)
-    for log, _ in told:
-        known = replace(known, within=np.where(_turns(arm, log, known), np.inf, known.within))
+    known = Knowledge(gain=gain, offset=offset / gain, within=np.where(within < USABLE, within, np.inf), noise=noise)
+    known = replace(known, within=np.where(doubted(arm, logs, known), np.inf, known.within))
     return known if np.isfinite(known.within).any() else None
 
 
@@ -318,7 +302,7 @@ def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray
     last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
     stands = np.arange(len(log))[:, None] - last >= STILL
     dead = compiled.COUNTS * arm.encoder_step
-    told = np.abs(load) < compiled.FULL  # not where it is NaN
+    told = np.abs(load) < FULL  # not where it is NaN
     return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
 
 
@@ -338,128 +322,86 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, floa
     unknown = (1.0, 0.0, np.inf, 1.0)
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
         return unknown
-    (slope, offset), noise = robust_fit(np.stack([lead, np.ones_like(lead)], axis=-1), load, LEAST_NOISE)
-    if slope <= 0.0:
-        return unknown
-    return float(slope), float(offset), LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise
-
-
-def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float]:
-    """Coefficients (k,) of ``columns`` (N, k) for ``value`` (N,), and the noise, at least ``least`` (Huber)."""
-    weight = np.ones_like(value)
+    weight = np.ones_like(lead)
     for _ in range(_ROUNDS):
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(columns * root[:, None], value * root)[0]
-        off = np.abs(value - columns @ found)
-        noise = max(PER_MEDIAN * float(np.median(off)), least)
+        slope, offset = np.polyfit(lead, load, 1, w=np.sqrt(weight)).tolist()
+        off = np.abs(load - slope * lead - offset)
+        noise = max(PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
-    return np.asarray(found), noise
+    return unknown if slope <= 0.0 else (slope, offset, LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise)
 
 
-def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
-    """Joints (n,) flagged as turning in a healthy arm's log."""
-    states = states_of(log)
-    following, found = Following(arm, next(states), log.command[:1], known), np.zeros(arm.joints, dtype=bool)
-    for row, state in enumerate(states):
-        bad = following.check(state, log.command[row : row + 1], np.zeros(1, dtype=bool))
-        if bad is not None:
-            found |= bad[0]
+def doubted(
+    arm: Arm, logs: Sequence[RunLog], knowledge: Knowledge | None = None, bands: Bands | None = None
+) -> NDArray[np.bool_]:
+    """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``."""
+    found = np.zeros(arm.joints, dtype=bool)
+    for log in logs:
+        states = states_of(log)
+        following = Following(arm, next(states), log.command[:1], knowledge, bands=bands)
+        for row, state in enumerate(states):
+            bad = following.check(state, log.command[row : row + 1], np.zeros(1, dtype=bool))
+            found |= False if bad is None else bad[0]
     return found
 
 
 HELD = 0.05
 """[s] of a push"""
-FEWEST_MOVING = 100
-"""moving rows of a balance"""
-SLOWEST, FASTEST = 0.04, 0.4
-"""[rad/s]"""
-AVERAGED = 5
-"""rows"""
-LEAST_GRAVITY = 0.04
-"""smallest fitted range of gravity over the largest"""
+SPAN, LIFTED = 0.25, 0.01
+"""[s], and least way in it [rad] of a joint that moves"""
 REACHES = np.radians(np.geomspace(20.0, 0.3, 30))
 """[rad]; the longest of equals counts"""
 WIDER, _OFTEN = 1.25, 12
 """Factor on exceeded bands, and repetitions"""
 
 
-def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
-    """Fit the friction bands of an arm's joints; hardly moved joints stay unknown.
+def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Array) -> Bands:
+    """Friction bands of an arm's joints from the ``logs`` of its diagnosis.
 
-    The balance is fitted to slow motion in both directions. The width is the largest push of a joint stationary for
-    `HELD`; the reach minimises it.
+    ``softness`` (n,) [rad/(N m)] and ``offset`` (n,) [rad] of the balance come from the diagnosis too; joints with a
+    NaN stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it.
     """
-    logs = [log for log in logs if len(log) > FEWEST]
-    slope, offset, lifted, known = _balances(arm, logs)
-    endless = np.full(arm.joints, np.inf)
-    found = Bands(slope=slope, offset=offset, reach=endless, width=endless, lifted=lifted)
-    if not known.any():
+    logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
+    endless, slope, zero = np.full(arm.joints, np.inf), np.where(known, softness, 0.0), np.where(known, offset, 0.0)
+    found = Bands(slope=slope, offset=zero, reach=endless, width=endless)
+    if not logs or not known.any():
         return found
-    leads = [_leads(log, found.balance(arm, log.position)) for log in logs]
-    reach, width = _narrowest(arm, logs, leads)
-    width = np.where(known, width, np.inf)
+    balances = [found.balance(arm, log.position) for log in logs]
+    lifted = np.max([_lifted(log, balance) for log, balance in zip(logs, balances, strict=True)], axis=0)
+    reach, width = _narrowest(arm, logs, balances)
+    found = replace(found, lifted=lifted, reach=reach, width=np.where(known, width, np.inf))
     for _ in range(_OFTEN):
-        late = np.zeros(arm.joints, dtype=bool)
-        for log, lead in zip(logs, leads, strict=True):
-            late |= _overdue(log, _push(lead, reach), width)
+        late = doubted(arm, logs, bands=found)
         if not late.any():
-            break
-        width = np.where(late, WIDER * width, width)
-    return replace(found, reach=reach, width=np.where(late, np.inf, width))
+            return found
+        found = replace(found, width=np.where(late, WIDER * found.width, found.width))
+    return replace(found, width=np.where(late, np.inf, found.width))
 
 
-Leads = tuple[Array, Array, Array]
-"""Lowest and highest lead (T, n) [rad], and the balance"""
+def _lifted(log: RunLog, balance: Array) -> Array:
+    """Largest lead (n,) [rad] against gravity at which a joint moved on."""
+    span = max(1, round(SPAN / float(np.median(np.diff(log.time)))))
+    way = log.position[span:] - log.position[:-span]
+    against = np.where(np.abs(way) > LIFTED, np.sign(way) * balance[span // 2 :][: len(way)], 0.0)
+    return np.asarray(against.max(axis=0, initial=0.0))
 
 
-def _leads(log: RunLog, balance: Array) -> Leads:
-    low, high = commands_in_force(log)
-    return low - log.position, high - log.position, balance
-
-
-def _push(leads: Leads, reach: Array) -> Array:
-    """Least pushes (T, n) [rad] away from the balance."""
-    low, high, balance = leads
-    least, most = (between(lead, -reach, reach) - balance for lead in (low, high))
-    return np.maximum(least, 0.0) + np.minimum(most, 0.0)
-
-
-def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, what was lifted, and where (n,) they are known."""
-    slope, offset, known = np.zeros(arm.joints), np.zeros(arm.joints), np.zeros(arm.joints, dtype=bool)
-    if not logs:
-        return slope, offset, offset, known
-    parts = [_in_motion(arm, log) for log in logs]
-    lead, gravity, speed, moving = (np.concatenate([part[k] for part in parts]) for k in range(4))
-    loaded = np.ptp(gravity, axis=0) > LEAST_GRAVITY * np.ptp(gravity, axis=0).max()
-    for j in range(arm.joints):
-        use = moving[:, j].astype(bool)
-        known[j] = np.count_nonzero(use) >= FEWEST_MOVING
-        if known[j]:
-            columns = [loaded[j] * gravity[use, j], np.ones(use.sum()), np.sign(speed[use, j]), speed[use, j]]
-            slope[j], offset[j] = robust_fit(np.stack(columns, axis=-1), lead[use, j], 1e-6)[0][:2]
-    slope = np.where(loaded, slope, 0.0)
-    against = moving * np.sign(speed) * (slope * gravity + offset)
-    return slope, offset, against.max(axis=0, initial=0.0), known
-
-
-def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
-    """Mean lead, gravity torque, speed (T, n), and slow motion (1 or 0)."""
-    low, high = commands_in_force(log)
-    speed = np.gradient(log.position, log.time, axis=0)
-    mean = np.ones(AVERAGED) / AVERAGED
-    speed = np.stack([np.convolve(speed[:, j], mean, "same") for j in range(arm.joints)], axis=-1)
-    slow = (np.abs(speed) > SLOWEST) & (np.abs(speed) < FASTEST)
-    return 0.5 * (low + high) - log.position, gravity_torque(arm, log.position), speed, slow.astype(float)
-
-
-def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tuple[Array, Array]:
+def _narrowest(arm: Arm, logs: Sequence[RunLog], balances: Sequence[Array]) -> tuple[Array, Array]:
     """Reach and width (n,) [rad] of the narrowest bands."""
-    pairs = list(zip(logs, leads, strict=True))
-    held = [[_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in pairs] for tried in REACHES]
+    leads = [np.array(commands_in_force(log)) - log.position for log in logs]
+    held = [
+        [_held(log, _push(lead, balance, reach)) for log, lead, balance in zip(logs, leads, balances, strict=True)]
+        for reach in REACHES
+    ]
     width = np.maximum(np.max(held, axis=1), arm.encoder_step)
     best = np.argmax(REACHES[:, None] / width, axis=0)
     return REACHES[best], width[best, np.arange(arm.joints)]
+
+
+def _push(lead: Array, balance: Array, reach: float) -> Array:
+    """Least pushes (T, n) [rad] away from the ``balance`` (T, n) of a lowest and highest ``lead`` (2, T, n)."""
+    least, most = np.clip(lead, -reach, reach) - balance
+    return np.asarray(np.maximum(least, 0.0) + np.minimum(most, 0.0))
 
 
 def _held(log: RunLog, push: Array) -> Array:
@@ -468,10 +410,3 @@ def _held(log: RunLog, push: Array) -> Array:
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))
-
-
-def _overdue(log: RunLog, push: Array, width: Array) -> NDArray[np.bool_]:
-    tracks, found = np.zeros(len(width), compiled.TRACK), np.zeros(len(width), dtype=bool)
-    tracks["width"] = width
-    compiled.fill_overdue(tracks, plain(log.time), plain(log.position), plain(push), found)
-    return found

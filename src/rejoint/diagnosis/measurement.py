@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import CATALOGUE, Arm, link_inertia
+from rejoint.arms import CATALOGUE, Arm, Array, link_inertia
 from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.metrics import (
@@ -114,6 +114,16 @@ class Measurement:
     """of commands and answers; None: not separable from lag"""
     period_s: float
     """median of the readings"""
+
+    @property
+    def balance(self) -> tuple[Array, Array]:
+        """Sag per gravity torque (n,) [rad/(N m)], 0 if unknown, and lead without load (n,) [rad], NaN if unknown."""
+        stiffness = [row.stiffness_nm_per_rad for row in self.joints]
+        offset = [row.offset_rad for row in self.joints]
+        return (
+            np.array([0.0 if one is None else 1.0 / one.value for one in stiffness]),
+            np.array([np.nan if one is None else -one.value for one in offset]),
+        )
 
 
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:

@@ -200,13 +200,12 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """
     limits = GuardLimits.of(arm)
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
-    if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
+    told = None if run is None else run.diagnosis
+    if run is None or told is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
-    logs = [read_log(path) for path in paths]
-    arm, told = laden(run), run.diagnosis
-    gains = None if told is None else told.servo_gains
+    logs, arm, gains = [read_log(path) for path in paths], laden(run), told.servo_gains
     lines = servo_lines(arm, logs) if gains is None else None  # else the load is the loop's, and fits any reading
-    return replace(limits, bands=standing_bands(arm, logs), servos=lines, gains=gains)
+    return replace(limits, bands=standing_bands(arm, logs, *told.measurement.balance), servos=lines, gains=gains)
 
 
 def _is_own(run: Run, robot: str) -> bool:
