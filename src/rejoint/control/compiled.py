@@ -39,6 +39,8 @@ STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
 """Share of the largest torque, and multiple of noise, for so long"""
 SURE = 1.5
 """Allowed deviations of the expected load"""
+LEAST_GAIN, FULL = 3.0, 0.9
+"""[1/rad] Growth of a load with its command that shows a stuck joint where no line is known, and most of the torque"""
 DOUBT = 0.3
 """Allowed share of a line's largest error; chosen on emulated arms"""
 MOST, AND = 1.5, np.radians(0.2)
@@ -53,7 +55,8 @@ TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
         ("home", "f8"), ("moved", "f8"),
-        ("gain", "f8"), ("offset", "f8"), ("within", "f8"), ("noise", "f8"), ("load", "f8"), ("expected", "f8"),
+        ("gain", "f8"), ("offset", "f8"), ("within", "f8"), ("noise", "f8"),
+        ("load", "f8"), ("before", "f8"), ("expected", "f8"),
         ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
         ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("late", "i8"),
     ]
@@ -61,9 +64,9 @@ TRACK = np.dtype(
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
 ``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with ``noise``; the gain is known
-``within`` a share, infinite: unknown. Following errors beyond ``reach`` [rad] push no harder. ``width`` and ``push``
-[rad]: largest push in the diagnosis, and now. ``late``: readings beyond it; ``pushed`` [rad s], ``due`` [rad s^2]:
-integrals of the excess."""
+``within`` a share, infinite: unknown; ``before``: load at the last change of the reading. Following errors beyond
+``reach`` [rad] push no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings
+beyond it; ``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
 
 FINE, UNKNOWN, TURNING, OVERDUE = range(4)
 """Verdicts: nothing to doubt; stationary, nothing tells why; turning by load; overdue by push"""
@@ -72,7 +75,7 @@ _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 
 
 @njit(cache=True)
-def _follow(track, now, position, command):  # noqa: ANN001, ANN202
+def _follow(track, now, position, command, load):  # noqa: ANN001, ANN202
     if position == track.position:
         track.still += 1
         track.travel = command - track.held
@@ -80,7 +83,7 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
     track.stuck = max(track.stuck, abs(track.travel))
     track.moves += 1
     track.moved = max(track.moved, abs(position - track.home))
-    track.position, track.held, track.since, track.travel = position, command, now, 0.0
+    track.position, track.held, track.since, track.travel, track.before = position, command, now, 0.0, load
     track.still = track.strikes = track.steady = 0
 
 
@@ -154,13 +157,15 @@ def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001
                 low, high = min(low, sent[i, h, j]), max(high, sent[i, h, j])
             low, high = low - position[i, j], high - position[i, j]
             track = tracks[i, j]
-            _follow(track, now[i], position[i, j], sent[i, reach, j])
+            _follow(track, now[i], position[i, j], sent[i, reach, j], load[i, j])
             stands = track.still >= STILL
             if track.within < np.inf and not np.isnan(load[i, j]):
                 turns = stands and not unsettled and _turns(track, load[i, j], low, high, step)
                 verdict[i, j] = TURNING if turns else FINE
                 continue
-            verdict[i, j] = UNKNOWN if stands else FINE
+            grown = (load[i, j] - track.before) * np.sign(track.travel)  # NaN: no load
+            pushes = grown >= LEAST_GAIN * abs(track.travel) or load[i, j] * np.sign(track.travel) >= FULL
+            verdict[i, j] = UNKNOWN if stands and not pushes else FINE
             if unsettled:
                 continue
             track.push = _push(low, high, balance[i, j], track.reach)
