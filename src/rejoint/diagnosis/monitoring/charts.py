@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -166,12 +165,8 @@ SHARES = (0.1, 0.5, 0.9)
 """Quantiles"""
 _SEEN = 0.9
 """Share of drifts that must reach the tolerance; chosen"""
-_UNEVEN, _UNEVEN_FACTOR = 0.5, 1.6
-"""Prior of wear's random share, and its factor; chosen: `python -m benchmarks years`"""
-_SCATTER_FACTOR = 1.5
-"""Factor of uncertainty of the scatter; chosen"""
-_UNEVENS, _FACTORS = np.array(list(product(np.geomspace(0.05, 2.0, 9), np.geomspace(0.6, 1.8, 4)))).T
-"""Random shares of wear, and scatters relative to the prior"""
+_UNEVEN = 0.4
+"""Random share of wear over the whole span; chosen: `python -m benchmarks years`"""
 _POINTS = 200
 """Newest checks that count; chosen: the work is cubic"""
 
@@ -194,17 +189,12 @@ def remaining(
     believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
     common = np.minimum.outer(-x, -x)  # covariance of a Brownian motion, backwards from now
     size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
-    noises = (_UNEVENS * size)[:, None, None] ** 2 * common + (_FACTORS * scatter)[:, None, None] ** 2 * np.eye(len(x))
-    fits = [_fit(design, error, noise, believed) for noise in noises]
-    evidence, means, roots = (np.array(part) for part in zip(*fits, strict=True))
-    priors = np.log(_UNEVENS / _UNEVEN) / np.log(_UNEVEN_FACTOR), np.log(_FACTORS) / np.log(_SCATTER_FACTOR)
-    evidence = evidence - 0.5 * np.square(priors).sum(axis=0)
-    weight = np.exp(evidence - evidence.max())
+    diffusion = _UNEVEN * size
+    root = np.linalg.cholesky(diffusion**2 * common + scatter**2 * np.eye(len(x)))
+    best, spread = fit_believed(np.linalg.solve(root, design), np.linalg.solve(root, error), believed)
     rng = np.random.default_rng(0)
-    which = rng.choice(len(weight), DRAWS, p=weight / weight.sum())
-    drawn = means[which] + (roots[which] @ rng.standard_normal((DRAWS, 3, 1)))[..., 0]
+    drawn = rng.multivariate_normal(best, spread, DRAWS)
     way, drift = tolerance - drawn[:, 0], drawn[:, 1]
-    diffusion = size * _UNEVENS[which]
     if float((drift > 0.0).mean()) < _SEEN:
         return None
     # Against the drift a motion still passes with a chance of exp(2 drift way / diffusion^2), then as with it.
@@ -214,13 +204,3 @@ def remaining(
     times = rng.wald(far / np.maximum(np.abs(drift), 1e-9 * diffusion), far**2 / diffusion**2)
     times = np.where(passes, times, np.where(way <= 0.0, 0.0, np.inf))
     return np.asarray(span * np.quantile(times, SHARES, method="higher"))
-
-
-def _fit(design: Array, value: Array, covariance: Array, believed: Array) -> tuple[float, Array, Array]:
-    """Log evidence, coefficients (p,), and a root (p, p) of their covariance, by generalised least squares."""
-    root = np.linalg.cholesky(covariance)
-    a, y = np.linalg.solve(root, design), np.linalg.solve(root, value)
-    best, spread = fit_believed(a, y, believed)
-    left = float(y @ (y - a @ best))
-    logdet = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.linalg.slogdet(spread)[1])
-    return -0.5 * (left + logdet), best, np.asarray(np.linalg.cholesky(spread))

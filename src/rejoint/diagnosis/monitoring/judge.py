@@ -270,17 +270,15 @@ MEANINGS = {
 
 def say(found: Outlook, robot: str, described: str = "") -> str:
     """Report the arm's state in one line; ``described``: more repair options."""
-    repair = command("repair", robot) + described
-    what, do = _advice(found, repair)
+    what, do = _advice(found, command("repair", robot) + described)
     return f"{what}. {_error(found)}. Do: {do}."
 
 
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     """Name what changed, and what to do."""
-    worst, called = found.changes[0], [one for one in found.changes if one.state == found.state]
+    worst, since = found.changes[0], _day(found.since)
     if found.moved:
-        alarms = [one for one in found.changes if one.state == "alarm" and one.joint]
-        worn = {one.joint for one in alarms if one.quantity != "deviation"}
+        worn = {one.joint for one in found.changes if one.state == "alarm" and one.quantity != "deviation"} - {""}
         also = f"; beside that {', '.join(sorted(worn))} wears (alarm)" if worn else ""
         return (
             f"{cause_of(found)}, which is no wear but a bump, a new setting or another load{also}",
@@ -290,79 +288,62 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
         again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
-        return (
-            f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
-            "and one more to see a change",
-            repair if found.over else again,
-        )
+        needed = f"{FEWEST} are needed to know what is usual for this arm, and one more to see a change"
+        return f"Check {found.checks} since {since}: {needed}", repair if found.over else again
     if found.state == "steady":
+        due = found.due and found.due.early
+        soon = f"nothing yet; check again by {_day(due)}, and make time for a repair" if due else ""
+        later = soon if due and due - found.newest < MONTH else "nothing; check again in a month"
         joints = len({one.joint for one in found.changes if one.joint})
-        act = _act(found, worst, repair) if found.over else _next(found)
-        return f"No change in {joints} joints since {_day(found.since)}", act
-    others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
-    also = f"; also {', '.join(others)}" if others else ""
-    return f"{_changed(worst)} ({found.state}){also}", _act(found, worst, repair)
+        return f"No change in {joints} joints since {since}", repair if found.over else later
+    others = {one.joint or "the tool" for one in found.changes if one.state == found.state}
+    also = ", ".join(sorted(others - {worst.joint or "the tool"}))
+    return f"{cause_of(found)} ({found.state}){also and f'; also {also}'}", _act(found, worst, repair)
 
 
 def cause_of(found: Outlook) -> str:
     """Name what changed most, or return an empty text."""
     if found.moved:
-        names, ways = [one.joint for one in found.moved], [f"{abs(one.degrees):.1f}" for one in found.moved]
-        zeros = f"The zero of {names[0]} has" if len(names) == 1 else f"The zeros of {_list(names)} have"
+        names = " and ".join(one.joint for one in found.moved)
+        ways = " and ".join(f"{abs(one.degrees):.1f}" for one in found.moved)
+        zeros = f"The zero of {names} has" if len(found.moved) == 1 else f"The zeros of {names} have"
         after, before = max(one.after for one in found.moved), max(one.before for one in found.moved)
-        return f"{zeros} moved by {_list(ways)} deg between {_day(after)} and {_day(before)}"
-    return _changed(found.changes[0]) if found.state in ("drifting", "alarm") else ""
-
-
-def _list(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def _changed(change: Change) -> str:
-    since = "" if change.since is None else f" since {_day(change.since)}"
-    return (
-        f"{change.joint or 'Tool'}: {MEANINGS[change.quantity]} {change.usual_mm:.1f} -> {change.now_mm:.1f} mm{since}"
-    )
+        return f"{zeros} moved by {ways} deg between {_day(after)} and {_day(before)}"
+    if found.state not in ("drifting", "alarm"):
+        return ""
+    worst = found.changes[0]
+    since = "" if worst.since is None else f" since {_day(worst.since)}"
+    return f"{worst.joint or 'Tool'}: {MEANINGS[worst.quantity]} {worst.usual_mm:.1f} -> {worst.now_mm:.1f} mm{since}"
 
 
 def _error(found: Outlook) -> str:
-    known = "" if found.error_known else " by the encoders"
-    text = f"Tool error at the five poses {found.error_mm:.1f} mm{known}"
+    text = f"Tool error at the five poses {found.error_mm:.1f} mm{'' if found.error_known else ' by the encoders'}"
     if found.controlled_mm is not None:
         text = f"{text} without a controller, at most {found.controlled_mm:.1f} mm with that of its repair"
     if found.tolerance_mm is None:
         return text
-    text = f"{text}, tolerance {found.tolerance_mm:.1f} mm"
+    text, due = f"{text}, tolerance {found.tolerance_mm:.1f} mm", found.due
     if found.over:
         return f"{text}, which is reached"
-    if found.due is None:
+    if due is None:
         return text if found.state == "learning" or found.moved else f"{text}: no wear seen that leads there"
-    due = found.due
-    if due.late is None:
-        return f"{text}, reached not before {_day(due.early)}"
-    return f"{text}, reached between {_day(due.early)} and {_day(due.late)}"
-
-
-def _next(found: Outlook) -> str:
-    if found.due is not None and found.due.early - found.newest < MONTH:
-        return f"nothing yet; check again by {_day(found.due.early)}, and make time for a repair"
-    return "nothing; check again in a month"
+    ends = f"not before {_day(due.early)}" if due.late is None else f"between {_day(due.early)} and {_day(due.late)}"
+    return f"{text}, reached {ends}"
 
 
 def _act(found: Outlook, worst: Change, repair: str) -> str:
-    if worst.better and worst.state in ("drifting", "alarm"):
-        part = f"of {worst.joint}" if worst.joint else "of the arm"
-        look = f"look what was done to the servo {part}, as it is better than it was; if it was changed or greased, or "
-        return f"{look}the hand carries less, check with --moved, five times{f'; {repair}' if found.over else ''}"
-    if found.over or found.state == "alarm":
-        if worst.state not in ("drifting", "alarm"):  # it was so from the beginning
-            return repair
-        if worst.quantity == "deviation":
-            look = f"look whether {worst.joint} has slipped or was set again (then check with --moved)"
-            return f"{look}; else {repair}"
-        part = f"; if it stays, change the servo of {worst.joint}" if worst.joint else ""
-        return f"{repair}{part}"
-    return "check again within a week; no repair yet"
+    whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
+    if worst.better:
+        over = f"; {repair}" if found.over else ""
+        return (
+            f"look what was done to {whose}, as it is better than it was; if it was changed or greased, or the hand "
+            f"carries less, check with --moved, five times{over}"
+        )
+    if not found.over and found.state != "alarm":
+        return "check again within a week; no repair yet"
+    if worst.quantity == "deviation":
+        return f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
+    return f"{repair}; if it stays, change {whose}"
 
 
 def _day(time: datetime) -> str:
