@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
+import msgspec
 import numpy as np
 import tomlkit
 
@@ -207,9 +208,6 @@ def _tilted(displacement: Displacement, axis: tuple[float, float]) -> Displaceme
 
 FORMAT = 1
 
-_PARTS = ("offset", "compliance", "play", "mass")
-_PLAIN = {"date": str, "source": str, "points": int, "used": bool, "before": float, "after": float, "floor": float}
-
 _ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
 suspects: rows that do not fit to the others
 before: m, mean true error at measured points, uncorrected
@@ -224,13 +222,21 @@ compliance: rad/(N m), of gear and link
 play: rad, whole width
 mass: 1, by the description of the arm
 gravity: m/s^2, in the frame of the base
-frame: of whatever measured: pose in the base
-covariance: of the parameters of the displacement: mass less one, gravity as tilt in rad"""
+frame: pose of whatever measured, in the base
+covariance: of the parameters of the displacement in this order: mass less one, gravity as tilt in rad"""
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration, atomically."""
-    write_sealed(path, _document(calibration))
+    own, document, shapes = calibration, tomlkit.document(), _shapes(calibration.arm)
+    for line in _ABOUT.splitlines():
+        document.add(tomlkit.comment(line))
+    parts = {name: np.broadcast_to(getattr(own.displacement, name), shape) for name, shape in shapes.items()}
+    told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
+    told |= {"geometry": geometry_of(own.arm), "displacement": parts, "order": own.layout.names()}
+    for name, value in msgspec.to_builtins(told, enc_hook=np.ndarray.tolist).items():
+        document.add(name, tomlkit.item(value))
+    write_sealed(path, document)
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:
@@ -238,53 +244,25 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
 
     def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
-        return _calibration(data, arm)
+        parts, body = data["displacement"], DisplacementLayout(joints=arm.joints).body
+        shapes = {"covariance": (body, body), "frame": (4, 4), "left_out": (len(data["left_out"]), 2)}
+        arrays = {name: finite(data[name], shape) for name, shape in shapes.items()}
+        np.linalg.cholesky(arrays["covariance"])
+        own = Displacement(**{name: finite(parts[name], shape) for name, shape in _shapes(arm).items()})
+        plain = {
+            name: msgspec.convert(data[name], kind)
+            for name, kind in get_type_hints(Calibration).items()
+            if name not in {"arm", "displacement", *arrays}
+        }
+        return Calibration(arm=arm, displacement=own, **plain, **arrays)
 
     return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
 
 
-def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
-    own, found, document = calibration, calibration.displacement, tomlkit.document()
-    for line in _ABOUT.splitlines():
-        document.add(tomlkit.comment(line))
-    parts = {name: np.broadcast_to(getattr(found, name), found.offset.shape).tolist() for name in _PARTS}
-    document.update(
-        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in _PLAIN}}
-        | {"suspects": list(own.suspects), "left_out": own.left_out.tolist(), "geometry": dict(geometry_of(own.arm))}
-        | {"displacement": parts | {"gravity": found.gravity.tolist(), "twist": found.twist.tolist()}}
-        | {"frame": {"name": own.frame_name, "pose": own.frame[:3].tolist()}}
-    )
-    triangle = [row[: i + 1].tolist() for i, row in enumerate(own.covariance)]
-    document["covariance"] = {"order": list(own.layout.names()), "lower_triangle": triangle}
-    return document
-
-
-def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
-    values, layout = data["displacement"], DisplacementLayout(joints=arm.joints)
-    displacement = Displacement(
-        **{name: finite(values[name], (arm.joints,)) for name in _PARTS},
-        gravity=finite(values["gravity"], (3,)),
-        twist=finite(values["twist"], (arm.joints + 1, 6)),
-    )
-    rows = data["covariance"]["lower_triangle"]
-    if len(rows) != layout.body:
-        raise InputError(f"covariance of {len(rows)} parameters, expected {layout.body}")
-    covariance = np.zeros((layout.body, layout.body))
-    for i, row in enumerate(rows):
-        covariance[i, : i + 1] = covariance[: i + 1, i] = finite(row, (i + 1,))
-    np.linalg.cholesky(covariance)
-    frame = np.eye(4)
-    frame[:3] = finite(data["frame"]["pose"], (3, 4))
-    return Calibration(
-        arm=arm,
-        displacement=displacement,
-        covariance=covariance,
-        frame=frame,
-        frame_name=str(data["frame"]["name"]),
-        **{name: kind(data[name]) for name, kind in _PLAIN.items()},
-        suspects=tuple(int(row) for row in data["suspects"]),
-        left_out=finite(data["left_out"], (len(data["left_out"]), 2)),
-    )
+def _shapes(arm: Arm) -> dict[str, tuple[int, ...]]:
+    """Shapes of the fields of a fitted displacement."""
+    each = dict.fromkeys(("offset", "compliance", "play", "mass"), (arm.joints,))
+    return {**each, "gravity": (3,), "twist": (arm.joints + 1, 6)}
 
 
 def finite(value: object, shape: tuple[int, ...]) -> Array:
