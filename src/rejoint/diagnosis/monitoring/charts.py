@@ -165,7 +165,7 @@ SHARES = (0.1, 0.5, 0.9)
 """Quantiles"""
 _SEEN = 0.9
 """Share of drifts that must reach the tolerance; chosen"""
-_UNEVEN = 0.4
+_UNEVEN = 0.36
 """Random share of wear over the whole span; chosen: `python -m benchmarks years`"""
 _POINTS = 200
 """Newest checks that count; chosen: the work is cubic"""
