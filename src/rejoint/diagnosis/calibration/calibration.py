@@ -246,7 +246,7 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
         parts, body = data["displacement"], DisplacementLayout(joints=arm.joints).body
         shapes = {"covariance": (body, body), "frame": (4, 4), "left_out": (len(data["left_out"]), 2)}
-        arrays = {name: finite(data[name], shape) for name, shape in shapes.items()}
+        arrays: dict[str, Any] = {name: finite(data[name], shape) for name, shape in shapes.items()}
         np.linalg.cholesky(arrays["covariance"])
         own = Displacement(**{name: finite(parts[name], shape) for name, shape in _shapes(arm).items()})
         plain = {

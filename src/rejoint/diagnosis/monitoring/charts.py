@@ -191,7 +191,8 @@ def remaining(
     size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
     diffusion = _UNEVEN * size
     root = np.linalg.cholesky(diffusion**2 * common + scatter**2 * np.eye(len(x)))
-    best, spread = fit_believed(np.linalg.solve(root, design), np.linalg.solve(root, error), believed)
+    white: Array = np.asarray(np.linalg.solve(root, np.column_stack([design, error])), dtype=float)
+    best, spread = fit_believed(white[:, :-1], white[:, -1], believed)
     rng = np.random.default_rng(0)
     drawn = rng.multivariate_normal(best, spread, DRAWS)
     way, drift = tolerance - drawn[:, 0], drawn[:, 1]
