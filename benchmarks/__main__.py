@@ -12,7 +12,7 @@ import typer
 BENCHMARKS = (
     "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "policy", "diagnosis",
     "identification", "truth", "emulator", "serve", "kills", "seeing", "feetech", "moving", "shelf",
-    "elimination", "payload", "years", "again",
+    "elimination", "payload", "years",
 )  # fmt: skip
 """Modules beside this one; each has a `main`"""
 

@@ -59,7 +59,6 @@ def repair(
     full: bool = False,
     seed: int = 0,
     quick: bool = False,
-    fresh: bool = False,
 ) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
     require("rejoint repair", "train", "report")
@@ -79,7 +78,6 @@ def repair(
         controllers=opt.controller_names(controllers),
         targets=targets,
         gauge=gauge,
-        fresh=fresh or None,
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
     with (
@@ -150,7 +148,7 @@ class _Narrator(ConsoleObserver):
             if self._view is not None:
                 self._view.begin(heading)
         if stage.state == "kept":
-            self._terminal.say(stage.why or f"already done, as it was asked for then: {stage.file}")
+            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
         if stage.state != "started":
             show.stage(self._terminal, stage.name, stage.result)
             return

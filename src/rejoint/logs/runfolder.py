@@ -52,27 +52,6 @@ class Outputs:
         return self.folder / f"policy-{updates:04}.onnx"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Kept:
-    """The earlier repair of twin and policy."""
-
-    run: str
-    """folder"""
-    since: str
-    """its local date and time, ISO 8601"""
-    error: float
-    """[m] rms tool error of the twin in the new excitation"""
-    fitted: float
-    """[m] the same at its fit"""
-
-    def __str__(self) -> str:
-        """In a sentence."""
-        return (
-            f"the arm still moves as its twin of {self.since[:10]} says, within {1e3 * self.error:.1f} mm "
-            f"({1e3 * self.fitted:.1f} then); twin and policy are kept from {self.run}"
-        )
-
-
 try:
     import fcntl
 except ImportError:  # not on Windows
@@ -130,8 +109,6 @@ class RunFolder:
     """poses of camera, board and arm"""
     judgement = FilePlace("judgement.json")
     """twins judged on held-out motion"""
-    kept = FilePlace("kept.json")
-    """earlier repair of twin and policy"""
     policy = FilePlace("policy.onnx")
     gains = FilePlace("gains.json")
     """result of a gain search"""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,17 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-import numpy as np
-
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.recording import Observer, StageObserver
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish, is_finished, newest_or_new, require_same_pace
+from rejoint.runs.run import Run, exclusive, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
@@ -44,15 +39,12 @@ from rejoint.session.inputs import (
     as_run,
     as_targets,
     is_batchable,
-    laden,
     period_of,
     run_about,
     settled,
 )
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import FileError
 from rejoint.system.extras import require
-from rejoint.system.files import read_json, write_json, write_whole
 from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
@@ -79,8 +71,6 @@ class Stage:
     number: int
     """from 1"""
     total: int
-    why: str = ""
-    """why it is kept, if not for being done"""
     result: object = None
     """of the function of the same name; if kept, only of diagnosis and comparison"""
 
@@ -106,66 +96,6 @@ def _is_tunable(robot: RobotLike, arm: Arm) -> bool:
     return isinstance(robot, str) and place_of(robot).tunable(arm)
 
 
-WORSE = 2.0
-"""Relative error of a twin that still holds; chosen, see `python -m benchmarks again`"""
-WINDOW = 6.0
-"""[s] of motion predicted at a time"""
-
-_LOGGER = logging.getLogger("rejoint")
-
-
-def keep_what_holds(run: Run, preset: str) -> Kept | None:
-    """Copy twin and policy of the last repair into ``run`` if they still hold."""
-    if run.folder.twin.exists() or not run.folder.log("excitation").exists():
-        return None
-    try:
-        last = _last_repair(run)
-        why = None if last is None else _still_holds(run, last, preset)
-    except FileError as error:
-        _LOGGER.warning("nothing is kept of the last repair: %s", error)
-        return None
-    if last is not None and why is not None:
-        shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
-        write_json(run.folder.kept, why)
-        for name in ("twin", "gains", "policy"):
-            if (source := getattr(last.folder, name)).exists():
-                write_whole(getattr(run.folder, name), partial(shutil.copyfile, source))
-    return why
-
-
-def _last_repair(run: Run) -> Run | None:
-    """Newest finished repair of the same arm beside ``run``, with a training."""
-    folders = [RunFolder(path.parent) for path in run.path.parent.glob("*/run.json")]
-    trained = [one for one in folders if one.outputs.curves.exists() and not one.quick.exists() and is_finished(one)]
-    others = [Run.open(folder.path) for folder in trained if folder.path != run.path]
-    same = (other for other in others if other.is_of(run.robot, run.arm))
-    return max(same, key=lambda other: other.info.created, default=None)
-
-
-def _still_holds(run: Run, last: Run, preset: str) -> Kept | None:
-    """Test the twin of ``last`` on ``run``; None if gains or ``preset`` changed."""
-    twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
-    if twin is None or policy is None or now is None or before is None:
-        return None
-    if now.servo_gains != before.servo_gains or policy.contract.preset != preset:
-        return None
-    error, fitted = twin_error(laden(run), twin, read_log(run.folder.log("excitation"))), twin.held_out.twin.tcp
-    if error > WORSE * fitted:
-        return None
-    since = read_json(last.folder.kept, Kept).since if last.folder.kept.exists() else last.info.created
-    return Kept(run=str(last.path), since=since, error=error, fitted=fitted)
-
-
-def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
-    """Rms tool error [m] of the twin's prediction of a log."""
-    from rejoint.twin.judgement import prediction_error
-    from rejoint.twin.replay import Replay, cut
-
-    replay = Replay(arm, [log], cut([log], WINDOW), stiction=twin.stiction, acceleration=twin.acceleration)
-    predicted = np.concatenate(replay.predict(twin.parameters.repeat(1)), axis=1)[0]
-    return prediction_error(arm, predicted, np.concatenate(replay.measured())).tcp
-
-
 QUICK_TARGETS = 3
 """Targets of a quick comparison; chosen"""
 
@@ -182,8 +112,6 @@ class RepairPlan:
     """as for `compare`"""
     trials: TrialPlan | None = None
     """as for `compare`; default: 3 sets, 2 repetitions; a real arm: 1 and 1"""
-    fresh: bool | None = None
-    """fit and train even if the last twin holds; default: for an emulated arm"""
     gauge: GaugeLike | None = None
     """as for `calibrate`, or ``none`` (default for a real arm)"""
 
@@ -294,17 +222,13 @@ class _RepairStages:
     def do_all(self) -> None:
         """Do the stages in order."""
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
-        emulated = is_batchable(robot)
         gauge = None if plan.gauge == NO_GAUGE else plan.gauge
         moving: dict[str, Any] = {"run": run, "settings": settings}
         self.do("diagnose", partial(diagnose, robot, quick=quick, **moving))
         self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
-        fresh, why = quick or (emulated if plan.fresh is None else plan.fresh), None
-        if not fresh and isinstance(plan.preset, str):
-            why = keep_what_holds(run, plan.preset)
-        self.do("identify", partial(identify, run=run, quick=quick), why)
-        self.do("gains", partial(gains, robot, **moving), why)
-        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick), why)
+        self.do("identify", partial(identify, run=run, quick=quick))
+        self.do("gains", partial(gains, robot, **moving))
+        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
         self.do("compare", self._compare)
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
@@ -329,15 +253,15 @@ class _RepairStages:
         with exclusive(self.run):
             return self._comparison(observer).drive(observer.progress)
 
-    def do(self, name: StageName, work: Callable[..., object], why: Kept | None = None) -> None:
-        """Do a stage, or report that it is done, and ``why`` it is kept."""
+    def do(self, name: StageName, work: Callable[..., object]) -> None:
+        """Do a stage, or report that it is done."""
         if name not in self.files or self.only not in (None, name):
             return
         number, total = list(self.files).index(name), len(self.files)
         stage = Stage(name=name, state="started", file=self.files[name], number=number + 1, total=total)
         if name != "report" and stage.file.exists():
             result = self._kept(name)
-            self.observer.stage(replace(stage, state="kept", result=result, why=str(why or "")))
+            self.observer.stage(replace(stage, state="kept", result=result))
             return
         self.observer.stage(stage)
         begun = time.monotonic()

@@ -21,7 +21,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration, read_calibrat
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import modelled_errors
-from rejoint.logs.runfolder import LOGS, Effort, Kept, RunFolder, RunInfo, read_info
+from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
 from rejoint.pages.words import is_virtual, number
 from rejoint.robots import DEFAULT_ARM
@@ -88,8 +88,6 @@ class Contents:
     hold: Mapping[str, RunLog]
     """one hold trial per controller"""
     effort: Effort | None
-    kept: Kept | None
-    """earlier repair of twin and policy"""
 
 
 _READ: dict[str, Callable[[Path], Any]] = {
@@ -99,7 +97,6 @@ _READ: dict[str, Callable[[Path], Any]] = {
     "judgement": partial(read_json, kind=Judgement),
     "comparison": partial(read_json, kind=Comparison),
     "effort": partial(read_json, kind=Effort),
-    "kept": partial(read_json, kind=Kept),
 }
 _READ_FOR: dict[str, Callable[[Path, Arm], Any]] = {
     "policy": load_policy,

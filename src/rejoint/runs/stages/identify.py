@@ -162,8 +162,7 @@ def _excitation(run: Run) -> RunLog:
 def _write(run: Run, twin: Twin) -> None:
     from rejoint.twin.twin import write_twin
 
-    for of_another in (run.folder.judgement, run.folder.kept):
-        of_another.unlink(missing_ok=True)
+    run.folder.judgement.unlink(missing_ok=True)
     write_twin(run.folder.twin, twin)
     if twin.judgement is not None:
         write_json(run.folder.judgement, twin.judgement)
