@@ -24,9 +24,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rejoint.system.errors import InputError, UnsavedError
+from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress
+from rejoint.system.shell import host_and_port
 from rejoint.system.stopping import raise_again
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def _plain_progress(terminal: Terminal, title: str) -> Progress:
 OPTION = "--live"
 HERE = "127.0.0.1:8080"
 """Where the page is unless something else is said: this computer alone reaches it"""
-_PLACE = re.compile(r"(?P<host>[A-Za-z0-9_.-]+):(?P<port>\d{1,5})")
+_PLACE = re.compile(r"[A-Za-z0-9_.-]+:\d{1,5}")
 
 
 def with_place(words: Sequence[str]) -> list[str]:
@@ -247,7 +248,7 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     require(f"rejoint {title} {OPTION}", "live")
     from rejoint.pages.live.view import LiveView
 
-    host, port = host_and_port(place)
+    host, port = host_and_port(OPTION, place)
     view = LiveView(host, port)
     with view:
         terminal.say(f"Live view: {view.address}")
@@ -260,14 +261,6 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
         yield view
     if view.failure:
         terminal.say(f"The live view ended early ({view.failure}); the arm was driven all the same.")
-
-
-def host_and_port(place: str) -> tuple[str, int]:
-    """Read HOST:PORT; InputError for anything else."""
-    found = _PLACE.fullmatch(place)
-    if found is None or int(found["port"]) > 65535:
-        raise InputError(f"{OPTION} {place!r}: expected HOST:PORT, such as {HERE}, or nothing")
-    return found["host"], int(found["port"])
 
 
 def _loopback(host: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +13,9 @@ from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run
-from rejoint.session.inputs import arm_of_twin, as_logs
+from rejoint.session.inputs import arm_of_twin
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
@@ -30,7 +29,6 @@ def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) 
     with call.watched("identify") as observer:
         twin = rejoint.identify(logs, run=job, observer=observer, plan=plan)
     show.twin(call, twin)
-    say_forced(call, as_logs(logs))
     if twin.judgement is not None:
         show_errors(call, twin.judgement)
     path = rejoint.report(job)
@@ -58,7 +56,8 @@ def replay(
     require("rejoint replay", "train", "report")
     chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
-    say_forced(call, replayed.logs)
+    for remark in forced_remarks(replayed.logs):
+        call.say(f"  ! {remark}")
     show_errors(call, replayed.judgement)
     call.result(f"Page: {replayed.page}")
     return _without_trace(replayed.judgement, out / "replay.json") | {"page": replayed.page}
@@ -78,12 +77,6 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
         one = read_published(Path(path), arm)
         found.append(changed(one, name=name.strip()) if named and name.strip() else one)
     return found
-
-
-def say_forced(call: Call, logs: Sequence[RunLog]) -> None:
-    """Repeat what spoke against logs that were imported by force."""
-    for remark in forced_remarks(logs):
-        call.say(f"  ! {remark}")
 
 
 def by_motion(given: list[str] | None) -> dict[str, str]:

@@ -139,13 +139,12 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
     """Read ``50`` or ``20-30`` [ms] as an interval [s]; InputError for anything else."""
     if text is None:
         return None
-    try:
-        parts = [float(part) / 1e3 for part in text.split("-")]
-    except ValueError:
-        parts = []
-    if len(parts) not in (1, 2) or not 0.001 <= parts[0] <= parts[-1] <= 1.0:
-        raise InputError(f"--period {text!r}: expected milliseconds such as 50 or 20-30, between 1 and 1000")
-    return parts[0], parts[-1]
+    first, _, last = text.partition("-")
+    refusal = f"--period {text!r}: expected milliseconds such as 50 or 20-30, between 1 and 1000"
+    low, high = _numbers(f"{first},{last or first}", 2, refusal)
+    if not 1.0 <= low <= high <= 1000.0:
+        raise InputError(refusal)
+    return 1e-3 * low, 1e-3 * high
 
 
 def listed(text: str) -> tuple[str, ...]:

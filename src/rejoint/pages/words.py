@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from calendar import month_name
 from collections.abc import Sequence
-from contextlib import suppress
 from datetime import datetime
 from typing import NamedTuple
 
-from rejoint.robots import place_of
-from rejoint.system.errors import AddressError
 from rejoint.system.statistics import Estimate, Spread
 
 MM = 1e3
@@ -174,10 +171,3 @@ def short(name: str, width: int = 24) -> str:
 def sentence(text: str) -> str:
     """Capitalise, and end with a full stop."""
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
-
-
-def is_virtual(robot: str) -> bool:
-    """Whether an arm runs in virtual time; unknown addresses do not."""
-    with suppress(AddressError):
-        return place_of(robot).virtual
-    return False

@@ -9,7 +9,7 @@ from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot, bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.registry import place_of, usable
+from rejoint.robots.registry import is_virtual, place_of, usable
 
 
 def open_robot(
@@ -46,6 +46,7 @@ __all__ = [
     "Reading",
     "Vitals",
     "bus_family",
+    "is_virtual",
     "open_robot",
     "place_of",
     "usable",

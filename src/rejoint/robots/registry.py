@@ -69,6 +69,14 @@ def place_of(text: str) -> Place[Any]:
         raise AddressError(f"robot address {text!r}: {error}{expected}") from error
 
 
+def is_virtual(text: str) -> bool:
+    """Whether time passes in the steps of the robot at this address alone; not in those of a robot of the caller's."""
+    try:
+        return place_of(text).virtual
+    except AddressError:
+        return False
+
+
 def usable(text: str) -> bool:
     """Whether a robot at this address can be opened with what is installed."""
     try:

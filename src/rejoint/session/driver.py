@@ -27,7 +27,7 @@ from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Ro
 from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
 from rejoint.logs.runfolder import RunFolder
-from rejoint.robots import open_robot
+from rejoint.robots import is_virtual, open_robot
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import (
@@ -52,7 +52,6 @@ from rejoint.session.inputs import (
     arm_of,
     as_run,
     as_twin,
-    is_virtual,
     period_of,
     settled,
 )
@@ -339,7 +338,7 @@ class ArmDriver:
             self._stack.enter_context(self._gains)
             self._base = guard_limits(self.run, self.arm, self.address)
             self.limits = limits_under(self._base, robot, None)
-            virtual = self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(robot))
+            virtual = self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(robot.address))
             if self._pace is not None and virtual:
                 robot = WallClock(robot, lambda: self._pace or 1.0)
         paced = None if self._pace is None else False

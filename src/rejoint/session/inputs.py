@@ -19,7 +19,7 @@ from rejoint.logs.runlog import RunLog, describe, read_log
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.robots.wrapper import RobotWrapper
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError, FileError, InputError
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.numbers import as_floats, as_period, as_seconds, as_seed, as_within
 
@@ -98,14 +98,6 @@ class Borrowed(RobotWrapper):
 
     def close(self) -> None:
         """Leave it open."""
-
-
-def is_virtual(robot: Robot) -> bool:
-    """Whether time passes in the robot's steps alone."""
-    try:
-        return place_of(robot.address).virtual
-    except AddressError:  # a robot of the caller's own
-        return False
 
 
 def is_batchable(robot: RobotLike) -> bool:

@@ -22,7 +22,7 @@ from rejoint.robots.wireserver import Server
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.shell import listen_tcp
+from rejoint.system.shell import host_and_port, listen_tcp
 from rejoint.system.stopping import Interrupted, noted
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def serve(
         if session.twin is None:
             raise FileError(about.folder.twin, "no such file", f"run `rejoint identify {about.path}` first")
         session.correction  # noqa: B018 - what does not fit is refused now
-        listener = None if pty else stack.enter_context(listen_tcp(*_host_and_port(listen)))
+        listener = None if pty else stack.enter_context(listen_tcp(*host_and_port("--listen", listen)))
         path = about.path / "logs" / f"serve-{datetime.now():%Y%m%d-%H%M%S}.jsonl"
         log = OrderLog(path, say=say)
         stack.callback(log.close)
@@ -175,10 +175,3 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
         session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), reference, watch)
         idle = log.orders == before and not moving  # an arm without orders for days fills no disk
         session.recorder.turn(keep=not idle)
-
-
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not (port.isascii() and port.isdecimal()):
-        raise InputError(f"--listen {text!r}: expected HOST:PORT, such as 127.0.0.1:9000")
-    return host, int(port)

@@ -22,10 +22,10 @@ from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import Controller, JointState
 from rejoint.control.targets import Pose, in_mm, placed
+from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
 from rejoint.session.context import believed_motors, guard_limits
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
-from rejoint.session.inputs import is_virtual
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
@@ -359,7 +359,7 @@ class ArmSession(ArmDriver):
         """Record for ``duration_s`` on the robot's clock, as `recording`; without a motion an emulated arm holds."""
         seconds = as_seconds("record", duration_s)
         with noted(), self.recording(name) as record:
-            virtual, held = self.rehearsal is not None or is_virtual(self.robot), False
+            virtual, held = self.rehearsal is not None or is_virtual(self.robot.address), False
             while not record.lasts(seconds):
                 held = held or (virtual and not self.state.moving)
                 if held:  # its time passes only in motions

@@ -53,6 +53,14 @@ BUFFER = 1 << 16
 """[bytes] per connection and direction (chosen)"""
 
 
+def host_and_port(option: str, text: str) -> tuple[str, int]:
+    """Read HOST:PORT of an ``option``; InputError for anything else."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
+        raise InputError(f"{option} {text!r}: expected HOST:PORT, such as 127.0.0.1:9000")
+    return host, int(port)
+
+
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
     """Listen on a TCP port, 0: any free one; InputError."""
     refusal = f"cannot listen on {host}:{port}"

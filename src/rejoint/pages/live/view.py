@@ -16,7 +16,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Cycle, Look, Observer
 from rejoint.control.robot import JointState, Robot
-from rejoint.pages.words import is_virtual
+from rejoint.robots import is_virtual
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import first_line
 from rejoint.system.extras import require

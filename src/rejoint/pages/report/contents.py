@@ -23,8 +23,8 @@ from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
-from rejoint.pages.words import is_virtual, number
-from rejoint.robots import DEFAULT_ARM
+from rejoint.pages.words import number
+from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, reading
 from rejoint.system.shell import command

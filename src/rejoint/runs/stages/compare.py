@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ from rejoint.control.comparison.compare import BLOCK, Helper, Ledger, OpenRobot,
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Driven, Key, Places, Protocol, TargetErrors
+from rejoint.control.comparison.result import Comparison, Driven, Key, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -168,11 +167,6 @@ class ComparisonJob:
     """each trial has controllers of its own"""
     threads: int = 2
     """of emulated arms; no effect on results"""
-
-    @property
-    def places(self) -> Places:
-        """Target sets and repetitions."""
-        return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
