@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from rejoint.control.moving.drive import Followed
     from rejoint.control.servogains import GainsFound
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.pages.report.contents import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
@@ -134,12 +133,6 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     terminal.result(f"Recommended: {advice.controller}{tie}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")
-
-
-def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
-    """Print what the whole repair came to."""
-    if result is not None and result.sentence:
-        terminal.result(result.sentence)
 
 
 def effort(terminal: Terminal, spent: Effort | None) -> None:

@@ -94,7 +94,8 @@ def repair(
     errors = before_after(read_contents(path))
     spent = read_effort(job.folder)
     show.effort(call, spent)
-    show.verdict(call, errors)
+    if errors is not None and errors.sentence:
+        call.result(errors.sentence)
     call.result(str(page))
     return {
         "run": path,

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages import html
-from rejoint.pages.words import number
+from rejoint.pages.words import number, plural
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
@@ -537,7 +537,7 @@ def run_fleet(
         start, since = "Starting the", ""
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
-        tell(f"{start} {verb} of {len(campaign.info.runs)} arms in {fleet.folder}{since}")
+        tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
         with executor(arms) as ready:
             standings = drive(arms, campaign, ready, tell)
         result = FleetResult(

@@ -202,8 +202,6 @@ def calibrate(
     chosen, before = settings or Settings(), _measured_before(gauge)
     if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")
-    if run is None and robot is None and arm is None:
-        raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
     with (
         pacing(observer) as update,
         noted(),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -36,6 +35,7 @@ from rejoint.session.recorder import staged
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
+from rejoint.system.numbers import as_positive
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
 
@@ -141,10 +141,8 @@ def check(
     used_h, when = said.used_h, said.when
     if when is not None and when.tzinfo is not None:
         when = when.astimezone(UTC).replace(tzinfo=None)
-    if tolerance_mm is not None and not 0.0 < tolerance_mm < math.inf:
-        raise InputError(f"check: the tolerance is a positive number of millimetres, got {tolerance_mm}")
-    if used_h is not None and not 0.0 <= used_h < math.inf:
-        raise InputError(f"check: the hours of use are a finite number from 0, got {used_h}")
+    if tolerance_mm is not None:
+        as_positive("check", tolerance_mm, "a tolerance in millimetres")
     if name is not None and not any(map(str.isalnum, name)):  # a variable of a script that is not set, say
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
