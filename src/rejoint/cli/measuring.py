@@ -8,17 +8,16 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
 import rejoint
-from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Call, ConsoleObserver, takes
 from rejoint.diagnosis.calibration.calibration import WEDGE
-from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
@@ -42,7 +41,7 @@ def calibrate(
     measure: str | None = None,
     unit: str = "mm",
     board: Path | None = None,
-    board_on: str = "tool",
+    board_on: Literal["tool", "table"] = "tool",
     frame: str = "base",
     count: int | None = None,
     once: bool = False,
@@ -62,11 +61,15 @@ def calibrate(
     else:
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0)
     settings = replace(call.settings, calibration="none" if fresh else None)
-    means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, board_on=board_on)
+    means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
     if kind == "points" or (kind == "camera" and what and not is_device(what)):
-        given = (
-            read_measurements(Path(what), job.arm, frame=frame) if kind == "points" else means.film_at(what, job.arm)
-        )
+        given: Measurements | Film
+        if kind == "points":
+            given = read_measurements(Path(what), job.arm, frame=frame)
+        else:
+            from rejoint.camera.film import read_folder
+
+            given = read_folder(what, job.arm, means.pattern(), means.carried)
         found = rejoint.calibrate(run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
@@ -132,14 +135,8 @@ class Means:
     sigma: float = NOISE
     """[m] standard deviation of a coordinate"""
     board: Path | None = None
-    board_on: str = "tool"
-
-    @property
-    def carried(self) -> str:
-        """What the tool carries."""
-        if self.board_on not in PLACES:
-            raise InputError(f"--board-on {self.board_on!r}: expected one of {', '.join(PLACES)}")
-        return PLACES[self.board_on]
+    carried: str = "board"
+    """what the tool carries"""
 
     def pattern(self, usual: Board | None = None) -> Board:
         """Return the board; InputError where none is described and there is no ``usual`` one."""
@@ -154,12 +151,6 @@ class Means:
                 "description with --board FILE"
             )
         return usual
-
-    def film_at(self, pattern: str, arm: Arm) -> Film:
-        """Return the film of pictures that were taken elsewhere."""
-        from rejoint.camera.film import read_folder
-
-        return read_folder(pattern, arm, self.pattern(), self.carried)
 
     def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
         """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
@@ -233,7 +224,7 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
 def board(
     call: Call,
     file: Path,
-    on: str = "tool",
+    on: Literal["tool", "table"] = "tool",
     squares: str | None = None,
     square: float | None = None,
     page: str = "A4",
@@ -244,12 +235,9 @@ def board(
     require("rejoint board", "camera")
     from rejoint.camera.board import ON_TABLE, ON_TOOL, write_board, write_pdf
 
-    kinds = {"tool": ON_TOOL, "table": ON_TABLE}
+    chosen = ON_TOOL if on == "tool" else ON_TABLE
     if file.suffix.lower() != ".pdf":
         raise InputError(f"{file}: expected a file name that ends in .pdf")
-    if on not in kinds:
-        raise InputError(f"--on {on!r}: expected one of {', '.join(kinds)}")
-    chosen = kinds[on]
     if squares is not None:
         found = re.fullmatch(r"(\d+)[xX](\d+)", squares)
         if found is None:
