@@ -43,7 +43,10 @@ _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar
 
 
 class _OutputFile:
-    """A file whose reader may leave (BrokenPipeError); a ``lossy`` one also loses what finds no space."""
+    """A file whose reader may leave, as ``head`` does: the rest is lost, and the command goes on.
+
+    A ``lossy`` one also loses what finds no space.
+    """
 
     def __init__(self, file: TextIO, *, lossy: bool = False) -> None:
         self._file, self._lossy = file, lossy
@@ -62,21 +65,12 @@ class _OutputFile:
             act(*given)
         except OSError as error:
             if error.errno in (errno.EPIPE, errno.EIO):  # so the system calls a terminal that was closed
-                raise BrokenPipeError(error.errno, error.strerror) from error
-            if not self._lossy:
+                into_nothing(self._file)
+            elif not self._lossy:
                 raise
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever that file has
         return getattr(self._file, name)
-
-
-class _Output(Console):
-    """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on."""
-
-    def on_broken_pipe(self) -> None:
-        """Print nothing from now on; Rich would end the program, with the exit code of a bug."""
-        self.quiet = True
-        into_nothing(self.file)
 
 
 def into_nothing(file: IO[str]) -> None:
@@ -87,7 +81,7 @@ def into_nothing(file: IO[str]) -> None:
 
 def notes() -> Console:
     """Return standard error, for what is no result."""
-    return _Output(file=cast(TextIO, _OutputFile(sys.stderr, lossy=True)), highlight=False, soft_wrap=True)
+    return Console(file=cast(TextIO, _OutputFile(sys.stderr, lossy=True)), highlight=False, soft_wrap=True)
 
 
 def _results() -> TextIO:
@@ -100,7 +94,7 @@ class Terminal:
     def __init__(self, *, json: bool = False, dry: bool = False, live: str | None = None) -> None:
         """Take whether the command ends with JSON, whether it simulates, and where the page of the live view is."""
         self.json, self.live, self._dry, self._of = json, live, dry, "In the simulation: " if dry else ""
-        self.results = _Output(file=_results(), highlight=False, soft_wrap=True)
+        self.results = Console(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
 
     def say(self, text: str) -> None:
@@ -126,7 +120,7 @@ class Terminal:
         A column without text is left out; a wide table is split, its first column in each part.
         """
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
-        page = _Output(file=_results(), width=width, highlight=False)
+        page = Console(file=_results(), width=width, highlight=False)
         columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
         for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
@@ -146,12 +140,9 @@ class Terminal:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
             value = {**value, "dry_run": True} if self._dry and isinstance(value, dict) else value
-            try:
-                file = _results()
-                file.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
-                file.flush()
-            except BrokenPipeError:
-                into_nothing(sys.stdout)
+            file = _results()
+            file.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
+            file.flush()
 
     @contextmanager
     def unsaved(self, show: Callable[[Any], object]) -> Iterator[None]:
