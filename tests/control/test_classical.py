@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, tcp_position
+from rejoint.control.controllers import classical
 from rejoint.control.controllers.catalogue import make_controller
-from rejoint.control.controllers.classical import IntegratorController, IntegratorGains
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.controllers.law import dls_step, null_space
 from rejoint.control.goal import nearest_postures
@@ -51,10 +52,16 @@ def test_default_sends_the_goal_and_nothing_else():
     np.testing.assert_array_equal(controller.command(inputs(REST + 0.2, sent=now.goal, time=5.0)), now.goal)
 
 
+@pytest.fixture
+def no_pull(monkeypatch):
+    """The integrator without its pull to rest."""
+    monkeypatch.setattr(classical, "REST_GAIN", 0.0)
+
+
+@pytest.mark.usefixtures("no_pull")
 def test_integrator_by_hand():
-    gains = IntegratorGains(rest_gain=0.0)
     sent = REST + 0.05
-    command = IntegratorController(ARM, gains).command(inputs(REST, sent=sent))
+    command = IntegratorController(ARM).command(inputs(REST, sent=sent))
     tcp, jacobian = position_kinematics(ARM, REST)
     error = TARGETS[:, 0] - tcp
     for b in range(3):
@@ -65,8 +72,9 @@ def test_integrator_by_hand():
         np.testing.assert_allclose(command[b], sent[b] + 0.1 * distance / (distance + 0.004) * step, atol=1e-12)
 
 
+@pytest.mark.usefixtures("no_pull")
 def test_integrator_steps_by_the_time_that_passed():
-    controller = IntegratorController(ARM, IntegratorGains(rest_gain=0.0))
+    controller = IntegratorController(ARM)
     moves = []
     for time in (0.0, 0.025, 0.075, 0.075, 9.0):
         moves.append(controller.command(inputs(REST, time=time)) - REST)
@@ -148,8 +156,9 @@ def test_the_feedforward_winds_nothing_up_that_is_not_sent():
     assert commands[0] < 0.5 * commands[1]
 
 
+@pytest.mark.usefixtures("no_pull")
 def test_the_integrator_moves_with_a_goal_that_moves():
-    controller, still = (IntegratorController(ARM, IntegratorGains(rest_gain=0.0)) for _ in range(2))
+    controller, still = (IntegratorController(ARM) for _ in range(2))
     now = inputs(REST, time=0.025)
     for one in (controller, still):
         one.reset(now, ALL)

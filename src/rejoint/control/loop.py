@@ -297,10 +297,6 @@ class RunState:
         way = np.max(np.abs(told - self.state.position) / (EASE_SHARE * self.limits.max_speed), axis=-1)
         self.eased_until = np.where(where, self.state.time + EASE + way, self.eased_until)
 
-    def _ease_share(self) -> Array:
-        """(B,) allowed share of the speed: less after a gap."""
-        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
-
     def cycle(self) -> bool:
         """Do a cycle; returns whether another follows."""
         if self.schedule.stands_for is not None:
@@ -365,7 +361,8 @@ class RunState:
         self.unbelieved = self.following.check(self.state, self.sent, aimed)
         wanted = self.following.bound(self.controller.command(inputs), self.state.position, aimed)
         self.wanted = wanted
-        ease = self._ease_share()  # slower time for the guard is a slower arm
+        eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
+        ease = np.where(eased, EASE_SHARE, 1.0)
         last, period = self.speed / ease[:, None], ease * self.period
         moving = (inputs.since_target == 0.0) & self.reference.planned
         guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)

@@ -104,7 +104,7 @@ class Seen(Modelled):
         if not np.isfinite(target).all():
             return None
         seen = self.eye.sighting(now)
-        if seen is None or seen.time <= self._last or not self._remembered(seen.time):
+        if seen is None or seen.time <= self._last or not self._told[0][0] <= seen.time <= now:
             return None
         self._last = seen.time
         then = self._position(seen.time)
@@ -155,9 +155,6 @@ class Seen(Modelled):
         self._extra = self._extra + share @ (unknown - self._extra)
         self._spread = self._spread - share @ self._spread
         self._place, self._believed = place, seen.time
-
-    def _remembered(self, time: float) -> bool:
-        return self._told[0][0] <= time <= self._told[-1][0]
 
     def _position(self, time: float) -> Array:
         """Return reading (n,) [rad] at ``time`` [s]."""

@@ -5,8 +5,6 @@ Default: Park et al. 2024, section IV-F.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
@@ -22,23 +20,16 @@ from rejoint.control.controllers.law import (
 )
 from rejoint.control.robot import ControlInput, Mask
 
-
-@dataclass(frozen=True, kw_only=True)
-class IntegratorGains:
-    """Settings; chosen on simulated worn arms."""
-
-    rate: float = GAIN / NOMINAL_PERIOD
-    """[1/s] share of the step; twice as much oscillates in play"""
-    lead: float = np.radians(15.0)
-    """[rad] largest following error (anti-windup)"""
-    fade: float = 4e-3
-    """[m] error at which the steps fade to half"""
-    rest_gain: float = 0.01
-    """per cycle, in the null space"""
-    rest_step: float = np.radians(0.1)
-    """[rad] largest step of that pull: an encoder count"""
-    rest_distance: float = 0.01
-    """[m] from the target, below which there is no pull"""
+# Chosen on simulated worn arms:
+RATE = GAIN / NOMINAL_PERIOD
+"""[1/s] share of the step; twice as much oscillates in play"""
+LEAD = np.radians(15.0)
+"""[rad] largest following error (anti-windup)"""
+FADE = 4e-3
+"""[m] error at which the steps fade to half"""
+REST_GAIN, REST_STEP, REST_DISTANCE = 0.01, np.radians(0.1), 0.01
+"""Pull to rest per cycle, in the null space; its largest step [rad], an encoder count; [m] from the target, below which
+there is none"""
 
 
 class IntegratorController:
@@ -47,8 +38,8 @@ class IntegratorController:
     name = "integrator"
     heeds_turn = True
 
-    def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
-        self._arm, self._gains, self._pace = arm, gains or IntegratorGains(), Pace()
+    def __init__(self, arm: Arm) -> None:
+        self._arm, self._pace = arm, Pace()
         self._goal: Array = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -59,15 +50,15 @@ class IntegratorController:
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
-        arm, gains, measured = self._arm, self._gains, inputs.state.position
+        arm, measured = self._arm, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         seen = dls_step(arm, measured, inputs.target, inputs.turn)
-        step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
-        pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (inputs.goal - inputs.sent)), gains.rest_step)
-        far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance
+        step = RATE * elapsed * fade(seen.error, FADE) * seen.step
+        pull = clip_norm(null_space(seen.jacobian, REST_GAIN * (inputs.goal - inputs.sent)), REST_STEP)
+        far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > REST_DISTANCE
         along = inputs.goal - self._goal if len(self._goal) == len(inputs.goal) else 0.0  # on the way the goal moves
         self._goal = inputs.goal.copy()
-        return limit_position(arm, limit_lead(inputs.sent + along + step + far * pull, measured, gains.lead))
+        return limit_position(arm, limit_lead(inputs.sent + along + step + far * pull, measured, LEAD))
 
 
 class DefaultController:

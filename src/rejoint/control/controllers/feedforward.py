@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.arms.rotations import task
 from rejoint.arms.workspace import length_size, torque_size
-from rejoint.control.controllers.classical import IntegratorGains
+from rejoint.control.controllers.classical import FADE, RATE
 from rejoint.control.controllers.law import (
     LONGEST_PERIOD,
     Pace,
@@ -50,9 +50,9 @@ SPEED_SMOOTHING = 0.5
 class FeedforwardGains:
     """Settings of the integrator."""
 
-    rate: float = IntegratorGains.rate
+    rate: float = RATE
     """[1/s] integrated share of the step"""
-    fade: float = IntegratorGains.fade
+    fade: float = FADE
     """[m] distance at which the steps fade to half"""
     learned_limit: float = float(np.radians(45.0))
     """[rad] largest correction (chosen: other joints make up for a stuck one)"""

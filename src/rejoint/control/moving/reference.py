@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from threading import Lock
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -271,19 +271,6 @@ class Route(NamedTuple):
     """(K, 3) [m] the same, corrected"""
 
 
-class Guide(Protocol):
-    """Target of one arm over time."""
-
-    def place(self, now: float) -> Array:
-        """Target (3,) [m] at ``now`` [s]."""
-
-    def poses(self, now: float, later: Array) -> Poses:
-        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
-
-    def route(self) -> Route:
-        """Return all targets."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ahead:
     """A planned path, after a rest at its start."""
@@ -293,15 +280,15 @@ class Ahead:
     """corrected path with the same times"""
 
     def place(self, now: float) -> Array:
-        """See `Guide`."""
+        """Target (3,) [m] at ``now`` [s]."""
         return self.path.at(now - LEAD_IN)
 
     def poses(self, now: float, later: Array) -> Poses:
-        """See `Guide`."""
+        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
         return (self.aim or self.path).poses(now - LEAD_IN + later)
 
     def route(self) -> Route:
-        """See `Guide`."""
+        """Return all targets."""
         time = self.path.grid
         return Route(LEAD_IN, time, self.path.at(time), (self.aim or self.path).at(time))
 
@@ -367,12 +354,12 @@ class Stream:
         return self._between(np.array([now]), now)[0, :3]
 
     def poses(self, now: float, later: Array) -> Poses:
-        """See `Guide`."""
+        """See `Ahead`."""
         self._now = now
         return self._aims(self._between(now + later - self.lag, now))
 
     def route(self) -> Route:
-        """See `Guide`."""
+        """See `Ahead`."""
         rows, time = np.array(self.rows), np.array(self.time)
         return Route(self.time[0], time - time[0], rows[:, :3], self._aims(rows)[0])
 
@@ -416,6 +403,10 @@ class Stream:
         velocity = np.polyfit(times[recent:], known[recent:], 1)[0]
         beyond = np.clip(time - times[-1], 0.0, EXTRAPOLATED)[:, None]
         return interpolated(time, times, known) + beyond * velocity
+
+
+Guide: TypeAlias = Ahead | Stream
+"""Target of one arm over time: `place`, `poses` in ``later`` (k,) [s] than ``now``, and the `route` when it is over"""
 
 
 class PathReference(Reference):

@@ -132,7 +132,7 @@ class ScheduledController:
             reach = gains.ramp * inputs.since_target[:, None]
             return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
         pull = clip_norm(null_space(seen.jacobian, 0.01 * (inputs.goal - integral)), np.radians(0.1))
-        integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorGains`
+        integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorController`
         self._integral = limit_position(arm, np.clip(integral, measured - gains.lead, measured + gains.lead))
         return limit_position(arm, self._integral + passing)
 
