@@ -127,8 +127,6 @@ def test_names_and_bad_limits():
     assert reason_names(0) == ()
     with pytest.raises(InputError, match="max_speed needs 6"):
         dataclasses.replace(LIMITS, max_speed=np.ones(3))
-    with pytest.raises(InputError, match="max_lead must be positive"):
-        dataclasses.replace(LIMITS, max_lead=0.0)
 
 
 def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():

@@ -132,9 +132,6 @@ class GuardLimits:
             object.__setattr__(self, name, array)
         if (self.lower >= self.upper).any() or (self.max_speed <= 0).any() or (self.max_acceleration <= 0).any():
             raise InputError("guard limits: lower must be below upper, speeds and accelerations must be positive")
-        for name in ("parts", "max_lead", "max_period", "max_age"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"guard limits: {name} must be positive, got {getattr(self, name)}")
 
     @cached_property
     def floors(self) -> Array:

@@ -31,7 +31,7 @@ from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, OnCycle, Recording, attach, look_of, recorded
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, turned_off
-from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
+from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
 FIRST_PERIOD = 0.02
@@ -187,8 +187,6 @@ class RunState:
         self.cycles: list[Cycle] = []
         self.look = look_of(robot, self.controller.name, limits)
         self.state = state = own(robot.read())
-        if sent is not None and np.shape(sent) != state.position.shape:
-            raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
         told = np.array(state.position if sent is None else sent, dtype=float)
         self.sent = in_force(state, told)
         self.following = Following(limits.arm, state, self.sent, limits.servos, bands=limits.bands)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, position_kinematics
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.robot import ControlInput, Mask
-from rejoint.system.errors import InputError
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]
@@ -102,10 +101,6 @@ def _rows(layout: Layout, n: int) -> tuple[tuple[str, int, float, str], ...]:
             ("waited", 1, 1.0, "min(time since the target was set, 2 s) - 0.5"),
             ("period", 1, 20.0, "20 p - 0.7 [1/s], p the running mean of the control period"),
             ("action", HISTORY * n, 1.0, "last actions, newest first"),
-        )
-    if layout not in ("equation-16", "equation-16-action"):
-        raise InputError(
-            f"no observation layout is called {layout!r}; known: residual, equation-16, equation-16-action"
         )
     drive = ("drive", n, 4.0, "4 (s - x) [1/rad]"), ("action", n, 1.0, "last action")
     return (
@@ -226,10 +221,6 @@ class Observer:
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
         chosen = self._everyone[rows]
-        if not (time.shape == chosen.shape and position.shape == (len(chosen), self.arm.joints)):
-            raise InputError(
-                f"observer: {time.shape} times and positions {position.shape}, expected those of {len(chosen)} arms"
-            )
         elapsed = time - self._time[rows]
         later = elapsed > 0.0  # not where nothing was seen before
         chosen, elapsed = chosen[later], elapsed[later]
