@@ -192,9 +192,15 @@ def guard(
     ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
     the limits if ``sent`` is. InputError for different shapes.
     """
-    _check_shapes(limits.arm.joints, command, sent, speed, state, period)
+    shape, ages, periods = (len(command), limits.arm.joints), np.shape(state.age), np.shape(period)
+    given = [array.shape for array in (command, sent, speed, state.position)]
+    if set(given) != {shape} or ages != shape[:1] or periods not in ((), (1,), shape[:1]):
+        raise InputError(
+            f"guard: command, last command, its speed and positions {given}, ages {ages}, periods {periods}; expected "
+            f"{shape} and {shape[:1]} each"
+        )
     asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
-    times, out = np.empty((2, len(command))), np.empty((2, *command.shape))
+    times, out = np.empty((2, len(command))), np.empty((2, *shape))
     times[0], times[1] = state.age, period
     reasons = servo_trips(limits, state)
     compiled.guard(chain_of(limits.arm), limits.shape, limits.rules, asked, times, reasons, out)
@@ -233,19 +239,6 @@ def warm_up(limits: GuardLimits) -> None:
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
     Following(limits.arm, state, rest)
-
-
-def _check_shapes(
-    joints: int, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
-) -> None:
-    shape = len(command), joints
-    per_arm = np.shape(period) in ((), (1,), shape[:1]) and np.shape(state.age) == shape[:1]
-    if not (per_arm and command.shape == sent.shape == speed.shape == state.position.shape == shape):
-        raise InputError(
-            f"guard: command {command.shape}, last command {sent.shape}, its speed {speed.shape}, positions "
-            f"{state.position.shape}, ages {np.shape(state.age)}, periods {np.shape(period)}; expected {shape} and "
-            f"{shape[:1]} each"
-        )
 
 
 def servo_trips(limits: GuardLimits, state: JointState) -> Reasons:

@@ -162,9 +162,14 @@ class Observer:
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
         """Observation (B, size), or of ``rows``."""
-        state = inputs.state
-        position = state.position[rows]
-        self._differentiate(state.time[rows], position, rows)
+        position, time, chosen = inputs.state.position[rows], inputs.state.time[rows], self._everyone[rows]
+        elapsed = time - self._time[rows]
+        later = elapsed > 0.0  # not where nothing was seen before
+        chosen, elapsed = chosen[later], elapsed[later]
+        self._velocity[chosen, 1:] = self._velocity[chosen, :-1]
+        self._velocity[chosen, 0] = (position[later] - self._position[chosen]) / elapsed[:, None]
+        self._period[chosen] += PERIOD_SMOOTHING * (np.minimum(elapsed, LONGEST_PERIOD) - self._period[chosen])
+        self._time[rows], self._position[rows] = time, position
         view = look(self.arm, position, inputs.target[rows], inputs.goal[rows])
         if rows is ALL:
             self.view = view
@@ -218,13 +223,3 @@ class Observer:
     def drop_actions(self, where: Mask) -> None:
         """Drop last actions where ``where`` (B,)."""
         self._action[where] = 0.0
-
-    def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
-        chosen = self._everyone[rows]
-        elapsed = time - self._time[rows]
-        later = elapsed > 0.0  # not where nothing was seen before
-        chosen, elapsed = chosen[later], elapsed[later]
-        self._velocity[chosen, 1:] = self._velocity[chosen, :-1]
-        self._velocity[chosen, 0] = (position[later] - self._position[chosen]) / elapsed[:, None]
-        self._period[chosen] += PERIOD_SMOOTHING * (np.minimum(elapsed, LONGEST_PERIOD) - self._period[chosen])
-        self._time[rows], self._position[rows] = time, position
