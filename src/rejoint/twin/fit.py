@@ -230,16 +230,16 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    First joints take the best of the ``scales``, along which the loss is flat.
+    First joints take the best of the ``scales``, along which the loss is flat, as long as that gains.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
-    converged, iteration = False, 0
+    converged, iteration, rescaling = False, 0, np.inf if scales else 0.0
     residual = problem.residuals(x[None])[0]
     while not converged and iteration < iterations:
         iteration += 1
-        weights, rescaling = problem.weights(residual), 0.0
-        if scales:
+        weights = problem.weights(residual)
+        if rescaling >= LEAST_GAIN:
             around = np.vstack([x, problem.rescaled(x, scales)])
             x, rescaling, residual = line_up(problem, around, residual[None], weights)
             weights = problem.weights(residual)
