@@ -25,7 +25,6 @@ from rejoint.diagnosis.calibration.measurements import (
     SHEET_MOST,
     joint_columns,
     read_table,
-    readable,
     require_degrees,
     write_table,
 )
@@ -217,8 +216,7 @@ def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
     meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}
     if not path.exists():
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
-    with readable(path, "postures"):
-        found, lines = read_columns(path, meanings, ["picture", *joints], joints, most=SHEET_MOST)
+    found, lines = read_columns(path, meanings, ["picture", *joints], joints, most=SHEET_MOST)
     empty = np.full(len(lines), np.nan)
     position, approach = (np.array([found.get(name, empty) for name in names]).T for names in (joints, came))
     require_degrees(path, position)

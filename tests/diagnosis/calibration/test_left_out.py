@@ -62,7 +62,8 @@ def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():
     drawn[:, tilt] += doubt * np.random.default_rng(0).standard_normal((400, 2))
     tools = np.stack([displacement_of(own.layout, one).tool(ARM, postures) for one in drawn])
     seen = np.sqrt(((tools - own.tool(postures)) ** 2).sum(axis=-1).mean(axis=0))
-    np.testing.assert_allclose(own.sigma(postures), seen, rtol=0.15, atol=2e-4)
+    known = np.sqrt(np.trace(own.spread(postures), axis1=-2, axis2=-1))
+    np.testing.assert_allclose(known, seen, rtol=0.15, atol=2e-4)
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])

@@ -118,10 +118,6 @@ class Calibration:
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3)) @ np.swapaxes(np.linalg.cholesky(spread), -1, -2)
         return np.linalg.norm((self.tool(position) - target)[..., None, :] + draws, axis=-1)
 
-    def sigma(self, position: Array) -> Array:
-        """Root mean square (...) [m] of the tool's distance from `tool`."""
-        return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
-
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,8 +26,8 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import pose_of
 from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES, read_parquet
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, MEGABYTE, write_whole
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import CHANGED, MEGABYTE, reading, write_whole
 from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
@@ -153,8 +152,7 @@ def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str 
     """Read CSV, with ``frame`` and ``source``, or Parquet; FileError if unusable."""
     if path.suffix.lower() != ".csv":
         return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
-    with readable(path, "measurements"):
-        return _from_csv(path, arm, frame, source)
+    return _from_csv(path, arm, frame, source)
 
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
@@ -182,7 +180,7 @@ def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], abo
 
 def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
     """Build from a table's columns and header; FileError for another kind."""
-    with readable(path, what):
+    with reading(path, f"not readable {what}", _REMEDY):
         table = read_parquet(path, _REMEDY)
         header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
         if header.get("format") != FORMAT or header.get("what") != what:
@@ -192,17 +190,6 @@ def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[
         if header.pop("digest") != _digest(table, header):
             raise FileError(path, CHANGED, _REMEDY)
         return build(table.to_pydict(), header)
-
-
-@contextmanager
-def readable(path: Path, what: str) -> Iterator[None]:
-    """Make errors from a file that is no ``what`` FileErrors."""
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, InputError, msgspec.MsgspecError) as error:
-        raise FileError(path, f"not readable {what} ({first_line(error)})", _REMEDY) from error
 
 
 def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:

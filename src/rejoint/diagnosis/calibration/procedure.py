@@ -25,7 +25,7 @@ from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, Meas
 from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError, NotReadyError
-from rejoint.system.files import MEGABYTE, require_file
+from rejoint.system.files import MEGABYTE, reading, require_file
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
 
@@ -199,16 +199,12 @@ class TrackerGauge:
 
     def _newest(self) -> Array:
         """Newest rows (T, 4) time, x, y, z."""
-        try:
+        with reading(self.path, "cannot be read", "start the tracker first"):
             require_file(self.path, TRACK_MOST, "begin a new file")
             with self.path.open("rb") as file:
                 head = file.readline(4096).decode().strip()
                 file.seek(max(self.path.stat().st_size - _TAIL, len(head)))
                 text = file.read().decode(errors="replace")
-        except FileNotFoundError as error:
-            raise FileError(self.path, "no such file", "start the tracker first") from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise FileError(self.path, f"cannot be read ({error})", "check what the tracker writes") from error
         names = [name.strip().lower() for name in head.split(",")]
         if not {"time", "x", "y", "z"} <= set(names):
             raise FileError(self.path, f"columns {head!r}, expected time, x, y, z", "name them in its first line")
