@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, tcp_position
-from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joint
@@ -57,9 +56,6 @@ class Evidence:
         named = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds >= 0.5]
         return f"; left out: {', '.join(named)}" if named else ""
 
-
-HIDDEN_MARGIN_MM = 1.0
-"""Distance of tool and encoders, beyond the healthy range, by wear on a myCobot 280; goes with the reach; chosen"""
 
 MANY = 8
 """Logs from which each is one observation; chosen"""
@@ -152,7 +148,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
             f"{_verdict_of(findings, loop.error_mm, healthy, nothing)}"
         ),
         findings=findings,
-        unseen=(_hidden(loop, healthy, HIDDEN_MARGIN_MM * length_size(arm)), FLANK, *_untold(measurement)),
+        unseen=(_hidden(loop), FLANK, *_untold(measurement)),
         open_loop=loop,
         measurement=measurement,
         healthy=healthy,
@@ -188,19 +184,18 @@ def diagnose_logs(
     for joint, name in enumerate(arm.joint_names):
         on_progress(0.1 + 0.9 * joint / arm.joints, name)
         rows.append(measure_joint(data, joint))
-    measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
+    measurement = Measurement(joints=tuple(rows), period_s=float(np.median(np.diff(data.log.time))))
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
-    grown = _grown(measurement, healthy)
-    told, condition = _by_effort(measurement, data.effort_unit, grown), "worn" if grown else "unknown"
+    grown = _grown(measurement, healthy) if bare else None
+    told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement, healthy))
-        told_of = healthy is not None and any(row.lag_s is not None for row in rows)
-        condition = _condition(findings) if findings or told_of else "unknown"
+    surely = healthy is not None and any(row.lag_s is not None for row in rows)
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
         arm=arm.name,
         robot=source,
-        condition=condition,
+        condition=_condition(findings) if findings or surely else "worn" if grown else "unknown",
         verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
         findings=findings,
         unseen=(
@@ -268,20 +263,13 @@ def _untold(measurement: Measurement) -> tuple[str, ...]:
     )
 
 
-def _hidden(loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:
+def _hidden(loop: OpenLoop) -> str:
     if loop.hidden_mm is None or loop.true_error_mm is None:
         return f"{BEHIND} A few measured points of the tool would tell."
-    known = (
+    return (
         f"The emulator knows where the tool really is: {loop.hidden_mm:.1f} mm from where the encoders put it, and "
-        f"{loop.true_error_mm.value:.1f} mm from the targets"
+        f"{loop.true_error_mm.value:.1f} mm from the targets; on a real arm nothing in these logs would show it."
     )
-    usual = healthy.hidden_mm.high if healthy is not None and healthy.hidden_mm is not None else None
-    if usual is not None and loop.hidden_mm > usual + margin_mm:
-        return (
-            f"{known}. There is play or flex behind the encoders; on a real arm nothing in these logs would show it, "
-            "and no controller that relies on the encoders can remove it."
-        )
-    return f"{known}: about as much as in a healthy arm."
 
 
 def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], height: float | None) -> Evidence:
@@ -359,20 +347,23 @@ def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[s
     """Joints with more friction than the healthy arm, by torque or current; None without such an arm."""
     if healthy is None:
         return None
-    pairs = [
-        (row.coulomb_effort, good.coulomb_effort) for row, good in zip(measurement.joints, healthy.joints, strict=True)
-    ]
-    above = [bool(now and usual and (now.low or 0.0) > (usual.high or np.inf)) for now, usual in pairs]
-    return [row.joint for row, more in zip(measurement.joints, above, strict=True) if more]
+    found = []
+    for row, good in zip(measurement.joints, healthy.joints, strict=True):
+        now, usual = row.coulomb_effort, good.coulomb_effort
+        if now and usual and (now.low or 0.0) > (usual.high or np.inf):
+            found.append(row.joint)
+    return found
 
 
 def _by_effort(measurement: Measurement, unit: str | None, grown: list[str] | None) -> str:
-    def said(found: Estimate | None, unit: str) -> str:
-        return "" if found is None else f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
+    def said(found: Estimate, unit: str) -> str:
+        return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
 
-    rows, unit = [row for row in measurement.joints if row.coulomb_effort is not None], f" {unit}" if unit else ""
+    unit = f" {unit}" if unit else ""
     named = "; ".join(
-        f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}" for row in rows
+        f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}"
+        for row in measurement.joints
+        if row.coulomb_effort and row.viscous_effort
     )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
     return (

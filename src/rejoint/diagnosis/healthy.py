@@ -75,8 +75,6 @@ class HealthyReference:
     joints: tuple[JointMetrics, ...]
     error_mm: Estimate | None
     """of ten targets open loop, or at rest, by encoders"""
-    hidden_mm: Estimate | None
-    """between tool and encoders"""
     setting: str = ""
     """P and supply it was computed for"""
 
@@ -179,14 +177,12 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
         for joint in range(arm.joints)
     )
     found = [(measure(arm, entry.excitation, inertia), open_loop_errors(arm, entry.targets)) for entry in logs]
-    hidden = [loop.hidden_mm for _, loop in found if loop.hidden_mm is not None]
     return HealthyReference(
         arm=arm.name,
         source=source,
         motors_kg_m2=inertia,
         joints=tuple(_ranges(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
         error_mm=_factor([loop.error_mm for _, loop in found]),
-        hidden_mm=_factor([Estimate(value, None, None) for value in hidden]) if hidden else None,
     )
 
 
@@ -198,11 +194,8 @@ def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:
             ranges[name] = _factor(known) if name in POSITIVE else _margin(known, allowed[name])
-    sources = [row.stiffness_source for row in rows]
     return JointMetrics(
         joint=rows[0].joint,
-        stiffness_source=max(sorted(set(sources)), key=sources.count),  # a set has no order of its own
-        torque_seen_nm=max(row.torque_seen_nm for row in rows),
         saturated_share=max(row.saturated_share for row in rows),
         motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
         sweep_gain=min((row.sweep_gain for row in rows if row.sweep_gain is not None), default=None),
@@ -263,5 +256,4 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
         error_mm=None if error is None else _factor([error]),
-        hidden_mm=None,
     )

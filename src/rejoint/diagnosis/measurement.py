@@ -25,7 +25,7 @@ from rejoint.diagnosis.metrics import (
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
 from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog
 from rejoint.logs.runlog import RunLog
-from rejoint.system.statistics import Estimate
+from rejoint.system.statistics import NORMAL95, Estimate
 
 LOADED = 0.05
 """[N m] gravity range on a myCobot 280 that a stiffness needs; chosen"""
@@ -70,8 +70,6 @@ class JointMetrics:
     joint: str
     stiffness_nm_per_rad: Estimate | None = None
     """torque per radian of following error"""
-    stiffness_source: str = "none"
-    """``gravity`` (sag in holds), ``inertia`` (motion) or ``none``"""
     hysteresis_rad: Estimate | None = None
     """full width between both directions, lag removed"""
     coulomb_nm: Estimate | None = None
@@ -88,7 +86,6 @@ class JointMetrics:
     """rms of one reading at rest"""
     torque_limit_nm: Estimate | None = None
     """at the load: motor limit less stiction; None: not reached"""
-    torque_seen_nm: float = 0.0
     saturated_share: float = 0.0
     """of time, at the torque limit"""
     motor_inertia_kg_m2: float | None = None
@@ -110,8 +107,6 @@ class Measurement:
     """What logs say about an arm."""
 
     joints: tuple[JointMetrics, ...]
-    delay_s: float | None
-    """of commands and answers; None: not separable from lag"""
     period_s: float
     """median of the readings"""
 
@@ -143,22 +138,18 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
         data.require(row.noise_rad is not None, "readings at rest", joint)
         torque = {} if law is None or k.value is None else torque_given(data, joint, law, k.value.value, delay)
         joints.append(replace(row, damping_ratio=None if dynamics is None else _damping_ratio(dynamics), **torque))
-    return Measurement(joints=tuple(joints), delay_s=delay, period_s=float(np.median(np.diff(log.time))))
+    return Measurement(joints=tuple(joints), period_s=float(np.median(np.diff(log.time))))
 
 
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
     """Measure one joint from joined logs."""
     law = fit_law(data, joint)
-    k = _known(data, joint, law)
-    row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "statics"))
-    load = float(np.quantile(np.abs(data.gravity[:, joint]), 0.995))
-    return replace(row, torque_seen_nm=load + (0.0 if row.coulomb_nm is None else row.coulomb_nm.value))
+    return _row(data, joint, law, _Stiffness(value=_known(data, joint, law)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stiffness:
     value: Estimate | None = None
-    source: str = "none"
     motor: Estimate | None = None
 
 
@@ -168,7 +159,6 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
-        stiffness_source=stiffness.source,
         hysteresis_rad=None if half is None else scaled(half, 2.0),
         coulomb_nm=None if k is None or half is None else friction_torque(k, half),
         lag_s=None if law is None else law.fit.estimate(LAG),
@@ -199,14 +189,17 @@ def _stiffness(
         motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
         total = shifted(motor, float(links[joint]))
         if total is not None:
-            found[joint] = _Stiffness(value=product(total, reciprocal(ratio)), source="inertia")
+            found[joint] = _Stiffness(value=product(total, reciprocal(ratio)))
     return found
 
 
-def sag(data: ExcitationLog, joint: int) -> tuple[float, Estimate | None]:
-    """Sag per gravity torque [rad/(N m)] of a joint, infinite if unknown, and its stiffness, if that is known."""
+def sag(data: ExcitationLog, joint: int) -> tuple[float, float, float]:
+    """Sag per gravity torque [rad/(N m)] of a joint, and logarithm and sigma of its stiffness; infinite if unknown."""
     law = fit_law(data, joint)
-    return np.inf if law is None else float(law.fit.coefficients[SOFTNESS]), _known(data, joint, law)
+    k, softness = _known(data, joint, law), np.inf if law is None else float(law.fit.coefficients[SOFTNESS])
+    if k is None or not k.low or k.high is None:
+        return softness, 0.0, np.inf
+    return softness, float(np.log(k.value)), float(np.log(k.high / k.low)) / (2.0 * NORMAL95)
 
 
 def _known(data: ExcitationLog, joint: int, law: Law | None) -> Estimate | None:
@@ -237,7 +230,7 @@ def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _
     motor = shifted(product(k, ratio), -link) if ratio is not None and ratio.value > 0 else None
     if motor is None or motor.high is None or motor.high - motor.value > MOTOR_SHARE * motor.value:
         motor = None
-    return _Stiffness(value=k, source="gravity", motor=motor)
+    return _Stiffness(value=k, motor=motor)
 
 
 def _inertia_ratio(law: Law) -> Estimate:

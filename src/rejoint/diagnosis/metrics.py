@@ -491,4 +491,4 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     if limit is not None and limit.value < 0.5 * seen:  # it could give more, and something else held it back
         limit = None
     share = 0.0 if limit is None else share
-    return {"torque_limit_nm": limit, "torque_seen_nm": seen, "saturated_share": share}
+    return {"torque_limit_nm": limit, "saturated_share": share}

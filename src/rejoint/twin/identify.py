@@ -39,7 +39,6 @@ from rejoint.twin.parameters import (
     UNKNOWN_PARAMETERS,
     Layout,
     Prior,
-    TwinParameters,
     healthy_parameters,
     is_hobby,
     pack,
@@ -52,6 +51,7 @@ from rejoint.twin.structure import (
     STICTIONS,
     Structure,
     decide_compensation,
+    drive_torque,
     expressible,
     find_acceleration,
     find_structure,
@@ -237,7 +237,7 @@ def fitted_twin(
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held = largest_static_torque(replay.arm, replay.logs, parameters.coulomb)
     limited = identified[problem.layout.at("torque_limit")]
-    shown = np.where(limited, held, np.maximum(held, largest_drive_torque(problem, parameters)))
+    shown = np.where(limited, held, np.maximum(held, drive_torque(problem, found.vector)))
     lower = unpack(belief.lower, problem.joints)
     raised = np.clip(shown, lower.torque_limit, 0.99 * parameters.torque_limit)
     twin = Twin(
@@ -266,12 +266,6 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
         held = np.where(still, np.abs(gravity_torque(arm, log.position)) - coulomb, 0.0)
         largest = np.maximum(largest, held.max(axis=0))
     return largest
-
-
-def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
-    """(n,) [N m] servo torque without limit, exceeded in one row of 200."""
-    lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
-    return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
 def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:

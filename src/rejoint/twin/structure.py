@@ -15,9 +15,8 @@ from rejoint.diagnosis.measurement import sag
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
-from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import Layout, Prior, is_hobby, number
+from rejoint.twin.parameters import Layout, Prior, is_hobby, number, unpack
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
@@ -98,15 +97,11 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
         return belief
     data, layout, known = join_logs(arm, logs, excluded), Layout(arm.joints), belief
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
-    found = [sag(data, joint) for joint in range(arm.joints)]
-    for place, (_, k) in enumerate(found, start=stiffness.start):
-        if k is not None and k.low and k.high:
-            error = np.log(k.high / k.low) / (2 * NORMAL95)
-            known = given(known, np.eye(layout.size)[place], np.log(k.value), error)
+    softness, value, error = np.array([sag(data, joint) for joint in range(arm.joints)]).T
+    for joint in range(arm.joints):
+        known = given(known, np.eye(layout.size)[stiffness][joint], value[joint], error[joint])
     mean, sigma = known.mean.copy(), known.sigma.copy()
-    least = np.where([k is None for _, k in found], LEAST_FED, -1.0)
-    share = 1.0 - np.array([softness for softness, _ in found]) * np.exp(mean[stiffness])
-    mean[fed] = np.clip(share, least, 1.0)
+    mean[fed] = np.clip(1.0 - softness * np.exp(mean[stiffness]), np.where(np.isinf(error), LEAST_FED, -1.0), 1.0)
     sigma[fed] = sigma[stiffness]
     return replace(known, mean=mean, sigma=sigma, told=belief.sigma)
 
@@ -225,7 +220,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = _drive_torque(problem, x)
+        torque = drive_torque(problem, x)
         values = [np.log(share * torque) for share in _TORQUES]
     else:
         values = [np.full(1, np.log(speed)) for speed in _RAMPS]
@@ -246,11 +241,11 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     return y, _losses(problem, y)
 
 
-def _drive_torque(problem: Problem, x: Array) -> Array:
-    """(n,) [N m] torques without limit, exceeded in one row of 200."""
-    lead = np.concatenate(problem.replay.commands()) - problem.measured
-    drive = np.exp(x[problem.layout.at("stiffness")]) * np.maximum(np.abs(lead), problem.floor)
-    return np.asarray(np.quantile(drive, 0.995, axis=0))
+def drive_torque(problem: Problem, x: Array) -> Array:
+    """(n,) [N m] servo torque without limit, exceeded in one row of 200."""
+    parameters = unpack(x, problem.joints)
+    lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
+    return np.quantile(parameters.stiffness * np.maximum(np.abs(lead), problem.floor), 0.995, axis=0)
 
 
 def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:

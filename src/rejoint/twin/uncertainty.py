@@ -41,24 +41,17 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
     jacobian = _steadied(problem, fit, jacobian, covariance)
     curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
-    covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
-    covariance += _fed_forward(problem)
+    covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _resolution(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of each joint's common scale, by the ladder."""
+def _scale(problem: Problem, x: Array) -> Array:
+    """Covariance (k, k) of each joint's common scale, by the ladder and by the prior's gravity."""
+    owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
     up, down = problem.rescaled(x, (np.exp(0.5 * SCALE_STEP), np.exp(-0.5 * SCALE_STEP)))
-    step = (up - down) / NORMAL95
-    return np.outer(step, step) * (problem.owner[:, None] == problem.owner)
-
-
-def _fed_forward(problem: Problem) -> Array:
-    """Covariance (k, k) of each joint's common scale."""
-    owner, scale = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
-    step = np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0)
-    return np.outer(step, step) * (owner[:, None] == owner)
+    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0)])
+    return np.asarray(steps.T @ steps * (owner[:, None] == owner))
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:

@@ -76,10 +76,8 @@ def diagnosis(arm):
             true_error_mm=estimate(27.0),
             hidden_mm=7.5,
         ),
-        measurement=Measurement(joints=worn, delay_s=0.02, period_s=0.025),
-        healthy=dataclasses.replace(
-            healthy, source="12 emulated arms", joints=good, error_mm=Estimate(3.2, 2.1, 4.3), hidden_mm=None
-        ),
+        measurement=Measurement(joints=worn, period_s=0.025),
+        healthy=dataclasses.replace(healthy, source="12 emulated arms", joints=good, error_mm=Estimate(3.2, 2.1, 4.3)),
     )
 
 
