@@ -23,7 +23,7 @@ from rejoint.diagnosis.metrics import (
     torque_given,
 )
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
-from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog
+from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog, is_excitation
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import NORMAL95, Estimate
 
@@ -164,7 +164,9 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
         lag_s=None if law is None else law.fit.estimate(LAG),
         overshoot=metrics.overshoot(data, joint) if len(data.of_kind(STEP, joint)) >= FEWEST_STEPS else None,
         hunting_rad=metrics.hunting(data, joint),
-        noise_rad=metrics.noise(data, joint) if data.excited or len(data.of_kind(STILL)) >= FEWEST_RESTS else None,
+        noise_rad=metrics.noise(data, joint)
+        if is_excitation(data.log) or len(data.of_kind(STILL)) >= FEWEST_RESTS
+        else None,
         motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
         sweep_gain=metrics.followed(data, joint),
         stuck_rad=metrics.farthest_off(data, joint, law),

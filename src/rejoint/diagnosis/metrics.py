@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.signal import detrend
 
 from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
@@ -340,35 +341,27 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     spans = [rows for rows in spans if len(rows) >= 4]
     if len(spans) < 4:
         return None
-    free = [_without_line(data.log.time[rows]) for rows in spans]
-    rest = [left @ data.log.position[rows, joint] for left, rows in zip(free, spans, strict=True)]
+    rest = [detrend(data.log.position[rows, joint]) for rows in spans]
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
-    motion = worst * _repeating_share(rest, free) ** 0.5
+    motion = worst * _repeating_share(rest) ** 0.5
     return Estimate(float(motion.mean()), float(motion[0]), float(motion[-1]))
 
 
-def _without_line(time: Array) -> Array:
-    """Matrix (K, K) that takes its line from a signal at ``time`` (K,): the covariance of white noise without line."""
-    line = np.linalg.qr(np.stack([np.ones(len(time)), time - time[0]], axis=1))[0]
-    return np.asarray(np.eye(len(time)) - line @ line.T)
-
-
-def _repeating_share(pieces: list[Array], noise: list[Array]) -> float:
-    """Largest autocorrelation, 0 to 1, over one to five readings; 0 for noise of covariances ``noise``."""
-    products, share = [np.outer(piece, piece) for piece in pieces], 0.0
+def _repeating_share(pieces: list[Array]) -> float:
+    """Largest autocorrelation, 0 to 1, over one to five readings; 0 if it may be that of noise without its line."""
+    noise, share = [detrend(np.eye(len(piece)), axis=0) for piece in pieces], 0.0
     for shift in range(1, 6):
         pairs = sum(max(len(piece) - shift, 0) for piece in pieces)
-        both, chance = _correlation(products, shift), _correlation(noise, shift)
+        both, chance = _correlation(pieces, shift), _correlation(noise, shift)
         if abs(both - chance) * pairs**0.5 > CHANCE:
             share = max(share, abs(both))
-    return min(share, 1.0)
+    return share
 
 
-def _correlation(covariances: list[Array], shift: int) -> float:
-    """Correlation of readings ``shift`` apart by covariances (K, K); 0 for a signal of zeros."""
-    longer = [part for part in covariances if len(part) > shift]
-    power = sum(np.trace(part[shift:, shift:]) + np.trace(part[:-shift, :-shift]) for part in longer) / 2
-    return float(sum(np.trace(part, -shift) for part in longer) / max(power, 1e-300))
+def _correlation(pieces: list[Array], shift: int) -> float:
+    """Correlation of rows ``shift`` apart; 0 for zeros."""
+    early, late = (np.concatenate([p[rows].ravel() for p in pieces]) for rows in (slice(-shift), slice(shift, None)))
+    return float(early @ late / max(np.linalg.norm(early) * np.linalg.norm(late), 1e-300))
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:

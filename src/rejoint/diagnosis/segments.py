@@ -121,11 +121,6 @@ class ExcitationLog:
         name = "torque" if self.log.current is None else "current"
         return None if getattr(self.log, name) is None else self.log.units.get(name, "")
 
-    @property
-    def excited(self) -> bool:
-        """As `is_excitation`."""
-        return any(s.kind == SWEEP for s in self.segments)
-
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
         """Segments of a kind; with ``joint``, only those that judge it."""
         return [s for s in self.segments if s.kind == kind and (joint is None or joint in s.joints)]
