@@ -77,6 +77,9 @@ SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
 EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
 """[s] between restarts, the same in the first fit, and one of how many windows is held out; chosen"""
 
+UNSEEN = ("load_friction",)
+"""Parameters that an excitation does not tell"""
+
 STARTS = 24
 """Candidates per round of the random search; chosen"""
 
@@ -197,12 +200,12 @@ def identify(
     belief = prior_by_loads(arm, logs) or prior(arm)
     pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
     on_progress(0.0, "search")
-    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief)
+    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
     rng = np.random.default_rng(seed)
     x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
     x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
     on_progress(0.6, "refinement")
-    fine = Problem(Replay(arm, logs, seen, FINE, threads), belief)
+    fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
     found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)

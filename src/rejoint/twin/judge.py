@@ -248,6 +248,7 @@ class PublishedSet(Table, kw_only=True):
     torque_limit: Values | None = None
     offset: Number | list[Number] = 0.0
     compensation: Number | list[Number] = 0.0
+    load_friction: Number | list[Number] = 0.0
     delay: Number = 0.0
     ramp_speed: Positive | None = None
     stiction: Annotated[float, msgspec.Meta(ge=1.0)] = 1.0

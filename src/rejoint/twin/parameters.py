@@ -45,6 +45,8 @@ class TwinParameters:
     """(...) [rad/s] speed of the servo's reference"""
     compensation: Array = field(default_factory=lambda: np.zeros(()))
     """(..., n) share of the model's gravity that does not show, fed forward or too heavy; 0 for hobby servos"""
+    load_friction: Array = field(default_factory=lambda: np.zeros(()))
+    """(..., n) dry friction per torque that the gears pass on"""
 
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:

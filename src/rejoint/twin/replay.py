@@ -276,15 +276,16 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
     for log in map(answered, logs):
-        spans, since = spans_off(log), log.time - log.time[0]
-        if not spans:
-            found.append(log)
-            continue
-        off = np.any([(since >= first) & (since <= last) for first, last in spans], axis=0)
+        since, off = log.time - log.time[0], np.zeros(len(log), dtype=bool)
+        if log.gain is not None:  # a joint without torque throughout is UNPOWERED
+            off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)
+        for first, last in spans_off(log):
+            off |= (since >= first) & (since <= last)
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
-        found += [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
+        names = [f"{log.label} ({i + 1})" for i in range(len(pieces))] if len(pieces) > 1 else [log.label]
+        found += [replace(piece, label=name, extra=extra) for piece, name in zip(pieces, names, strict=True)]
     return found
 
 

@@ -24,6 +24,8 @@ STICTIONS = (1.25, 1.0, 1.5, 2.0)
 
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that show only when reached"""
+OPTIONAL = (*LIMITS, "load_friction")
+"""Parameters that a twin has only where they explain motion"""
 
 ACCELERATIONS = (40.0, 20.0, 80.0)
 """[rad/s^2] limits of the reference's acceleration to try; chosen around an STS3215's largest setting"""
@@ -49,6 +51,8 @@ STARTS = 8
 """Candidates of the random search; chosen"""
 NEAR = 0.2
 """Relative loss of a good first fit; chosen"""
+EFFORT, TRIALS, WIDER = 3e4, 100, 2.0
+"""Readings times joints of descents from random starts, trials for each, their spread over the prior's; chosen"""
 SHORT = 3
 """Steps of a descent on few windows; chosen"""
 ROUGH = 6
@@ -62,6 +66,8 @@ _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] tried"""
 _TORQUES = (0.4, 0.6, 0.8)
 """Tried, over the largest torque without limit"""
+_SHARES = (0.1, 0.3, 0.6)
+"""Load friction tried"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +114,7 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction, acceleration=acceleration)
+    return Structure(prior=_without_limits(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -124,6 +130,19 @@ def rough_fit(problem: Problem) -> Array:
     starts[0] = x
     y = search(problem, np.clip(starts, belief.lower, belief.upper), rng, rounds=2)
     return fit(problem, y, ROUGH, SCALES).vector
+
+
+def explored(problem: Problem, x: Array) -> Array:
+    """Best of ``x`` (k,) and of descents from random starts, as many as are cheap: those of few joints."""
+    count, belief = int(EFFORT / (problem.measured.size * problem.joints)), problem.prior
+    if count == 0:
+        return x
+    rng = np.random.default_rng(0)
+    drawn = belief.mean + WIDER * belief.sigma * problem.layout.normal(rng, TRIALS * count)
+    starts = np.clip(np.where(problem.frozen, x, drawn), belief.lower, belief.upper)
+    order = np.argsort(loss(problem.residuals(starts)).sum(axis=(1, 2)))[:count]
+    found = [fit(problem, start, 2 * ROUGH, SCALES).vector for start in starts[order]]
+    return search(problem, np.array([x, *found]), rng, rounds=1)
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
@@ -187,9 +206,9 @@ def find_structure(
     ``make`` turns a structure into a problem.
     """
     problem = make(structure)
-    x = fit(problem, start, FURTHER, SCALES).vector
+    x = explored(problem, fit(problem, start, FURTHER, SCALES).vector)
     best = _losses(problem, x)
-    for limit in LIMITS:
+    for limit in OPTIONAL:
         frozen = tuple(name for name in structure.frozen if name != limit)
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
@@ -222,18 +241,20 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     if limit == "torque_limit":
         torque = drive_torque(problem, x)
         values = [np.log(share * torque) for share in _TORQUES]
+    elif limit == "load_friction":
+        values = [np.full(problem.joints, share) for share in _SHARES]
     else:
         values = [np.full(1, np.log(speed)) for speed in _RAMPS]
-    damping = problem.layout.at("damping")
+    instead = problem.layout.at("coulomb" if limit == "load_friction" else "damping")
     for value in values:
-        for less in (0.0, np.log(2.0)):  # damping has stood for the limit so far
+        for less in (0.0, np.log(2.0)):  # this has stood for the limit so far
             candidate = x.copy()
             candidate[place] = value
-            candidate[damping] -= less
+            candidate[instead] -= less
             candidates.append(candidate)
     tried = np.clip(candidates, problem.prior.lower, problem.prior.upper)
     before = problem.residuals(tried[:1])
-    y, _, _ = line_up(problem, tried, before, problem.weights(before[0]))
+    y = explored(problem, line_up(problem, tried, before, problem.weights(before[0]))[0])
     losses = _losses(problem, y)
     if _ratio(losses, _losses(problem, x)) >= 1.0 - GAIN:
         return x, losses
@@ -249,7 +270,7 @@ def drive_torque(problem: Problem, x: Array) -> Array:
 
 
 def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
-    off = np.isin(Layout.of_length(len(belief.mean)).kind, [number(name) for name in names])
+    off = np.isin(Layout.of_length(len(belief.mean)).kind, [number(name) for name in names if name in LIMITS])
     return replace(belief, mean=np.where(off, belief.upper, belief.mean))
 
 

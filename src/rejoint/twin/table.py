@@ -58,7 +58,8 @@ class TableBatch:
         ``stiction`` is the friction at rest over that in motion.
         """
         count = twins.shape[0]
-        self._terms = None if stiction == 1.0 else friction_terms(twins, stiction)
+        plain = stiction == 1.0 and not twins.load_friction.any()
+        self._terms = None if plain else friction_terms(twins, stiction)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
         self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
@@ -110,7 +111,8 @@ class TableBatch:
         path = np.empty_like(control)
         for k in range(control.shape[1]):
             self._ctrl[:] = control[:, k]
-            self._batch.expand("dof_frictionloss")[:] = dry_friction(self._terms, self.qvel)
+            load = 0.5 * np.abs(self._batch.bind("qfrc_actuator") + self._batch.bind("qfrc_bias"))  # a step ago
+            self._batch.expand("dof_frictionloss")[:] = dry_friction(self._terms, self.qvel, load)
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path

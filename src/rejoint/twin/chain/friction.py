@@ -22,9 +22,12 @@ FRICTION = (
               nominal=0.08, sigma=0.8, healthy=0.6, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
               # chosen: 0.03 to 1.5 N m within two sigma
               wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
+    Parameter(name="load_friction", unit="1", meaning="dry friction per torque that the gears pass on",
+              nominal=0.0, sigma=0.01, lower=0.0, upper=2.0, log=False, difference=0.02,
+              wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
 )  # fmt: skip
 
-DRY = ("coulomb",)
+DRY = ("coulomb", "load_friction")
 """Parameters of dry friction, besides stiction"""
 
 STRIBECK_SPEED = 0.1
@@ -36,10 +39,11 @@ def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
     return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
 
 
-def dry_friction(terms: Array, speed: Array) -> Array:
-    """Dry friction (...) [N m] at ``speed`` (...) [rad/s], from ``terms`` (t, ...).
+def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
+    """Dry friction (...) [N m] at ``speed`` (...) [rad/s] under ``load`` (...) [N m], from ``terms`` (t, ...).
 
-    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); also compiled.
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994), and gears that rub as they are pressed
+    (Rhoban/bam); also compiled.
     """
-    coulomb, stiction = terms[0], terms[-1]
-    return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
+    coulomb, load_friction, stiction = terms[0], terms[1], terms[-1]
+    return (coulomb + load_friction * load) * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))

@@ -40,11 +40,14 @@ STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
 """Rows of the parameters of servos"""
 
 
+_dry_friction = njit(inline="always")(friction.dry_friction)
+
+
 @njit(**OPTIONS)
-def step_block(lanes, links, timestep, servo, reference, state, work):
+def step_block(lanes, links, timestep, servo, dry, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
-    ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
+    ``servo`` (6, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
     ``work``: `workspace` with minus gravity in its first row, the base's.
     """
     position, speed, impulse = state
@@ -65,6 +68,8 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
             torque = limit if torque > limit else torque
             torque = -limit if torque < -limit else torque
             # The impulse of everything but friction, and with that of the step before as a first guess.
+            load = 0.5 * abs(torque + kept[j + 1, TORQUE + l])  # the mean of what drives the gears and what they drive
+            servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], load)
             free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
     invert(lanes, joints, inertia, inverse, column, scratch)
     for i in range(joints):
@@ -111,9 +116,6 @@ def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
     arrays = tuple(np.zeros(shape) for shape in shapes)
     arrays[0][0, : 9 * LANES] = np.repeat(np.eye(3).ravel(), LANES)  # the base is not turned
     return arrays
-
-
-_dry_friction = njit(inline="always")(friction.dry_friction)
 
 
 # Backlash inside the servo loop: an unloaded joint rests anywhere between the flanks; to turn it back the motor first
@@ -193,7 +195,6 @@ def _compiled(sources):
                     i = min(begin + lane, last - 1)
                     for j in range(joints):
                         reference[j, lane] = control[i, k, j]
-                        servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
                 if geared:
                     for lane in range(count):
                         for j in range(joints):
@@ -202,7 +203,7 @@ def _compiled(sources):
                             if half == 0.0:
                                 continue
                             turned = speed[j, lane] if flank != 0.0 else v
-                            friction = _dry_friction(dry[:, j, lane], turned)
+                            friction = _dry_friction(terms[:, i, j], turned, 0.0)
                             motor = parameters[:, i, j]
                             place, v, flank, free, speed[j, lane] = cross(
                                 (half, place, v, flank, carried[j]),
@@ -218,9 +219,9 @@ def _compiled(sources):
                             alone = flank == 0.0  # the joint, without its motor
                             servo[ARMATURE, j, lane] = 0.0 if alone else motor[ARMATURE]
                             servo[DAMPING, j, lane] = motor[DAMPING] * (grease if alone else 1.0)
-                            if alone:
-                                servo[FRICTION, j, lane] = 0.0
-                step_block(lanes, links, h, servo, reference, (position, speed, push), work)
+                            for t in range(len(terms)):
+                                dry[t, j, lane] = 0.0 if alone else terms[t, i, j]
+                step_block(lanes, links, h, servo, dry, reference, (position, speed, push), work)
                 for lane in range(count):
                     for j in range(joints):
                         path[begin + lane, k, j] = position[j, lane]
