@@ -32,7 +32,7 @@ from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
-from rejoint.twin.structure import LIMITS, rough_fit, simplest
+from rejoint.twin.structure import OPTIONAL, rough_fit, simplest
 from rejoint.twin.table import friction_solref, twin_spec
 
 
@@ -89,7 +89,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
     windows = thin(free_windows(seen, excluded, 8.0), seen, seconds)
     structure = simplest(unknown_prior(arm), 1.0)
-    frozen, mean = (*LIMITS, "delay"), structure.prior.mean.copy()
+    frozen, mean = (*OPTIONAL, "delay"), structure.prior.mean.copy()
     mean[vector_names(arm.joint_names).index("delay")] = 0.0
     problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1, 1.0), structure.prior, frozen)
     start = time.process_time()

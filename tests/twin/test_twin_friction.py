@@ -113,6 +113,9 @@ def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
     assert (np.sign(faster_back) == np.sign(truth))[[0, 1, 2, 4, 5]].all()
 
 
-def test_dry_friction_falls_from_static_to_kinetic():
-    assert dry_friction(np.array([0.1, 1.5]), np.array(STRIBECK_SPEED)) == pytest.approx(0.1 + 0.05 / np.e)
-    np.testing.assert_array_equal(dry_friction(np.array([0.1, 1.0])[:, None], np.linspace(-1.0, 1.0, 41)), 0.1)
+def test_dry_friction_falls_from_static_to_kinetic_and_grows_with_load():
+    law = np.array([0.1, 0.4, 1.5])
+    assert dry_friction(law, np.array(STRIBECK_SPEED), 0.0) == pytest.approx(0.1 + 0.05 / np.e)
+    np.testing.assert_allclose(dry_friction(law, 3.0, np.array([0.0, 0.5, 1.0])), [0.1, 0.3, 0.5])
+    plain = np.array([0.1, 0.0, 1.0])[:, None]
+    np.testing.assert_array_equal(dry_friction(plain, np.linspace(-1.0, 1.0, 41), 7.0), 0.1)

@@ -46,7 +46,17 @@ from rejoint.twin.parameters import (
     unknown_prior,
     unpack,
 )
-from rejoint.twin.replay import Replay, Window, cut, divide, measured_velocity, powered
+from rejoint.twin.replay import (
+    GAIN,
+    Replay,
+    Window,
+    at_gain,
+    cut,
+    divide,
+    measured_velocity,
+    powered,
+    recorded_gain,
+)
 from rejoint.twin.structure import (
     STICTIONS,
     Structure,
@@ -310,6 +320,8 @@ def identify_logs(
     for log in logs:
         log.require(arm.name, arm.joint_names)
     logs = powered(logs)
+    gain = recorded_gain([log for log in logs if GAIN not in log.extra])
+    logs = at_gain(logs, gain)
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
     every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
     height = table_height(arm, seen)
@@ -341,6 +353,7 @@ def identify_logs(
     on_progress(1.0, "done")
     return replace(
         twin,
+        gain=gain,
         notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
         fitted=fitted,
         judgement=replace(judgement, doubts=(*missing, *_unidentified(twin))),

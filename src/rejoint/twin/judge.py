@@ -35,7 +35,7 @@ from rejoint.twin.judgement import (
     smaller,
 )
 from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import Replay, Window
+from rejoint.twin.replay import Replay, Window, at_gain
 from rejoint.twin.twin import TablePlane, Twin
 
 TIMESTEP = 0.010
@@ -57,6 +57,8 @@ class Candidate:
     """for contacts"""
     acceleration: float = np.inf
     """[rad/s^2] of references, while commands change"""
+    gain: Array | None = None
+    """(n,) P gain that the stiffness is for"""
 
     @staticmethod
     def of(name: str, twin: Twin) -> Candidate:
@@ -67,6 +69,7 @@ class Candidate:
             stiction=twin.stiction,
             table=twin.table,
             acceleration=twin.acceleration,
+            gain=twin.gain,
         )
 
 
@@ -129,6 +132,7 @@ def _no_twin(logs: Sequence[RunLog]) -> list[Array]:
 
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
+    logs = at_gain(logs, candidate.gain)
     windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
     tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}

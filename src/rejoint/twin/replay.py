@@ -2,8 +2,8 @@
 
 Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
 declare (`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
-``torque_off``, spans [s] without torque to cut out (``3-7.5 12-14``). Joints that never answer stay at the measured
-position.
+``torque_off``, spans [s] without torque to cut out (``3-7.5 12-14``); else recorded gains tell both. Joints that never
+answer stay at the measured position.
 """
 
 from __future__ import annotations
@@ -259,6 +259,23 @@ def gains(log: RunLog) -> Array:
     if len(found) not in (1, n) or (found <= 0).any():
         raise InputError(f"{log.label}: {GAIN} {log.extra[GAIN]!r}, expected one number above zero, or {n}")
     return np.broadcast_to(found, (n,))
+
+
+def recorded_gain(logs: Sequence[RunLog]) -> Array | None:
+    """Largest P gain (n,) that logs record, in the servo's unit; None without any."""
+    known = [log.gain.max(axis=0) for log in logs if log.gain is not None and (log.gain.max(axis=0) > 0.0).all()]
+    return np.max(known, axis=0) if known else None
+
+
+def at_gain(logs: Sequence[RunLog], reference: Array | None) -> list[RunLog]:
+    """Declare recorded P gains over ``reference`` (n,), but for logs that declare their own."""
+    found = []
+    for log in logs:
+        own = recorded_gain([log])
+        if own is not None and reference is not None and GAIN not in log.extra:
+            log = replace(log, extra=log.extra | {GAIN: " ".join(map(str, own / reference))})
+        found.append(log)
+    return found
 
 
 def spans_off(log: RunLog) -> list[tuple[float, float]]:

@@ -114,7 +114,9 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(prior=_without_limits(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
+    return Structure(
+        prior=_without_limits(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration
+    )
 
 
 def rough_fit(problem: Problem) -> Array:

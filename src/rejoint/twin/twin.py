@@ -102,6 +102,8 @@ class Twin:
     """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
+    gain: Array | None = None
+    """(n,) P gain of the servos at which they have this stiffness, where logs record it"""
     table: TablePlane | None = None
     """contact in the logs; not part of the arm"""
     judgement: Judgement | None = None
@@ -199,6 +201,8 @@ class Twin:
             h.update(np.array(self.stiction, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
+        if self.gain is not None:
+            h.update(b"gain" + np.asarray(self.gain, dtype="<f8").tobytes())
         if self.table is not None:
             h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]
@@ -253,6 +257,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         "notes": twin.notes,
         "stiction": twin.stiction,
         **({"acceleration": twin.acceleration} if twin.acceleration < np.inf else {}),
+        **({"gain": twin.gain} if twin.gain is not None else {}),
         "held_out": {"seconds": twin.held_out.seconds, **errors},
     }
     for name, value in msgspec.to_builtins(told, enc_hook=np.ndarray.tolist).items():
@@ -308,5 +313,6 @@ def _twin(data: dict[str, Any]) -> Twin:
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
+        gain=np.array(data["gain"], dtype=float) if "gain" in data else None,
         table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,
     )

@@ -43,11 +43,12 @@ STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
 _dry_friction = njit(inline="always")(friction.dry_friction)
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS | {"cache": False})  # cached in `advance`, which knows the law of friction
 def step_block(lanes, links, timestep, servo, dry, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
-    ``servo`` (6, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
+    ``servo`` (6, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes
+    ``state``: position, speed, impulse (n, lanes).
     ``work``: `workspace` with minus gravity in its first row, the base's.
     """
     position, speed, impulse = state
