@@ -41,6 +41,8 @@ GAIN = 0.02
 LIMIT_GAIN = 0.15
 """Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
+EITHER = 2.0
+"""Sigma of Coulomb friction beside load friction over that without; chosen"""
 LEAST_FED = 0.05
 """Least share of gravity fed forward where a sag tells no stiffness; chosen"""
 
@@ -114,9 +116,7 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(
-        prior=_without_limits(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration
-    )
+    return Structure(prior=_without(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -214,7 +214,7 @@ def find_structure(
         frozen = tuple(name for name in structure.frozen if name != limit)
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
-        freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen, acceleration=acceleration)
+        freed = replace(structure, prior=_without(belief, frozen), frozen=frozen, acceleration=acceleration)
         y, losses = _with_limit(make(freed), x, limit)
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
@@ -271,9 +271,16 @@ def drive_torque(problem: Problem, x: Array) -> Array:
     return np.quantile(parameters.stiffness * np.maximum(np.abs(lead), problem.floor), 0.995, axis=0)
 
 
-def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
-    off = np.isin(Layout.of_length(len(belief.mean)).kind, [number(name) for name in names if name in LIMITS])
-    return replace(belief, mean=np.where(off, belief.upper, belief.mean))
+def _without(belief: Prior, names: Sequence[str]) -> Prior:
+    """Belief without some of `OPTIONAL`; dry friction is less known where it may grow with load."""
+    kind = Layout.of_length(len(belief.mean)).kind
+    off = np.isin(kind, [number(name) for name in names if name in LIMITS])
+    either = kind == (number("coulomb") if "load_friction" not in names else -1)
+    return replace(
+        belief,
+        mean=np.where(off, belief.upper, belief.mean),
+        sigma=np.where(either, EITHER * belief.sigma, belief.sigma),
+    )
 
 
 def _losses(problem: Problem, x: Array) -> Array:
