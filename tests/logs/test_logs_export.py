@@ -86,8 +86,6 @@ def schemas(path: Path) -> dict[str, str]:
 def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path):
     with pytest.raises(InputError, match=r"exported to .csv or .mcap, not to .xlsx"):
         export_log(run_log(), tmp_path / "log.xlsx")
-    with pytest.raises(InputError, match="less than a nanosecond apart"):
-        export_log(run_log(time=1e-11 * np.arange(60)), tmp_path / "log.mcap")
     with pytest.raises(InputError, match="do not fit a ROS stamp"):
         export_log(run_log(time=np.arange(60) - 5.0), tmp_path / "log.mcap")
     assert list(tmp_path.iterdir()) == []

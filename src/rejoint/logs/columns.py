@@ -197,12 +197,13 @@ UNITS: dict[str, dict[str, float]] = {
 SI = {"torque": "N m", "current": "A"}
 NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
+MOTION = ("position", "command")
+"""Groups of angles"""
 POINTS = ("target", "true_tcp")
 """Groups of places"""
 FEWEST = 2
 """Rows of a log"""
 RECORD_AGAIN = "record it again"
-_MEASURED = ("torque", "current", "gain", "powered", *POINTS)
 _TITLES = {
     "time": ("time", "t", "timestamp"),
     "position": ("position", "pos", "q", "actual", "act", "present_position", "actual_q", "state.q"),
@@ -251,7 +252,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         if not any(ours in table.mapped for table in tables):
             said = f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}"
             raise FileError(first.path, said, "name one of these")
-    state, sent = (next((table for table in tables if table.of(group)), None) for group in ("position", "command"))
+    state, sent = (next((table for table in tables if table.of(group)), None) for group in MOTION)
     if state is None:
         titles = ", ".join(shown(frame.titles) for frame in frames)
         raise FileError(
@@ -303,7 +304,7 @@ def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
         for part in (Linear.of(text, titles).column, *text.split(".."))
     }
     return bool(mapped & {*titles}) or any(
-        found[1] in ("position", "command") and ("." in title or not found[2] or found[2][-1].isdigit())
+        found[1] in MOTION and ("." in title or not found[2] or found[2][-1].isdigit())
         for title in titles
         if (found := _classified(title))
     )
@@ -368,7 +369,7 @@ class _GroupedColumns:
             scale, offset, unit = linear.scale, linear.offset, own and own[3]
             if own is not None and joint is None:
                 column = column._replace(group=own[1])
-            elif column.group in ("position", "command"):
+            elif column.group in MOTION:
                 unit = split_unit(ours, ANGLES)[1]
             else:  # the gear's torque, the motor's current, and what has no gear
                 scale, offset = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(column.group, 1.0), 0.0
@@ -378,7 +379,7 @@ class _GroupedColumns:
 
     def _unit(self, column: Column) -> str:
         group, known = column.group, next(iter(UNITS[column.group]), "")
-        usual = dict.fromkeys(("position", "command"), self.recorder[0] or self.frame.angle_unit)
+        usual = dict.fromkeys(MOTION, self.recorder[0] or self.frame.angle_unit)
         usual |= {"time": self.recorder[1], **dict.fromkeys(POINTS)}
         declarable = {"time": "time", "position": "angle", "command": "angle"}.get(group)
         option = declarable and f"--{declarable}-unit"
@@ -429,7 +430,7 @@ class _GroupedColumns:
             return columns * self.arm.joints
         match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
         columns = [columns[i] for i in match.columns]
-        if match.dropped and group in ("position", "command"):
+        if match.dropped and group in MOTION:
             self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
         if match.numbered:
             told = f"{columns[0].title} to {columns[-1].title} taken as the joints from the base on"
@@ -495,7 +496,7 @@ class _GroupedColumns:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""
         found: dict[str, Array] = {}
         units: dict[str, str] = {}
-        for group in (group for group in _MEASURED if self.of(group)):
+        for group in (group for group in _TITLES if group not in ("time", *MOTION) and self.of(group)):
             try:
                 values, columns, named = self.values(group)
             except FileError as error:

@@ -86,8 +86,6 @@ def _stamps(log: RunLog) -> list[int]:
     stamps = [round(float(time) * NANOSECONDS) for time in log.time]
     if stamps and (stamps[0] < 0 or stamps[-1] >= _LAST_SECOND * NANOSECONDS):
         raise InputError(f"log {log.label}: times from {log.time[0]:g} to {log.time[-1]:g} s do not fit a ROS stamp")
-    if len(set(stamps)) != len(stamps):
-        raise InputError(f"log {log.label}: rows less than a nanosecond apart; export it to .csv")
     return stamps
 
 

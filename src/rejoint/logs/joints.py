@@ -215,27 +215,6 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
     return motors, changes
 
 
-_GAINS = {
-    "P_Coefficient": ("p",),
-    "I_Coefficient": ("i",),
-    "D_Coefficient": ("d",),
-    "Minimum_Startup_Force": ("startup", "limit"),
-    "CW_Dead_Zone": ("dead_cw",),
-    "CCW_Dead_Zone": ("dead_ccw",),
-}
-"""LeRobot's names of registers (its ``STS_SMS_SERIES_CONTROL_TABLE``), and ours, the low byte first"""
-
-
-def lerobot_gains(arm: Arm, gains: Mapping[str, Sequence[int]]) -> dict[str, Any]:
-    """Return the registers of each motor as LeRobot's ``bus.write`` takes them, from ``gains`` per joint."""
-    return {
-        joint: {
-            name: sum(gains[part][i] << 8 * byte for byte, part in enumerate(parts)) for name, parts in _GAINS.items()
-        }
-        for i, joint in enumerate(arm.joint_names)
-    }
-
-
 def write_homing(path: Path, motors: dict[str, Any]) -> None:
     """Write a calibration as LeRobot does."""
     write_text(path, json.dumps(motors, indent=4))

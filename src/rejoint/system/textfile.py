@@ -162,28 +162,26 @@ def read_columns(
     columns are refused.
     """
     sheet, found = read_sheet(path, most=most), dict[str, Any]()
-    usual = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
-    titled = {name: f"{name}_{unit}" if unit and exact else name for name, unit in usual.items()}
     names, known = (
         {name.casefold(): name for name in meanings},
         {unit for one in meanings.values() for unit in one or ()},
     )
+    usual = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
+    titled = {name: f"{name}_{unit}" if unit and exact else name for name, unit in usual.items()}
     for index, title in enumerate(sheet.titles):
         stem, unit = split_unit(title.casefold(), known)
-        name = names.get(stem)
-        if name is None and exact:
-            continue
-        units = meanings[name] if name else {}
-        unit = unit or ("" if exact or not name else usual[name])
-        if name is None or unit not in (units or COUNT) or name in found:
-            said = (
-                f"column {title} has no unit or another one, or comes twice" if name else f"column {title} is not known"
-            )
-            raise FileError(path, said, f"name it {titled[name] if name else ' or '.join(titled.values())}")
-        if units is None:
-            found[name] = sheet.words(index)
-            continue
-        found[name] = units[unit] * sheet.numbers([index])[:, 0]
+        if stem not in names:
+            if exact:
+                continue
+            raise FileError(path, f"column {title} is not known", f"name it {' or '.join(titled)}, or leave it out")
+        name = names[stem]
+        units = meanings[name] or COUNT
+        unit = unit or ("" if exact else usual[name])
+        if unit not in units or name in found:
+            said = f"column {title} has no unit or another one, or comes twice"
+            raise FileError(path, said, f"name it {titled[name]}")
+        words = meanings[name] is None
+        found[name] = sheet.words(index) if words else units[unit] * sheet.numbers([index])[:, 0]
         if name in filled and np.isnan(found[name]).any():
             line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
             raise FileError(path, f"line {line}, column {title} is empty", "mend that line")

@@ -7,7 +7,7 @@ import json
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, FeedforwardController
 from rejoint.control.controllers.residual import CommandLaw
-from rejoint.control.servogains import in_words, inner_name
+from rejoint.control.servogains import ServoGains, in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.logs.joints import corrected_homing, lerobot_gains, write_homing
+from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep
 from rejoint.session.context import choice, quick_note
@@ -126,9 +126,27 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
         told = f"Homing offsets changed by {counts} counts (present position = raw - homing_offset). "
     if kept is not None:
         beside = path if source is None else path.with_stem(f"{path.stem}-gains")
-        write_homing(beside, lerobot_gains(run.arm, kept))
+        write_homing(beside, _registers(run.arm, kept))
         told += f"{beside.name} holds gains: LeRobot sets its own as it connects, so write these to the bus afterwards."
     return path, told.rstrip()
+
+
+_GAINS = {
+    "P_Coefficient": "p",
+    "I_Coefficient": "i",
+    "D_Coefficient": "d",
+    "CW_Dead_Zone": "dead_cw",
+    "CCW_Dead_Zone": "dead_ccw",
+}
+"""LeRobot's names of registers (its ``STS_SMS_SERIES_CONTROL_TABLE``), and ours"""
+
+
+def _registers(arm: Arm, gains: ServoGains) -> dict[str, Any]:
+    """Return the registers of each motor as LeRobot's ``bus.write`` takes them, from ``gains`` per joint."""
+    # one register of two bytes: the limit of the I part is the upper one
+    force = {"Minimum_Startup_Force": np.array(gains["startup"]) + 256 * np.array(gains["limit"])}
+    values = {name: gains[ours] for name, ours in _GAINS.items()} | force
+    return {joint: {name: int(one[i]) for name, one in values.items()} for i, joint in enumerate(arm.joint_names)}
 
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:

@@ -118,7 +118,7 @@ def _missing(arm: Arm, twin: Twin) -> list[str]:
         share = _by_joint(arm, p.compensation / p.stiffness)
         lines.append(f"The controller feeds gravity forward: add its torques, times {share}, to the commands.")
     if p.delay < 0:
-        lines.append(f"The positions come {-1e3 * float(p.delay):.0f} ms late, which is left out.")
+        lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
     if twin.unknown:
         lines.append(f"As assumed before, for the motion did not tell: {', '.join(twin.unknown)}.")
     return lines
