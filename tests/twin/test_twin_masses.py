@@ -3,7 +3,7 @@
 import numpy as np
 from motion_logs import ARM, STEP, TRUTH, record, wandering
 
-from rejoint.twin.fit import Fit, Problem, fit
+from rejoint.twin.fit import Fit, Problem, fit, influence
 from rejoint.twin.parameters import Layout, pack, unknown_prior
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
@@ -24,7 +24,7 @@ def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
     here = problem()
     found = fit(here, np.clip(pack(TRUTH), here.prior.lower, here.prior.upper), 3)
     residual, jacobian = _central_differences(here, found.vector)
-    curvature = here.system(jacobian, residual, found.weights)[0] + here.prior.precision
+    curvature = here.system(jacobian, found.weights.precision * influence(residual), residual)[0] + here.prior.precision
     covariance = mass_covariance(here, found, residual, jacobian, curvature)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
     assert np.linalg.eigvalsh(covariance).min() > -1e-12

@@ -34,12 +34,12 @@ def test_one_newton_step_leaves_a_cluster_out_of_a_linear_fit_exactly():
     scores = np.array([s.T @ (s @ x - y) for s, y in zip(slopes, answers, strict=True)])
     spread = (count - 1) / count * np.array(without).T @ np.array(without)
     expected = (spread + np.linalg.inv(curvatures.sum(axis=0))) * (student.ppf(0.975, count - 1) / norm.ppf(0.975)) ** 2
-    np.testing.assert_allclose(jackknife(prior, curvatures, scores[:, None]), expected, rtol=1e-5)
+    np.testing.assert_allclose(jackknife(prior, curvatures, scores), expected, rtol=1e-5)
 
 
 def test_what_no_cluster_tells_keeps_its_prior():
     prior = Prior(mean=np.zeros(3), sigma=np.array([0.5, 2.0, 1.0]), lower=-np.ones(3), upper=np.ones(3))
-    covariance = jackknife(prior, np.zeros((5, 3, 3)), np.zeros((5, 2, 3)))
+    covariance = jackknife(prior, np.zeros((5, 3, 3)), np.zeros((5, 3)))
     np.testing.assert_allclose(covariance, np.diag(prior.sigma**2), atol=1e-12)
 
 
@@ -62,7 +62,7 @@ class Stub:
 
 def steadied(slopes, noise):
     problem = Stub(slopes)
-    weights = Weights(scale=np.array([1e-3]), correlation=np.ones(1), share=np.ones((len(slopes), 1)))
+    weights = Weights(precision=np.full((len(slopes), 1), 1e6), share=np.ones((len(slopes), 1)))
     found = SimpleNamespace(vector=np.zeros(3), weights=weights)
     jacobian = 1e-3 * (slopes + noise)[:, None]
     covariance = np.linalg.inv((slopes + noise).T @ (slopes + noise))

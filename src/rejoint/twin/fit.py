@@ -45,17 +45,10 @@ ROUNDS = 10
 class Weights:
     """Weights of residuals."""
 
-    scale: Array
-    """(n,) [rad] typical residual"""
-    correlation: Array
-    """(n,) [rows] autocorrelation time of the residuals"""
+    precision: Array
+    """(rows, n) [1/rad^2] of one squared residual"""
     share: Array
     """(rows, n) of a window's motion: small if no twin follows it"""
-
-    @property
-    def precision(self) -> Array:
-        """(rows, n) [1/rad^2] of one squared residual."""
-        return self.share / (self.scale**2 * self.correlation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,11 +102,11 @@ class Problem:
         return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
 
     def weights(self, residual: Array) -> Weights:
-        """Estimate scale and correlation of residuals (rows, n)."""
+        """Weigh residuals (rows, n) by their scale and autocorrelation time."""
         share = self.shares(residual) * self.powered
         scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
         correlation = np.maximum(correlation_time(residual, self.window), self.memory)
-        return Weights(scale=scale, correlation=correlation, share=share)
+        return Weights(precision=share / (scale**2 * correlation), share=share)
 
     def shares(self, residual: Array) -> Array:
         """Weights (rows, n) of each window's motion, by Student's distribution.
@@ -201,16 +194,15 @@ class Problem:
             slopes[STIFFNESS] -= slopes[row]
         return np.moveaxis(slopes, 0, -1)
 
-    def system(self, jacobian: Array, residual: Array, weights: Weights) -> tuple[Array, Array]:
-        """Curvature (k, k) and gradient (k,) of the data's cost."""
+    def system(self, jacobian: Array, weight: Array, residual: Array) -> tuple[Array, Array]:
+        """Curvature (k, k) and gradient (k,) of squared residuals (rows, n) by their ``weight`` (rows, n)."""
         k = len(self.prior.mean)
         curvature, gradient = np.zeros((k, k)), np.zeros(k)
         for joint in range(self.joints):
             place = self.columns(joint)
-            weight = weights.precision[:, joint] * influence(residual[:, joint])
-            scaled = jacobian[:, joint] * weight[:, None]
-            curvature[np.ix_(place, place)] += jacobian[:, joint].T @ scaled
-            gradient[place] += scaled.T @ residual[:, joint]
+            scaled = jacobian[:, joint].T * weight[:, joint]
+            curvature[np.ix_(place, place)] += scaled @ jacobian[:, joint]
+            gradient[place] += scaled @ residual[:, joint]
         return curvature, gradient
 
     def columns(self, joint: int) -> NDArray[np.integer]:
@@ -245,7 +237,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
             weights = problem.weights(residual)
         signs = problem.inward(x, _alternating(problem, iteration))
         jacobian = problem.jacobian(residual, problem.residuals(problem.perturbations(x, signs)), signs)
-        curvature, gradient = problem.system(jacobian, residual, weights)
+        curvature, gradient = problem.system(jacobian, weights.precision * influence(residual), residual)
         curvature += problem.prior.precision
         gradient += problem.prior.precision @ (x - problem.prior.mean)
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)

@@ -38,9 +38,10 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
     """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
-    covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
+    weight = fit.weights.precision * influence(residual)
+    covariance = jackknife(prior, *_by_cluster(problem, jacobian, weight, residual, clusters))
     jacobian = _steadied(problem, fit, jacobian, covariance)
-    curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
+    curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     return np.asarray(0.5 * (covariance + covariance.T))
@@ -55,13 +56,13 @@ def _scale(problem: Problem, x: Array) -> Array:
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
-    """Covariance (k, k) of a posterior from g clusters and n joints: (g, k, k) and (g, n, k).
+    """Covariance (k, k) of a posterior from the curvatures (g, k, k) and scores (g, k) of g clusters.
 
     Leave-one-out spread plus the inverse curvature, by Student's width.
     """
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
-    without = np.linalg.solve(whole - curvatures + precision, scores.sum(axis=1)[..., None])[..., 0]
+    without = np.linalg.solve(whole - curvatures + precision, scores[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
     factor = (student95(max(count - 1, 1)) / NORMAL95) ** 2
     return np.asarray(
@@ -72,21 +73,12 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 
 
 def _by_cluster(
-    problem: Problem, fit: Fit, residual: Array, jacobian: Array, clusters: NDArray[np.integer]
+    problem: Problem, jacobian: Array, weight: Array, residual: Array, clusters: NDArray[np.integer]
 ) -> tuple[Array, Array]:
-    """Curvature (g, k, k) and score (g, n, k) of each cluster."""
-    count, k = int(clusters.max()) + 1, len(fit.vector)
-    curvatures, scores = np.zeros((count, k, k)), np.zeros((count, problem.joints, k))
-    rows = [np.flatnonzero(clusters == g) for g in range(count)]
-    for joint in range(problem.joints):
-        place = problem.columns(joint)
-        weight = fit.weights.precision[:, joint] * influence(residual[:, joint])
-        pull = weight * residual[:, joint]
-        for g, own in enumerate(rows):
-            slopes = jacobian[own, joint]
-            curvatures[g][np.ix_(place, place)] += slopes.T @ (slopes * weight[own, None])
-            scores[g, joint, place] = slopes.T @ pull[own]
-    return curvatures, scores
+    """Curvature (g, k, k) and score (g, k) of each cluster."""
+    rows = np.arange(clusters.max() + 1)[:, None] == clusters
+    parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
+    return np.stack([curvature for curvature, _ in parts]), np.stack([score for _, score in parts])
 
 
 def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) -> Array:
@@ -154,15 +146,12 @@ def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array
 
     ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k), with the prior, at the estimate.
     """
-    moved, replay = [], problem.replay
+    moved, replay, weight = [], problem.replay, fit.weights.precision * influence(residual)
     for arm, sigma in _other_arms(replay.arm):
         other = replace(replay, arm=arm)
         path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
-        pull = np.zeros(len(fit.vector))
-        for joint in range(problem.joints):
-            weight = fit.weights.precision[:, joint] * influence(residual[:, joint])
-            pull[problem.columns(joint)] += jacobian[:, joint].T @ (weight * change[:, joint])
+        pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | fit.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
     return np.asarray(by @ by.T)
