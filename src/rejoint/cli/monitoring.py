@@ -22,6 +22,7 @@ from rejoint.runs.run import RUNS
 from rejoint.runs.stages.check import BETWEEN
 from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
+from rejoint.system.files import write_text
 
 if TYPE_CHECKING:
     from rejoint.runs.fleet.campaign import Executor, FleetResult
@@ -67,9 +68,9 @@ def check(
     call.result(f"{found.arm}: {found.line}")
     outlook = found.outlook
     if prometheus is not None:
-        from rejoint.runs.history import write_prometheus
+        from rejoint.runs.history import prometheus_text
 
-        write_prometheus(prometheus, found.arm, outlook, found.measures)
+        write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
     value = {name: getattr(found, name) for name in ("arm", "robot", "line", "outlook", "measures", "folder")}
     alarm = outlook.state == "alarm" or outlook.over
     return Result(value | {"over": outlook.over}, ALARM if alarm else DRIFTS if outlook.state == "drifting" else 0)

@@ -15,9 +15,8 @@ from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
 from rejoint.pages.html import write_page
-from rejoint.runs.run import Run, is_finished
+from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
-from rejoint.system.files import write_text
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ def summarise(run: Run) -> None:
     diagnosis, comparison = run.diagnosis, run.comparison
     if diagnosis is None and comparison is None:
         return
-    kind = "repair" if is_finished(run.folder) else "run"
+    kind = "repair" if run.folder.finished.exists() else "run"
     arm = HistoryRow(
         time=_repaired_at(run.path / SUMMARY, kind) or utc_now(),
         kind=kind,
@@ -162,12 +161,6 @@ def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
 
 _STATES = ("alarm", "drifting", "learning", "steady")
 """The worst first"""
-
-
-def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
-    """Write the check of the arm ``name``, atomically; FileError if that fails."""
-    text = prometheus_text(name, seen, measures)
-    write_text(path, text)
 
 
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:

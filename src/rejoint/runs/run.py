@@ -194,7 +194,7 @@ def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
     """Return the newest run folder in ``home`` if interrupted, else a new one, and whether to resume it."""
     last = max((int(p.name) for p in home.glob("*") if p.name.isdecimal()), default=0)
     newest = RunFolder(home / f"{last:03}")
-    if last and not is_finished(newest) and not is_of_another(newest, robot, arm):
+    if last and not newest.finished.exists() and not is_of_another(newest, robot, arm):
         return newest.path, True
     return home / f"{last + 1:03}", False
 
@@ -205,11 +205,6 @@ def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
         return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
     except FileError:
         return False
-
-
-def is_finished(folder: RunFolder) -> bool:
-    """Whether all stages were done, and reported."""
-    return folder.finished.exists()
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:

@@ -13,12 +13,12 @@ from typing import Any, Literal, Protocol, TypeAlias
 
 from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
-from rejoint.pages import html
+from rejoint.pages.html import write_page
 from rejoint.pages.words import number, plural
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
-from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
+from rejoint.runs.run import is_of_another, newest_or_new_in
 from rejoint.session.inputs import Settings, arm_of
 from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain, require
@@ -210,7 +210,7 @@ def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
     built = arm_of(arm.address, arm.description)
     if before is not None:
         files = RunFolder(fleet.folder / before)
-        if not is_of_another(files, arm.address, built) or is_finished(files):
+        if not is_of_another(files, arm.address, built) or files.finished.exists():
             return before
     place, _ = newest_or_new_in(fleet.folder / "repairs" / arm.name, arm.address, built)
     return str(place.relative_to(fleet.folder))
@@ -508,11 +508,6 @@ def _repaired(row: FleetRow, *, quick: bool) -> FleetRow:
     )
 
 
-def write_page(path: Path, result: FleetResult) -> None:
-    """Write the page; FileError if that fails."""
-    html.write_page(path, "fleet.html", result=result, headers=HEADERS)
-
-
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
 
 
@@ -554,5 +549,5 @@ def run_fleet(
             for one in standings:
                 if one.outcome is not None and one.outcome.trace:
                     write_text(place / f"bug-{one.arm.name}.txt", one.outcome.trace)
-            write_page(result.page, result)
+            write_page(result.page, "fleet.html", result=result, headers=HEADERS)
     return result
