@@ -405,7 +405,7 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
     assert sorted(name.split("-")[0] for name in logs) == ["follow", "follow", "move"]
     assert all((np.diff(log.time) > 0.0).all() for log in logs.values())
     assert any(np.nanmin(np.abs(log.target - WAVE[49]).max(axis=-1)) < 1e-3 for log in logs.values())
-    assert {log.extra["controller"] for log in logs.values()} == {"policy", "tracker"}
+    assert {log.extra["controller"] for log in logs.values()} == {"shelf", "tracker"}
 
 
 def test_without_a_twin_what_drives_to_points_follows_a_path(run: Path) -> None:
