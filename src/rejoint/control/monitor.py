@@ -351,15 +351,14 @@ SPAN, LIFTED = 0.25, 0.01
 """[s], and least way in it [rad] of a joint that moves"""
 REACHES = np.radians(np.geomspace(20.0, 0.3, 30))
 """[rad]; the longest of equals counts"""
-WIDER, _OFTEN = 1.25, 12
-"""Factor on exceeded bands, and repetitions"""
 
 
 def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Array) -> Bands:
     """Friction bands of an arm's joints from the ``logs`` of its diagnosis.
 
     ``softness`` (n,) [rad/(N m)] and ``offset`` (n,) [rad] of the balance come from the diagnosis too; joints with a
-    NaN stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it.
+    NaN stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it. A joint
+    that the monitor flags in these logs stays unknown too.
     """
     logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
     endless, slope, zero = np.full(arm.joints, np.inf), np.where(known, softness, 0.0), np.where(known, offset, 0.0)
@@ -370,12 +369,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     lifted = np.max([_lifted(log, balance) for log, balance in zip(logs, balances, strict=True)], axis=0)
     reach, width = _narrowest(arm, logs, balances)
     found = replace(found, lifted=lifted, reach=reach, width=np.where(known, width, np.inf))
-    for _ in range(_OFTEN):
-        late = doubted(arm, logs, bands=found)
-        if not late.any():
-            return found
-        found = replace(found, width=np.where(late, WIDER * found.width, found.width))
-    return replace(found, width=np.where(late, np.inf, found.width))
+    return replace(found, width=np.where(doubted(arm, logs, bands=found), np.inf, found.width))
 
 
 def _lifted(log: RunLog, balance: Array) -> Array:

@@ -48,8 +48,6 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 class Chart:
     """One quantity since its baseline began; T checks, the newest last."""
 
-    z: Array
-    """(T,) standard deviations from the baseline; NaN in its first checks"""
     cusum: Array
     """(T,) the larger side, positive where the quantity grows"""
     usual: float
@@ -69,14 +67,13 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     Prior: ``scatter``, sigma of one check; ``per_degree``, effect of a degree.
     """
     count, warm = len(value), np.nan_to_num(temperature - temperature[0])
-    z, cusum, changes = np.full(count, np.nan), np.zeros(count), np.zeros(count)
+    cusum, changes = np.zeros(count), np.zeros(count)
     sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
     usual, since = float(np.mean(value)), FEWEST - 1
     for t in range(FEWEST, count):
         usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], min(t, MOST), scatter, per_degree)
         changes[t] = value[t] - usual - slope
-        z[t] = changes[t] / deviation
-        step = float(np.clip(z[t], -CUT, CUT))
+        step = float(np.clip(changes[t] / deviation, -CUT, CUT))
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         sums = np.maximum(sums + sides * step - SLACK, 0.0)
         began = np.where(sums > 0.0, began, t)
@@ -90,7 +87,6 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     elif abs(smooth) > DRIFTING:
         state = "drifting"
     return Chart(
-        z=z,
         cusum=cusum,
         usual=usual,
         change=float(changes[-1]),
