@@ -35,9 +35,9 @@ LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
 """[rad/s] fastest push of a stationary joint; removed share of it; remaining share each time a joint breaks loose the
 other way; [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
 
-GENTLE, LEAST_PUSH = 2e-3, 0.5
-"""[m] of a myCobot 280: error below which pushes become slower in proportion, and their least share (chosen by
-`python -m benchmarks postures`: a joint that breaks loose near its target leaves it by less)"""
+GENTLE, EARLY, LEAST_PUSH = 2e-3, 6.0, 0.5
+"""Pushes are slower by the error over the [m] of a myCobot 280 and the time over the [s], and their least share (chosen
+by `python -m benchmarks postures`: a joint that breaks loose near its target leaves it by less)"""
 
 HELD_BACK = float(np.radians(3.0))
 """[rad] excess over the last command that stops the integrator"""
@@ -142,8 +142,15 @@ class FeedforwardController:
         stays = ~self.on_the_way(inputs)[:, None]
         sticks = stays & (moved == 0.0)
         most = np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-9)
-        speed = self._loosen * between(distance / self._gentle, LEAST_PUSH, 1.0)[:, None]
-        added = elapsed * speed * self._eager * (step / most) * (sticks & (distance > self._close)[:, None])
+        strength = between(distance / self._gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
+        added = (
+            elapsed
+            * self._loosen
+            * strength
+            * self._eager
+            * (step / most)
+            * (sticks & (distance > self._close)[:, None])
+        )
         loose = stays & (moved * self._pushed > 0.0)
         taken, back = np.where(loose, TAKEN_BACK * self._pushed, 0.0), loose * np.sign(self._pushed)
         self._eager = np.where(back * self._came < 0.0, CALMER * self._eager, self._eager)

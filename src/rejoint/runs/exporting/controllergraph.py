@@ -21,6 +21,7 @@ from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloa
 from rejoint.control.controllers.feedforward import (
     CALMER,
     CLOSE,
+    EARLY,
     GENTLE,
     HELD_BACK,
     LEAST_PUSH,
@@ -223,7 +224,7 @@ class _CycleGraph(nn.Module):
 
         gains, span = law.learning, elapsed.clamp(max=PACE_LONGEST)
         way = position - torch.where(begun, old["position"], position)
-        loosened, sticking = self._loosen(step, distance, span, way, fresh, old)
+        loosened, sticking = self._loosen(step, (distance, since), span, way, fresh, old)
         extra = extra + loosened
         if self.design.network is None:
             short = torch.where(begun, old["asked"], position) - sent
@@ -263,13 +264,19 @@ class _CycleGraph(nn.Module):
         return command.float().reshape(1, -1), state.float().reshape(1, -1)
 
     def _loosen(
-        self, step: Tensor, distance: Tensor, span: Tensor, way: Tensor, fresh: Tensor, old: dict[str, Tensor]
+        self,
+        step: Tensor,
+        seen: tuple[Tensor, Tensor],
+        span: Tensor,
+        way: Tensor,
+        fresh: Tensor,
+        old: dict[str, Tensor],
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Addition (n,) [rad] for stuck joints, and its memory."""
         eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
-        share = step / step.abs().max().clamp(min=1e-9)
+        share, (distance, since) = step / step.abs().max().clamp(min=1e-9), seen
         sticks, loose = way == 0.0, way * old["pushed"] > 0.0
-        speed = self.law.loosen * (distance / self.gentle).clamp(LEAST_PUSH, 1.0)
+        speed = self.law.loosen * (distance / self.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
         added = torch.where(sticks & (distance > self.close), span * speed * eager * share, 0.0)
         taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
         return added - taken, {
