@@ -50,8 +50,12 @@ def write_policy(path, arm, gains=None, **changes):
     return Policy.load(path)
 
 
+STARTED = 10
+"""cycles after which all joints move, and the joint monitor bounds no command"""
+
+
 def differences(file, recording):
-    """How far (T,) [rad] commands of a file are from recorded ones that the guard left alone."""
+    """How far (T,) [rad] commands of a file are from recorded ones that guard and monitor left alone."""
     session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
     memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
     time, n = recording.time[:, 0], recording.position.shape[-1]
@@ -66,7 +70,7 @@ def differences(file, recording):
         if k:
             memory[0, :n] = recording.command[k - 1, 0]  # what the guard left of it
         command, memory = session.run(None, {name: np.asarray(value, np.float32) for name, value in feed.items()})
-        if not recording.reasons[k, 0]:
+        if k >= STARTED and not recording.reasons[k, 0]:
             found.append(np.abs(command[0] - recording.command[k, 0]).max())
     return np.array(found)
 
