@@ -29,9 +29,9 @@ from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
+from rejoint.runs.run import StageMotion
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
 from rejoint.session.context import make_factories
-from rejoint.session.recorder import StageMotion
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)

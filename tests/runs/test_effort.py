@@ -6,7 +6,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.start import move
 from rejoint.robots import open_robot
-from rejoint.session.recorder import StageMotion
+from rejoint.runs.run import StageMotion
 
 ARM = mycobot280()
 

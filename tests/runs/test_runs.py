@@ -16,8 +16,8 @@ from rejoint.logs.journal import CUT_SHORT, recover
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
+from rejoint.runs import run as running
 from rejoint.runs.run import Run
-from rejoint.session import recorder
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
@@ -120,7 +120,7 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
         def now(cls, tz=None):
             return cls(2026, 1, 1, 12, 0, 5, tzinfo=tz)
 
-    monkeypatch.setattr(recorder, "datetime", Stopped)
+    monkeypatch.setattr(running, "datetime", Stopped)
     run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
     for _ in range(2):
         rejoint.deploy(
@@ -130,7 +130,7 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
             settings=rejoint.Settings(controller="integrator", dwell=0.5),
         )
     assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
-    whole = recorder.start_journal(
+    whole = running.start_journal(
         run.folder.log("deploy-20260101-120005-3"), open_robot("emulated:worn"), "deploy/killed"
     )
     whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import CATALOGUE, Arm, differing, load_arm, write_arm_toml
+import numpy as np
+
+from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_toml
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
+from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.logs.journal import Journal
+from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
+from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, write_json
+from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.shell import __version__
 
@@ -268,3 +273,76 @@ def _digest(folder: RunFolder) -> str:
     remedy = "bring it back, or begin another run"
     with reading(folder.description, "cannot be read", remedy):
         return digest(read_bounded(folder.description, TOML_MOST, remedy)).decode()
+
+
+class StageMotion:
+    """What a stage's robots do: metered, and journaled at ``path``."""
+
+    def __init__(self, run: Run | None = None, stage: str = "", path: Path | None = None) -> None:
+        self._run, self._stage, self._path = run, stage, path
+        self.journal: Journal | None = None
+        self.moving, self.travel = 0.0, 0.0
+
+    def watch(self, robot: Robot) -> Robot:
+        """Robot whose motion counts."""
+        return _StageRobot(robot, self) if robot.count == 1 else robot
+
+    def see(self, robot: Robot, before: JointState, command: Array, after: JointState) -> None:
+        """Take a step."""
+        if self.journal is None and self._path is not None:
+            if self._run is not None:
+                self._run.begin()
+            self.journal = start_journal(self._path, robot, self._stage)
+        passed, turned = after.time[0] - before.time[0], after.position[0] - before.position[0]
+        self.moving += max(float(np.nan_to_num(passed)), 0.0)
+        self.travel += float(np.nansum(np.abs(turned)))
+        if self.journal is not None:
+            self.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
+
+
+class _StageRobot(RobotWrapper):
+    def __init__(self, robot: Robot, motion: StageMotion) -> None:
+        super().__init__(robot)
+        self._motion = motion
+        self._before: JointState | None = None
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Pass the command on."""
+        state = super().step(command, active)
+        if self._before is not None:
+            self._motion.see(self, self._before, command, state)
+        self._before = state
+        return state
+
+
+@contextmanager
+def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
+    """Return what wraps the robots of a stage; the run then knows their motion.
+
+    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion until then, in the
+    run or beside ``path``; what is written inside is safe from a kill.
+    """
+    motion = StageMotion(run, stage, dated(run, stage) if path is None and run is not None else path)
+    try:
+        yield motion.watch
+    except BaseException as error:
+        if motion.journal is not None:
+            error.add_note(motion.journal.rescue())
+        raise
+    else:
+        if motion.journal is not None:
+            motion.journal.discard()
+    finally:
+        if run is not None and motion.moving > 0.0:
+            add(run.folder, StageCost(name=stage, moving=motion.moving, travel=motion.travel))
+
+
+def start_journal(path: Path, robot: Robot, label: str) -> Journal:
+    """Start the journal of a run log."""
+    arm = robot.arm
+    return Journal(path, arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
+
+
+def dated(run: Run, name: str) -> Path:
+    """Path of a new run log with its date."""
+    return unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))

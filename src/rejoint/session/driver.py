@@ -29,7 +29,7 @@ from rejoint.control.start import begin, check_ready, move
 from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import is_virtual, open_robot
 from rejoint.robots.wrapper import RobotWrapper, WallClock
-from rejoint.runs.run import Run, exclusive
+from rejoint.runs.run import Run, exclusive, staged
 from rejoint.session.context import (
     ControllerLike,
     calibration_of,
@@ -55,7 +55,7 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.session.recorder import RunRecorder, staged
+from rejoint.session.recorder import RunRecorder
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed

@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from datetime import datetime
-from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Array
 from rejoint.control.recording import PIECE, Cycle, recorded, recording_of
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import Robot
 from rejoint.control.start import Playback
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder import StageCost, add
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.wrapper import RobotWrapper
-from rejoint.runs.run import Run
+from rejoint.runs.run import Run, dated, start_journal
 from rejoint.system.errors import FileError, RejointError
-from rejoint.system.files import require_space, unused
+from rejoint.system.files import require_space
 
 EVERY = 0.02
 """[s] between readings of an arm that is not driven (chosen)"""
 
 
-class LogKind(NamedTuple):
-    """What a run log is of."""
-
-    robot: Robot
-    name: str
-    """of the file, before its date"""
-    label: str
+LogKind: TypeAlias = tuple[Robot, str, str]
+"""Robot, name of the file before its date, and label of a log"""
 
 
 class RunRecorder:
@@ -57,7 +46,7 @@ class RunRecorder:
 
     def begin(self, robot: Robot, name: str, label: str) -> None:
         """Start or continue a log of this kind."""
-        kind = LogKind(robot, name, label)
+        kind = (robot, name, label)
         if self._kind != kind:
             self.end()
             self._start(kind)
@@ -104,8 +93,8 @@ class RunRecorder:
         elif cycles:
             error.add_note(journal.keep(_log(kind, cycles, "/stopped")))
         elif partial is not None and len(partial.time):
-            part = "/begin" if partial.controller == Playback.name else kind.label.removeprefix(kind.name)
-            error.add_note(journal.keep(partial.log(0, f"{kind.name}{part}/stopped")))
+            label = f"{kind[1]}/begin" if partial.controller == Playback.name else kind[2]
+            error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
         else:
             journal.discard()
 
@@ -118,17 +107,19 @@ class RunRecorder:
         self._kind = kind
         if self._run is not None:
             require_space(self._run.path)  # some is left for other programs
-            self._journal = start_journal(_dated(self._run, kind.name), kind.robot, kind.label)
+            robot, name, label = kind
+            self._journal = start_journal(dated(self._run, name), robot, label)
 
 
 def _log(kind: LogKind, cycles: list[Cycle], end: str = "", extra: Mapping[str, str] | None = None) -> RunLog:
     """Log of what was seen; before the first command the positions count as commands, if any came."""
-    _, controller, *_ = (*kind.label.split("/"), kind.label)
-    found = recorded(kind.robot, controller, cycles, np.zeros(1, dtype=np.uint16))
+    robot, _, label = kind
+    _, controller, *_ = (*label.split("/"), label)
+    found = recorded(robot, controller, cycles, np.zeros(1, dtype=np.uint16))
     sent = np.isfinite(found.command)
     if sent.any():
         found = replace(found, command=np.where(sent, found.command, found.position))
-    return found.log(0, kind.label + end, extra)
+    return found.log(0, label + end, extra)
 
 
 class StateRecord:
@@ -174,75 +165,3 @@ class StateRecord:
         self.log = self._recorder.end()
         if self._error is not None and kind is None:
             raise self._error
-
-
-class StageMotion:
-    """What a stage's robots do: metered, and journaled at ``path``."""
-
-    def __init__(self, run: Run | None = None, stage: str = "", path: Path | None = None) -> None:
-        self._run, self._stage, self._path = run, stage, path
-        self.journal: Journal | None = None
-        self.moving, self.travel = 0.0, 0.0
-
-    def watch(self, robot: Robot) -> Robot:
-        """Robot whose motion counts."""
-        return _StageRobot(robot, self) if robot.count == 1 else robot
-
-    def see(self, robot: Robot, before: JointState, command: Array, after: JointState) -> None:
-        """Take a step."""
-        if self.journal is None and self._path is not None:
-            if self._run is not None:
-                self._run.begin()
-            self.journal = start_journal(self._path, robot, self._stage)
-        passed, turned = after.time[0] - before.time[0], after.position[0] - before.position[0]
-        self.moving += max(float(np.nan_to_num(passed)), 0.0)
-        self.travel += float(np.nansum(np.abs(turned)))
-        if self.journal is not None:
-            self.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
-
-
-class _StageRobot(RobotWrapper):
-    def __init__(self, robot: Robot, motion: StageMotion) -> None:
-        super().__init__(robot)
-        self._motion = motion
-        self._before: JointState | None = None
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Pass the command on."""
-        state = super().step(command, active)
-        if self._before is not None:
-            self._motion.see(self, self._before, command, state)
-        self._before = state
-        return state
-
-
-@contextmanager
-def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
-    """Return what wraps the robots of a stage; the run then knows their motion.
-
-    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion until then, in the
-    run or beside ``path``; what is written inside is safe from a kill.
-    """
-    motion = StageMotion(run, stage, _dated(run, stage) if path is None and run is not None else path)
-    try:
-        yield motion.watch
-    except BaseException as error:
-        if motion.journal is not None:
-            error.add_note(motion.journal.rescue())
-        raise
-    else:
-        if motion.journal is not None:
-            motion.journal.discard()
-    finally:
-        if run is not None and motion.moving > 0.0:
-            add(run.folder, StageCost(name=stage, moving=motion.moving, travel=motion.travel))
-
-
-def start_journal(path: Path, robot: Robot, label: str) -> Journal:
-    """Start the journal of a run log."""
-    arm = robot.arm
-    return Journal(path, arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
-
-
-def _dated(run: Run, name: str) -> Path:
-    return unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))

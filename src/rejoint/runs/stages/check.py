@@ -29,9 +29,8 @@ from rejoint.logs.history import (
 from rejoint.logs.journal import recover
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
-from rejoint.runs.run import RUNS
+from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
-from rejoint.session.recorder import staged
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving

@@ -30,7 +30,7 @@ from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run
+from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
     Controllers,
     Factory,
@@ -57,7 +57,6 @@ from rejoint.session.inputs import (
     is_batchable,
     period_of,
 )
-from rejoint.session.recorder import staged
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
