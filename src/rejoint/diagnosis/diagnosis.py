@@ -332,10 +332,8 @@ def _nothing(measurement: Measurement, healthy: HealthyReference | None) -> str:
     if len(unmeasured) < len(measurement.joints):
         left = f"; they do not tell about {', '.join(unmeasured)}" if unmeasured else ""
         if healthy is None:
-            return (
-                f"No joint of those that move is stuck, rings, hunts or rests beside its commands{left}. Other wear "
-                "shows only beside a healthy arm of this kind, and none is known (--healthy)."
-            )
+            known = "Wear shows only beside a healthy arm of this kind, and none is known (--healthy)."
+            return f"No joint is seen to be at fault{left}. {known}"
         return f"No joint shows wear in these logs{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
