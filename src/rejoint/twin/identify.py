@@ -427,14 +427,9 @@ def _problem(
 
 def independent(problem: Problem) -> NDArray[np.integer]:
     """(rows,) numbers of independent motions, or of windows where there are few."""
-    motion = _motions(problem)
-    return motion if motion.max() + 1 >= CLUSTERED else problem.window
-
-
-def _motions(problem: Problem) -> NDArray[np.integer]:
-    """(rows,) number of each row's motion."""
     logs = np.array([w.log for w in problem.replay.windows])[problem.window]
-    return np.unique(logs, return_inverse=True)[1].ravel()
+    motion = np.unique(logs, return_inverse=True)[1].ravel()
+    return motion if motion.max() + 1 >= CLUSTERED else problem.window
 
 
 def _fit_table(

@@ -68,7 +68,7 @@ _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] tried"""
 _TORQUES = (0.4, 0.6, 0.8)
 """Tried, over the largest torque without limit"""
-_SHARES = (0.1, 0.3, 0.6)
+_SHARES = (0.2, 0.5)
 """Load friction tried"""
 
 
@@ -127,24 +127,26 @@ def rough_fit(problem: Problem) -> Array:
     if _ratio(_losses(problem, x), no_twin) < NEAR:
         return x
     rng = np.random.default_rng(0)
-    drawn = belief.mean + belief.sigma * problem.layout.normal(rng, STARTS)
-    starts = np.where(problem.frozen, belief.mean, drawn)
-    starts[0] = x
-    y = search(problem, np.clip(starts, belief.lower, belief.upper), rng, rounds=2)
+    y = search(problem, np.vstack([x, _drawn(problem, x, STARTS - 1, rng)]), rng, rounds=2)
     return fit(problem, y, ROUGH, SCALES).vector
 
 
 def explored(problem: Problem, x: Array) -> Array:
     """Best of ``x`` (k,) and of descents from random starts, as many as are cheap: those of few joints."""
-    count, belief = int(EFFORT / (problem.measured.size * problem.joints)), problem.prior
+    count, rng = int(EFFORT / (problem.measured.size * problem.joints)), np.random.default_rng(0)
     if count == 0:
         return x
-    rng = np.random.default_rng(0)
-    drawn = belief.mean + WIDER * belief.sigma * problem.layout.normal(rng, TRIALS * count)
-    starts = np.clip(np.where(problem.frozen, x, drawn), belief.lower, belief.upper)
+    starts = _drawn(problem, x, TRIALS * count, rng, WIDER)
     order = np.argsort(loss(problem.residuals(starts)).sum(axis=(1, 2)))[:count]
     found = [fit(problem, start, 2 * ROUGH, SCALES).vector for start in starts[order]]
     return search(problem, np.array([x, *found]), rng, rounds=1)
+
+
+def _drawn(problem: Problem, x: Array, count: int, rng: np.random.Generator, wider: float = 1.0) -> Array:
+    """Random vectors (count, k), with the frozen elements of ``x`` (k,)."""
+    belief = problem.prior
+    drawn = belief.mean + wider * belief.sigma * problem.layout.normal(rng, count)
+    return np.clip(np.where(problem.frozen, x, drawn), belief.lower, belief.upper)
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
@@ -258,7 +260,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     before = problem.residuals(tried[:1])
     y = explored(problem, line_up(problem, tried, before, problem.weights(before[0]))[0])
     losses = _losses(problem, y)
-    if _ratio(losses, _losses(problem, x)) >= 1.0 - GAIN:
+    if _ratio(losses, loss(before[0]).sum(axis=0)) >= 1.0 - GAIN:
         return x, losses
     y = fit(problem, y, FURTHER).vector
     return y, _losses(problem, y)
