@@ -106,9 +106,9 @@ def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
 
 def test_prior_scales_with_the_arm_and_contains_its_twins(arm):
     belief, names = prior(arm), vector_names(arm.joint_names)
-    assert len(names) == len(belief.mean) == 7 * arm.joints + 2
+    assert len(names) == len(belief.mean) == 8 * arm.joints + 2
     fitted = Layout(arm.joints).is_fitted
-    assert (belief.lower < belief.mean)[fitted].all()
+    assert (belief.lower <= belief.mean)[fitted].all()
     assert (belief.mean < belief.upper).all()
     nominal, healthy = nominal_parameters(arm), healthy_parameters(arm)
     np.testing.assert_allclose(nominal.stiffness, [7, 7, 5.6, 5.6, 5.6, 5.6], rtol=0.02)

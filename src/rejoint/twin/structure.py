@@ -41,8 +41,8 @@ GAIN = 0.02
 LIMIT_GAIN = 0.15
 """Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
-EITHER = 2.0
-"""Sigma of Coulomb friction beside load friction over that without; chosen"""
+EITHER, ABSENT = 2.0, 1e-3
+"""Sigma of Coulomb friction beside load friction over that without, and of load friction where it is none; chosen"""
 LEAST_FED = 0.05
 """Least share of gravity fed forward where a sag tells no stiffness; chosen"""
 
@@ -277,11 +277,11 @@ def _without(belief: Prior, names: Sequence[str]) -> Prior:
     """Belief without some of `OPTIONAL`; dry friction is less known where it may grow with load."""
     kind = Layout.of_length(len(belief.mean)).kind
     off = np.isin(kind, [number(name) for name in names if name in LIMITS])
-    either = kind == (number("coulomb") if "load_friction" not in names else -1)
+    changed, factor = ("load_friction", ABSENT) if "load_friction" in names else ("coulomb", EITHER)
     return replace(
         belief,
         mean=np.where(off, belief.upper, belief.mean),
-        sigma=np.where(either, EITHER * belief.sigma, belief.sigma),
+        sigma=np.where(kind == number(changed), factor, 1.0) * belief.sigma,
     )
 
 

@@ -23,7 +23,7 @@ FRICTION = (
               # chosen: 0.03 to 1.5 N m within two sigma
               wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
     Parameter(name="load_friction", unit="1", meaning="dry friction per torque that the gears pass on",
-              nominal=0.0, sigma=0.01, lower=0.0, upper=2.0, log=False, difference=0.02,
+              nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
 )  # fmt: skip
 
