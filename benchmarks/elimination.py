@@ -76,7 +76,7 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     """Compare in blocks on the worn arm drawn with the seed ``number``, and go the long way."""
     address = f"emulated:worn?seed={number}"
     diagnosed = rejoint.diagnose(address, settings=rejoint.Settings(period=PERIOD, seed=number))
-    twin = rejoint.identify(diagnosed.excitation)
+    twin = rejoint.identify([diagnosed.excitation, diagnosed.targets])
     names = contenders(real=True, shelf=True, policy=policy is not None, twin=True)
     given = {name: policy or name if name == "policy" else name for name in names if name != DEFAULT}
     factories = make_factories(given, ARM, PERIOD, twin=twin)

@@ -28,14 +28,12 @@ import pyarrow.parquet as pq
 import typer
 
 import rejoint.diagnosis.diagnosis
-import rejoint.diagnosis.excitation
 import rejoint.pages.report.page
 import rejoint.training.presets
 import rejoint.training.train
 import rejoint.twin.identify
 from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
-from rejoint.diagnosis.excitation import SHORT
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import read_log
@@ -66,7 +64,6 @@ class WrongError(AssertionError):
 
 def small() -> None:
     """Cut the stages of this process down."""
-    rejoint.diagnosis.excitation.FULL = SHORT
     rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, starts=4, iterations=3)
     preset = rejoint.training.presets.DEFAULT
     ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)

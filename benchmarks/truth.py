@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, mycobot280
-from rejoint.diagnosis.excitation import plan_excitation
+from rejoint.arms.inverse import solve_position
+from rejoint.diagnosis.excitation import Excitation, plan_excitation
+from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import STICTION, TwinParameters, pack
@@ -51,9 +53,18 @@ def heavier(arm: Arm, rng: np.random.Generator, spread: float) -> Arm:
     return replace(arm, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
 
 
-def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
-    """Log of the excitation of a diagnosis, on an arm whose twin is ``truth``."""
-    plan = plan_excitation(arm, seed=0)
+def to_targets(arm: Arm) -> Excitation:
+    """Ten targets, each sent once."""
+    path = Excitation(arm, arm.rest)
+    for number, target in enumerate(arm.targets.sample(np.random.default_rng(0), (TARGETS,))):
+        with path.segment(f"targets/{number}", "targets"):
+            path.travel(solve_position(arm, target, path.position[-1]).q, 50.0)
+            path.wait(DWELL)
+    return path
+
+
+def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator, plan: Excitation) -> RunLog:
+    """Log of a planned motion, on an arm whose twin is ``truth``."""
     times = np.arange(0.0, plan.time[-1], PERIOD)
     command = np.stack([np.interp(times, plan.time, column) for column in plan.position.T], axis=1)
     reference = ServoReference(times, command, np.atleast_1d(truth.ramp_speed))
@@ -75,9 +86,10 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
     for number in range(seed, seed + arms):
         rng = np.random.default_rng(number)
         truth = worn(arm, rng)
-        log = excite(heavier(arm, rng, masses), truth, rng)
+        other = heavier(arm, rng, masses)
+        logs = [excite(other, truth, rng, plan) for plan in (plan_excitation(arm, seed=0), to_targets(arm))]
         began = time.process_time()
-        twin = identify(arm, [log], threads=1)
+        twin = identify(arm, logs, threads=1)
         seconds.append(time.process_time() - began)
         off = pack(twin.parameters) - pack(truth)
         known = np.asarray(twin.identified)

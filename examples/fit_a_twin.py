@@ -13,7 +13,7 @@ options.add_argument("--out", default="twin.png", help="figure to write")
 chosen = options.parse_args()
 
 found = rejoint.diagnose("emulated:worn", quick=chosen.quick)  # drives the arm; nothing is written
-twin = rejoint.identify(found.excitation, quick=chosen.quick)
+twin = rejoint.identify([found.excitation, found.targets], quick=chosen.quick)
 low, high = twin.interval
 for name, value, least, most in zip(
     twin.joint_names, twin.parameters.stiffness, low.stiffness, high.stiffness, strict=True

@@ -10,7 +10,7 @@ from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.control.monitor import Bands, doubted, standing_bands
-from rejoint.diagnosis.excitation import SHORT, record
+from rejoint.diagnosis.excitation import record
 from rejoint.diagnosis.measurement import measure
 from rejoint.logs.runlog import RunLog
 from rejoint_lab.emulated import EmulatedRobot
@@ -72,7 +72,7 @@ def bands_of(logs):
 @pytest.fixture(scope="module", params=["healthy", "play-in-loop"])
 def diagnosed(request):
     wears = [load_wear(f"{request.param}?seed={70 + i}", ARM) for i in range(1)]
-    logs = record(EmulatedRobot(ARM, wears, seed=6, tells_load=False), seed=0, plan=SHORT)
+    logs = record(EmulatedRobot(ARM, wears, seed=6, tells_load=False), seed=0)
     return wears, logs
 
 
@@ -89,7 +89,7 @@ def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_o
 def worn():
     """Six worn arms and their bands."""
     wears = [load_wear(f"worn?seed={500 + i}", ARM) for i in range(6)]
-    logs = record(EmulatedRobot(ARM, wears, seed=4, tells_load=False), seed=0, plan=SHORT)
+    logs = record(EmulatedRobot(ARM, wears, seed=4, tells_load=False), seed=0)
     bands = [bands_of(log) for log in logs]
     return wears, Bands(**{f: np.array([getattr(b, f) for b in bands]) for f in ("slope", "offset", "reach", "width")})
 

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, judge
-from rejoint.diagnosis.excitation import SHORT, DiagnosisLogs, record
+from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.system.errors import InputError, NotReadyError
@@ -160,7 +160,7 @@ def test_a_reference_from_healthy_logs_contains_them(logs):
 def test_one_arm_in_one_call(tmp_path):
     seen: list[tuple[str, float]] = []
     robot = EmulatedRobot(ARM, [HEALTHY], seed=5, address="emulated:healthy")
-    (logs,) = record(robot, seed=3, plan=SHORT, on_progress=lambda share, what: seen.append((what, share)))
+    (logs,) = record(robot, seed=3, on_progress=lambda share, what: seen.append((what, share)))
     diagnosis = judge(ARM, logs, load_healthy(ARM))
     assert diagnosis.condition == "ok"
     assert diagnosis.robot == "emulated:healthy"

@@ -13,7 +13,7 @@ from test_gains import found_by
 
 from madetwin import made_twin
 from rejoint.arms import so101
-from rejoint.diagnosis.excitation import SHORT, record
+from rejoint.diagnosis.excitation import record
 from rejoint.robots import open_robot
 from rejoint.runs.exporting.exports import export_run
 from rejoint.runs.run import Run
@@ -52,7 +52,7 @@ def rms(paths, measured):
 @pytest.mark.parametrize("address", ["emulated:worn", "emulated:so101"])
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     robot = open_robot(address, seed=0)
-    arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0, plan=SHORT)]
+    arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
     twin = identify(arm, logs, starts=8, iterations=8, threads=1)
     run = Run.create(tmp_path / "run", address, arm, 0)
     write_twin(run.folder.twin, twin)

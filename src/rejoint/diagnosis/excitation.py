@@ -16,7 +16,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.arms.workspace import (
-    EXCURSION,
     HOLD_OFFSET,
     HOLD_SPREAD,
     LOAD_MARGIN,
@@ -34,7 +33,7 @@ from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, move, play
 from rejoint.diagnosis.open_loop import DWELL, TARGETS
-from rejoint.diagnosis.segments import Segment, attach_segments
+from rejoint.diagnosis.segments import TARGETS_LABEL, Segment, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress, part
@@ -77,20 +76,17 @@ class Excitation:
         self._add(float(np.abs(goal - self.position[-1]).max()) / speed, goal)
 
     def sweep(self, plan: Plan, travel: float) -> None:
-        """Sweep every other joint about rest, as planned; ``travel`` [rad/s] in between."""
-        rest = self.arm.rest
-        for first in (0, 1):
-            joints = tuple(range(first, self.arm.joints, 2))
-            way = np.zeros(self.arm.joints)
-            way[list(joints)] = plan.sweep_amplitude * (-1.0) ** np.arange(len(joints))  # neighbours opposed
-            for index, (speed, cycles) in enumerate(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True)):
-                self.travel(rest - way, travel)
-                self.wait(SETTLE)
-                for half in range(2 * cycles):
-                    with self.segment(f"sweep/{'-'.join(map(str, joints))}/{index}/{half}", "sweep", joints):
-                        self.travel(rest + (way if half % 2 == 0 else -way), speed)
-            self.travel(rest, travel)
+        """Sweep all joints about rest, as planned; ``travel`` [rad/s] in between."""
+        rest, joints = self.arm.rest, tuple(range(self.arm.joints))
+        way = plan.sweep_amplitude * (-1.0) ** (np.arange(self.arm.joints) // 2)  # each with one neighbour opposed
+        for index, (speed, cycles) in enumerate(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True)):
+            self.travel(rest - way, travel)
             self.wait(SETTLE)
+            for half in range(2 * cycles):
+                with self.segment(f"sweep/{index}/{half}", "sweep", joints):
+                    self.travel(rest + (way if half % 2 == 0 else -way), speed)
+        self.travel(rest, travel)
+        self.wait(SETTLE)
 
     def approach(self, begin: Array, posture: Array, plan: Plan) -> None:
         """Come slowly to a ``posture`` (n,) [rad], from ``begin`` (n,) [rad]."""
@@ -110,36 +106,39 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Amplitudes, speeds and durations of an excitation; defaults chosen."""
+    """Amplitudes, speeds and durations of an excitation, about 60 s; defaults chosen.
 
-    still: float = 3.0
+    By its Fisher information, a twin learns most per second from the multisine and the ten targets (`python -m
+    benchmarks information`); the rest is what the regressions of a diagnosis need.
+    """
+
+    still: float = 2.0
     """[s]"""
     sweep_amplitude: float = 0.18
     """[rad]; several times a worn joint's hysteresis"""
-    sweep_speeds: tuple[float, ...] = (0.12, 0.5)
-    """[rad/s]; twice the Stribeck velocity; fast: viscous lag outweighs friction"""
+    sweep_speeds: tuple[float, ...] = (0.2, 0.5)
+    """[rad/s]; three times the Stribeck velocity; fast: viscous lag outweighs friction"""
     sweep_cycles: tuple[int, ...] = (2, 4)
     step_size: float = 0.2
     """[rad]; half of the guard's limit"""
-    step_dwell: float = 1.0
-    """[s]; several periods of 2 Hz"""
+    step_dwell: float = 0.85
+    """[s]; nearly two periods of 2 Hz"""
     step_speed: float = 2.0
     """[rad/s]; just below the ramp of small servos"""
     multisine_period: float = 15.0
     """[s]"""
-    multisine_periods: int = 2
     multisine_band: float = 2.5
     """[Hz] highest line"""
-    multisine_amplitude: float = EXCURSION
-    """[rad] largest excursion"""
-    multisine_speed: float = 1.5
+    multisine_amplitude: float = 0.4
+    """[rad] largest excursion, less where it is not safe"""
+    multisine_speed: float = 2.0
     """[rad/s] largest speed"""
-    postures: int = 8
+    postures: int = 4
     hold_offset: float = HOLD_OFFSET
     """[rad] of the approach"""
     hold_speed: float = 0.3
     """[rad/s] at its end"""
-    hold_dwell: float = 1.0
+    hold_dwell: float = 0.6
     """[s]"""
     travel_speed: float = 0.8
     """[rad/s] between postures"""
@@ -148,12 +147,6 @@ class Plan:
     region: float = 1.0
     """share of the region of a check's poses"""
 
-
-FULL = Plan()
-"""About 130 s"""
-
-SHORT = Plan(sweep_cycles=(1, 2), multisine_periods=1, postures=5, step_dwell=0.8, still=2.0)
-"""About 75 s, with wider intervals"""
 
 SETTLE = 0.3
 """[s] pause between segments; chosen"""
@@ -180,7 +173,7 @@ _REMEDY = (
 )
 
 
-def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
+def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None) -> Excitation:
     """Plan the excitation of an arm at ``start`` (n,) [rad] (default: rest).
 
     Slows and shrinks motion; InputError if that does not suffice.
@@ -201,7 +194,7 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
             path.travel(arm.rest, plan.travel_speed / 2)
         return path
 
-    return fitted(arm, plan, build)
+    return fitted(arm, Plan(), build)
 
 
 def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitation:
@@ -223,17 +216,19 @@ def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitat
 
 
 def _add_steps(path: Excitation, plan: Plan) -> None:
-    for joint in range(path.arm.joints):
+    half = (path.arm.joints + 1) // 2
+    for first in range(half):
+        joints = tuple(range(first, path.arm.joints, half))
         for index, side in enumerate((1.0, 0.0, -1.0, 0.0)):
             goal = path.arm.rest.copy()
-            goal[joint] += side * plan.step_size
-            with path.segment(f"step/{joint}/{index}", "step", (joint,)):
+            goal[list(joints)] += side * plan.step_size
+            with path.segment(f"step/{first}/{index}", "step", joints):
                 path.travel(goal, plan.step_speed)
                 path.wait(plan.step_dwell)
 
 
 def _add_multisine(path: Excitation, plan: Plan, rng: np.random.Generator) -> None:
-    joints, duration = path.arm.joints, plan.multisine_period * plan.multisine_periods
+    joints, duration = path.arm.joints, plan.multisine_period
     time = np.arange(0.0, duration + 1e-9, 0.01)
     lines = np.arange(1, int(plan.multisine_band * plan.multisine_period) + 1)
     motion = np.zeros((len(time), joints))
@@ -308,7 +303,7 @@ def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
     return segment, q[first]
 
 
-TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
+EXCITATION_LABEL = "diagnosis/excitation"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -325,7 +320,6 @@ def record(
     robot: Robot,
     *,
     seed: int,
-    plan: Plan = FULL,
     on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[DiagnosisLogs, ...]:
@@ -335,7 +329,7 @@ def record(
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
-    excitation = plan_excitation(arm, seed=seed, plan=plan)  # refused, if it is, before anything moves
+    excitation = plan_excitation(arm, seed=seed)  # refused, if it is, before anything moves
     begin(robot, on_cycle=on_cycle)
     whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
     targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))

@@ -41,6 +41,11 @@ MASSES = 0.05
 TORQUES = 0.05
 """Relative sigma of logged torques; chosen"""
 
+SAG = 0.02
+"""Relative sigma of a stiffness by sag, beside its scatter; measured on emulated worn arms, whose friction grows with
+the load
+"""
+
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
 """Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
 
@@ -213,8 +218,8 @@ def _by_sag(arm: Arm, law: Law | None, ratio: float) -> Estimate | None:
     """Stiffness by gravity; None if the sag does not follow the model, or as `_slope`."""
     if law is None or law.follows < FOLLOWS or law.torque_range < LOADED * torque_size(arm):
         return None
-    doubt = 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
-    return _slope(law.fit, doubt, ratio)
+    masses = 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
+    return _slope(law.fit, float(np.hypot(SAG, masses)), ratio)
 
 
 def _slope(fit: LinearFit | None, doubt: float, ratio: float) -> Estimate | None:

@@ -219,7 +219,8 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Av
         chosen &= (np.abs(found.speed) < _SLOW) & (np.abs(found.acceleration) < _GENTLE)
     logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
     segment, piece = np.divmod(found.cluster, 1000)  # pieces of 2 s, see `rejoint.diagnosis.metrics`
-    cluster = 1000 * segment + piece // (1 if fast else 4)
+    pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
+    cluster = 1000 * segment + piece // pieces
     if len(np.unique(logs)) >= _MANY_LOGS:
         cluster = logs[segment]
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)

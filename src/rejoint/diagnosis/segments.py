@@ -52,9 +52,18 @@ def attach_segments(log: RunLog, segments: Sequence[Segment], waits: Array | Non
     return dataclasses.replace(log, extra={**log.extra, _KEY: msgspec.json.encode(shifted).decode()})
 
 
+TARGETS_LABEL = "diagnosis/targets"
+"""Of the log of ten targets"""
+
+
 def is_excitation(log: RunLog) -> bool:
     """Whether a log is of an excitation."""
     return _KEY in log.extra
+
+
+def of_diagnosis(logs: Sequence[RunLog]) -> bool:
+    """Whether logs are of excitations, beside their targets."""
+    return any(map(is_excitation, logs)) and all(is_excitation(log) or log.label == TARGETS_LABEL for log in logs)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

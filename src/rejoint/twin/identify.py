@@ -1,8 +1,9 @@
 """Identification: a twin with intervals from logs, judged on motion that the fit has not seen.
 
-An excitation is fitted under the prior of its arm; every fourth window is held out. In logs of any motion of a
-little-known arm only free motion counts, whole motions are held out, and priors are wide. Part of the motion decides on
-the structure (`rejoint.twin.structure`); after the judgement all motions are fitted, the table last.
+An excitation is fitted under the prior of its arm, with logs beside it; every fourth window of it is held out. In logs
+of any motion of a little-known arm only free motion counts, whole motions are held out, and priors are wide. Part of
+the motion decides on the structure (`rejoint.twin.structure`); after the judgement all motions are fitted, the table
+last.
 """
 
 from __future__ import annotations
@@ -197,10 +198,10 @@ def identify(
     threads: int = 2,
     seed: int = 0,
 ) -> Twin:
-    """Fit a twin to an excitation, from ``starts``; InputError for another arm or too little motion."""
+    """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
     windows = cut(logs, EXCITATION_WINDOW)
-    unseen = windows[HOLD_OUT - 1 :: HOLD_OUT]
+    unseen = [window for window in windows if window.log == 0][HOLD_OUT - 1 :: HOLD_OUT]
     seen = [window for window in windows if window not in unseen]
     if seconds < SHORTEST_EXCITATION or not unseen:
         raise InputError(

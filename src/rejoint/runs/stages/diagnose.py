@@ -76,7 +76,7 @@ def diagnose(
 ) -> Diagnosed:
     """Find out what is wrong with an arm: by moving it, or from logs of any motion.
 
-    A robot moves to ten targets, open loop, and through an excitation of every joint (three minutes).
+    A robot moves to ten targets, open loop, and through an excitation of every joint (two minutes).
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def diagnose(
     healthy
         run or diagnosis of a good arm; default: an emulated one of its kind
     quick
-        excite for 90 s instead of 140 s
+        mark the run, so that the next stages do little
     settings
         payload, tool, control period, seed and so on, which the run keeps
     observer
@@ -147,9 +147,9 @@ def _drive(
     robot: Robot, run: Run | None, healthy: HealthyReference | None, seed: int, *, quick: bool, on_progress: Progress
 ) -> Diagnosed:
     from rejoint.diagnosis.diagnosis import judge
-    from rejoint.diagnosis.excitation import FULL, SHORT, record
+    from rejoint.diagnosis.excitation import record
 
-    (logs,) = record(robot, seed=seed, plan=SHORT if quick else FULL, on_progress=on_progress)
+    (logs,) = record(robot, seed=seed, on_progress=on_progress)
     found = judge(robot.arm, logs, healthy)
     gains = gains_in_force(robot)
     found = replace(found, servo_gains=None if gains is None else dict(gains))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer, pacing
-from rejoint.diagnosis.segments import is_excitation
+from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS, RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log
@@ -66,13 +66,13 @@ def identify(
 ) -> Twin:
     """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset, delay.
 
-    Logs of an excitation (`Diagnosed.excitation`) are best. In others, contacts and stops are left out, and whole
+    The two logs of a diagnosis are best. In others, contacts and stops are left out, and whole
     motions held out to judge the fit.
 
     Parameters
     ----------
     logs
-        run logs, their files or folder; default: the excitation of ``run``
+        run logs, their files or folder; default: the diagnosis of ``run``
     arm
         arm, name or file; default: that of run or logs
     run
@@ -101,7 +101,7 @@ def identify(
     Examples
     --------
     >>> found = rejoint.diagnose("emulated:worn")
-    >>> twin = rejoint.identify(found.excitation)
+    >>> twin = rejoint.identify([found.excitation, found.targets])
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
     from rejoint.twin.identify import identify as fit
@@ -114,7 +114,7 @@ def identify(
             found = as_run(run).seeded(seed)
             with exclusive(found):
                 mark_quick(found, quick=quick)
-                twin = fit(laden(found), [_excitation(found)], update, seed=found.seed, **less)
+                twin = fit(laden(found), _motions(found), update, seed=found.seed, **less)
                 _write(found, twin)
             return twin
         about, chosen = run_of_logs(run, logs, arm)
@@ -122,7 +122,7 @@ def identify(
             what = plan or LogPlan()
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
-            if about is None and all(is_excitation(log) for log in motions):
+            if about is None and of_diagnosis(motions):
                 return fit(chosen, motions, update, seed=as_seed(seed), **less)
             drawn = about.seed if seed is None and about is not None else as_seed(seed)
             twin = _from_any_motion(chosen, motions, what, drawn, update, quick=quick)
@@ -150,13 +150,13 @@ def _from_any_motion(
     return replace(twin, notes=(*twin.notes, *forced_remarks(logs)))
 
 
-def _excitation(run: Run) -> RunLog:
-    path = run.folder.log("excitation")
+def _motions(run: Run) -> list[RunLog]:
+    path, targets = run.folder.log("excitation"), run.folder.log("targets")
     if not path.exists():
         logs = run.robot.removeprefix(LOGS)
         given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
         raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
-    return read_log(path)
+    return [read_log(one) for one in (path, targets) if one.exists()]
 
 
 def _write(run: Run, twin: Twin) -> None:

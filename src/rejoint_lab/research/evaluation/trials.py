@@ -47,7 +47,7 @@ def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress
     if not folder.twin.exists():
         robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
         logs = record(robot, seed=seed, on_progress=part(on_progress, 0.0, 0.5))[0]
-        write_twin(folder.twin, identify(arm, [logs.excitation], on_progress=part(on_progress, 0.5, 1.0)))
+        write_twin(folder.twin, identify(arm, [logs.excitation, logs.targets], on_progress=part(on_progress, 0.5, 1.0)))
     return read_twin(folder.twin, arm)
 
 
