@@ -52,7 +52,7 @@ def stuck(wear, joint, lead_deg):
 
 def known(wears):
     gain = np.array([wear.position_gain / wear.torque_limit for wear in wears])
-    return replace(GuardLimits.of(ARM), servos=Knowledge(gain=gain, within=0.1))
+    return replace(GuardLimits.of(ARM), servos=Knowledge(gain=gain, within=0.03))
 
 
 def targets(count, number=2, seed=5):

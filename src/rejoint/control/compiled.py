@@ -41,8 +41,6 @@ SURE = 1.5
 """Allowed deviations of the expected load"""
 LEAST_GAIN, FULL = 3.0, 0.9
 """[1/rad] Growth of a load with its command that shows a stuck joint where no line is known, and most of the torque"""
-DOUBT = 0.3
-"""Allowed share of a line's largest error; chosen on emulated arms"""
 MOST, AND = 1.5, np.radians(0.2)
 """Allowed multiple of the largest push in the diagnosis, plus [rad]"""
 LATE = 2
@@ -98,7 +96,7 @@ def _turns(track, load, low, high, step):  # noqa: ANN001, ANN202
     if high > -COUNTS * step:
         most = max(most, 0.0)
     track.load, track.expected = load, 0.5 * (least + most)
-    off = max(least - load, load - most) - np.hypot(DOUBT * track.within * track.gain * lead, SURE * track.noise)
+    off = max(least - load, load - most) - np.hypot(track.within * track.gain * lead, SURE * track.noise)
     track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
     steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
     track.steady = track.steady + 1 if steady else 0
