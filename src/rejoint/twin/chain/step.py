@@ -69,9 +69,12 @@ def step_block(lanes, links, timestep, servo, dry, reference, state, work):
             torque = limit if torque > limit else torque
             torque = -limit if torque < -limit else torque
             # The impulse of everything but friction, and with that of the step before as a first guess.
-            load = 0.5 * abs(torque + kept[j + 1, TORQUE + l])  # the mean of what drives the gears and what they drive
-            servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], load)
+            scratch[l] = 0.5 * abs(
+                torque + kept[j + 1, TORQUE + l]
+            )  # the mean of what drives gears and what they drive
             free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
+        for l in range(lanes):  # a loop of its own: that above has no exponential function, and is vectorised
+            servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], scratch[l])
     invert(lanes, joints, inertia, inverse, column, scratch)
     for i in range(joints):
         for l in range(lanes):
