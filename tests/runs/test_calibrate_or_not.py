@@ -51,6 +51,9 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
         def __init__(self, *_, **options):
             done["compare"] = options
 
+        def begin_ahead(self):
+            """Begin nothing."""
+
         def drive(self, *_):
             stages.append("compared")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,6 +50,7 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
+    from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 
@@ -220,7 +222,7 @@ class _RepairStages:
         self.files = stages_of(robot, run.arm, run.folder, plan, quick=quick)
 
     def do_all(self) -> None:
-        """Do the stages in order."""
+        """Do the stages in order; a comparison of an emulated arm begins during the training."""
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
         gauge = None if plan.gauge == NO_GAUGE else plan.gauge
         moving: dict[str, Any] = {"run": run, "settings": settings}
@@ -228,8 +230,12 @@ class _RepairStages:
         self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
         self.do("identify", partial(identify, run=run, quick=quick))
         self.do("gains", partial(gains, robot, **moving))
-        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
-        self.do("compare", self._compare)
+        early = is_batchable(robot) and self.only is None and not self.controllers
+        early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
+        ahead = self._comparison(Observer()).begin_ahead() if early else None
+        with nullcontext() if ahead is None else closing(ahead):
+            self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
+            self.do("compare", partial(self._compare, ahead))
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
     def _comparison(self, observer: Observer) -> ComparisonJob:
@@ -249,9 +255,9 @@ class _RepairStages:
         about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
         return comparison_job(self.robot, self.controllers, targets, **about)
 
-    def _compare(self, observer: Observer) -> Compared:
+    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
         with exclusive(self.run):
-            return self._comparison(observer).drive(observer.progress)
+            return self._comparison(observer).drive(observer.progress, ahead)
 
     def do(self, name: StageName, work: Callable[..., object]) -> None:
         """Do a stage, or report that it is done."""

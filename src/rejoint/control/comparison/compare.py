@@ -231,7 +231,7 @@ class TrialRunner:
             else:
                 self._take(self.drive_batch(key)[0])
         for key in waiting:
-            self._take_over(beside[key])
+            self._take_over(key, beside[key])
         if not self._about:
             self._open(1).close()
 
@@ -245,12 +245,15 @@ class TrialRunner:
         with closing(self._open(len(key[2]))) as robot:
             return self._drive(robot, key)
 
-    def _take_over(self, future: Future[Result]) -> None:
-        """Take what a helper drove."""
+    def _take_over(self, key: Key, future: Future[Result]) -> None:
+        """Take what a helper drove, or drive what it lost."""
         while not future.done():
             pause(_LOOK)
-        driven, recording = future.result()
-        self.on_trial(driven, recording)
+        if future.exception() is None:
+            driven, recording = future.result()
+            self.on_trial(driven, recording)
+        else:
+            driven, _ = self.drive_batch(key)
         self._take(driven)
 
     # --- in turns on one arm --------------------------------------------------------------------

@@ -6,22 +6,28 @@ Trials are stored one by one. The diagnosis counts as trials of ``default``.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from itertools import product
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import BLOCK, Helper, Ledger, OpenRobot, Result, TrialRunner, vary_directions
+from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Driven, Key, Protocol, TargetErrors
+from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -62,7 +68,7 @@ from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress
-from rejoint.system.shell import __version__
+from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -163,7 +169,7 @@ class ComparisonJob:
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
-    """each trial has controllers of its own"""
+    """another process can make the controllers"""
     threads: int = 2
     """of emulated arms; no effect on results"""
 
@@ -182,15 +188,25 @@ class ComparisonJob:
             **hooks,
         )
 
-    def drive(self, on_progress: Progress) -> Compared:
-        """Compare; in a run, resume and write."""
+    @property
+    def places(self) -> Places:
+        """Target sets and repetitions of all trials."""
+        return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
+
+    def runner_of(self, name: str) -> TrialRunner:
+        """Runner of a named controller's trials, in another process."""
+        posed, period = self.turns is not None, period_of(self.robot, self.period)
+        return self.runner(make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed))
+
+    def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
+        """Compare; in a run, resume and write. Closes ``helper``."""
         run = self.run
         if run is None:
-            return self._drive(Ledger(), on_progress)
+            return self._drive(Ledger(), on_progress, helper)
         require_space(run.path)
         ledger = Ledger(run.folder.trials, self._digest(run))
         try:
-            found = self._drive(ledger, on_progress)
+            found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
             if ledger.done:
                 kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
@@ -203,7 +219,7 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(self, ledger: Ledger, on_progress: Progress) -> Compared:
+    def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
@@ -217,7 +233,12 @@ class ComparisonJob:
             if (driven.places[0], driven.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.label, recording.log(0, driven.label))
 
-        with noted(), staged(self.run, "compare") as watch, ExitStack() as stack:
+        helper = ahead or self._help()
+        with (
+            noted(),
+            staged(self.run, "compare") as watch,
+            nullcontext() if helper is None else closing(helper),
+        ):
 
             def watched(count: int, seed: int) -> Robot:
                 return watch(self._open(count, seed))
@@ -229,7 +250,7 @@ class ComparisonJob:
                 on_trial=see,
                 ledger=ledger,
                 measured=None if before is None else before.driven,
-                helper=self._helper(stack),
+                helper=helper,
             )
             result = self._beside(runner, runner.compare(), before)
         if before is not None and self.run is not None:
@@ -253,20 +274,21 @@ class ComparisonJob:
             result = replace(result, left_out=(*result.left_out, told))
         return result
 
-    def _helper(self, stack: ExitStack) -> Helper | None:
-        """Second thread for trials of known controllers on emulated arms, where a core is free."""
-        alone = os.environ.get("OMP_NUM_THREADS") == "1" or (os.cpu_count() or 1) < 2
-        if alone or not self.by_name or not self.settings.batched or self.observer.shows:
+    def begin_ahead(self) -> HelperProcess | None:
+        """Start a second process, if a core is free."""
+        helper = self._help()
+        if helper is not None:
+            for name, kind in product(self.factories, KINDS):
+                helper((name, kind, self.places, 0))
+        return helper
+
+    def _help(self) -> HelperProcess | None:
+        size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
+        plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
+        if not (plain and self.settings.batched and size >= LEAST and core_to_spare()):
             return None
-        pool = ThreadPoolExecutor(1)
-        stack.callback(pool.shutdown, cancel_futures=True)
-        job = replace(self, observer=Observer(), threads=1)
-
-        def drive(key: Key) -> Result:
-            driven, recording = job.runner({key[0]: self.factories[key[0]]}).drive_batch(key)
-            return driven, recording.of(slice(1))
-
-        return lambda key: pool.submit(drive, key)
+        sent = replace(self, factories={}, model=None, before=None, observer=Observer(), threads=1)
+        return HelperProcess(sent)
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
@@ -446,3 +468,76 @@ def comparison_job(
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )
+
+
+LEAST = 400
+"""Targets of all trials that are worth a helper; chosen"""
+
+_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
+
+
+def core_to_spare() -> bool:
+    """Whether a second core is free, by OMP_NUM_THREADS."""
+    return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+
+
+class HelperProcess:
+    """A running helper; close it."""
+
+    def __init__(self, job: ComparisonJob) -> None:
+        self._line, other = Pipe()
+        self._job: ComparisonJob | None = job
+        self._process: subprocess.Popen[bytes] | None = None
+        with other, suppress(OSError):  # no process to be had: its tasks fail
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
+                [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(other.fileno(),),
+                start_new_session=True,  # Ctrl-C is for the process that started it
+            )
+        self._asking = ThreadPoolExecutor(1)
+        self._futures: dict[Key, Future[Result]] = {}
+
+    def __call__(self, key: Key) -> Future[Result]:
+        """Have trials driven, once."""
+        if key not in self._futures:
+            self._futures[key] = self._asking.submit(self._ask, key)
+        return self._futures[key]
+
+    def _ask(self, key: Key) -> Result:
+        if self._job is not None:
+            self._line.send(self._job)
+            self._job = None
+        self._line.send(key)
+        found: Result = self._line.recv()
+        return found
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._asking.shutdown(cancel_futures=True)
+        self._line.close()
+
+
+def main(line: int) -> None:
+    """Serve `HelperProcess` at file descriptor ``line``."""
+    asked, tasks = Connection(line), SimpleQueue[Any]()
+    Thread(target=_listen, args=(asked, tasks), daemon=True).start()
+    job: ComparisonJob = tasks.get()
+    while True:
+        key: Key = tasks.get()
+        driven, recording = job.runner_of(key[0]).drive_batch(key)
+        asked.send((driven, recording.of(slice(1))))
+        give_back()
+
+
+def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:
+    try:
+        while True:
+            tasks.put(asked.recv())
+    except (OSError, EOFError):
+        os._exit(0)
