@@ -66,7 +66,7 @@ def test_the_guard_keeps_every_law_on_the_whole_recording(comparison):
         assert np.isfinite(command).all(), driven.label
         assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), driven.label
         period = np.minimum(np.diff(time), LIMITS.max_period)
-        assert (period > 0).all()
+        assert (period >= 0).all()  # a batch steps no arm that recovers from a gap
         assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), driven.label
         height = heights(ARM, command)[:, 1:] - LIMITS.floors
         assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), driven.label
