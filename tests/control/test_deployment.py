@@ -84,17 +84,24 @@ def test_a_policy_is_refused_by_the_period_that_was_measured():
     assert rejoint.deploy("emulated:worn", NEAR[:1], settings=settings).visits[0].error is not None
 
 
+def diagnosed(servo_gains=None):
+    """As much of a diagnosis as a guard needs: gains, and softness [rad/(N m)] and offsets [rad] of the joints."""
+    balance = np.array([0.0, 0.1, 0.1, 0.1, 0.0, 0.0]), np.zeros(6)
+    return SimpleNamespace(servo_gains=servo_gains, measurement=SimpleNamespace(balance=balance))
+
+
 def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
+    monkeypatch.setattr(Run, "diagnosis", diagnosed())
     bands = guard_limits(run, ARM, "emulated:worn").bands
     assert bands.width.shape == (6,)
-    assert (bands.width > np.radians(0.1)).all()
+    assert (bands.width >= ARM.encoder_step).all()
     assert guard_limits(run, ARM, "emulated:worn").servos is not None, "servos that tell loads"
-    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains={"p": (16,) * 6}))
+    monkeypatch.setattr(Run, "diagnosis", diagnosed(servo_gains={"p": (16,) * 6}))
     limits = guard_limits(run, ARM, "emulated:worn")
     assert limits.servos is None, "a load that a servo makes of its own reading fits a dead encoder as well"
     assert limits.bands is not None
@@ -109,8 +116,9 @@ def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(
         ("tcp://127.0.0.1:9000", "tcp://192.168.1.5:9000", True),
     ],
 )
-def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, own, driven, used):
+def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, monkeypatch, own, driven, used):
     """A real arm has many addresses."""
+    monkeypatch.setattr(Run, "diagnosis", diagnosed())
     run = Run.create(tmp_path / "run", own, ARM, 0)
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):

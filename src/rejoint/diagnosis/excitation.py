@@ -194,7 +194,9 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None) -> Excit
             path.travel(arm.rest, plan.travel_speed / 2)
         return path
 
-    return fitted(arm, Plan(), build)
+    plan, slower = Plan(), max(1.0, length_size(arm)) ** 0.5  # as long arms swing
+    waits = {name: slower * getattr(plan, name) for name in ("still", "step_dwell", "hold_dwell")}
+    return fitted(arm, replace(plan, **waits), build)
 
 
 def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -230,7 +231,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     parts = {name: np.broadcast_to(getattr(own.displacement, name), shape) for name, shape in shapes.items()}
     told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
     told |= {"geometry": geometry_of(own.arm), "displacement": parts, "order": own.layout.names()}
-    for name, value in msgspec.to_builtins(told, enc_hook=np.ndarray.tolist).items():
+    for name, value in msgspec.to_builtins(told, enc_hook=methodcaller("tolist")).items():
         document.add(name, tomlkit.item(value))
     write_sealed(path, document)
 
