@@ -170,7 +170,9 @@ class Twin:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
-        known = self.identified | ~Layout(len(self.joint_names)).is_fitted
+        layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
+        free = layout.is_fitted & (sigma > layout.has("difference"))  # else the prior settles it
+        known = self.identified | ~free
         return tuple(name for name, told in zip(self.names, known, strict=True) if not told)
 
     def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
