@@ -69,6 +69,7 @@ from rejoint.twin.structure import (
     given,
     rough_fit,
     simplest,
+    without,
 )
 from rejoint.twin.twin import HeldOut, TablePlane, Twin
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
@@ -208,7 +209,8 @@ def identify(
             f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {EXCITATION_WINDOW:g} s, "
             f"expected at least {SHORTEST_EXCITATION:.0f} s and {HOLD_OUT} windows, one held out; record a longer log"
         )
-    belief = prior_by_loads(arm, logs) or prior(arm)
+    by_loads = prior_by_loads(arm, logs)
+    belief = prior(arm) if by_loads is None else without(by_loads, UNSEEN)
     pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)

@@ -116,7 +116,7 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(prior=_without(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
+    return Structure(prior=without(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -216,7 +216,7 @@ def find_structure(
         frozen = tuple(name for name in structure.frozen if name != limit)
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
-        freed = replace(structure, prior=_without(belief, frozen), frozen=frozen, acceleration=acceleration)
+        freed = replace(structure, prior=without(belief, frozen), frozen=frozen, acceleration=acceleration)
         y, losses = _with_limit(make(freed), x, limit)
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
@@ -273,7 +273,7 @@ def drive_torque(problem: Problem, x: Array) -> Array:
     return np.quantile(parameters.stiffness * np.maximum(np.abs(lead), problem.floor), 0.995, axis=0)
 
 
-def _without(belief: Prior, names: Sequence[str]) -> Prior:
+def without(belief: Prior, names: Sequence[str]) -> Prior:
     """Belief without some of `OPTIONAL`; dry friction is less known where it may grow with load."""
     kind = Layout.of_length(len(belief.mean)).kind
     off = np.isin(kind, [number(name) for name in names if name in LIMITS])
