@@ -5,7 +5,8 @@ from datetime import datetime
 import pytest
 from browser import CHROMIUM, chromium
 
-from rejoint.runs.fleet.campaign import FleetResult, FleetRow, write_page
+from rejoint.pages.html import write_page
+from rejoint.runs.fleet.campaign import HEADERS, FleetResult, FleetRow
 
 pytestmark = [
     pytest.mark.realtime,
@@ -36,7 +37,7 @@ def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path, width, medium):
     result = FleetResult(
         verb="repair", rows=(row,), ended=datetime(2026, 11, 22), seconds=9.0, page=page, finished=False
     )
-    write_page(page, result)
+    write_page(page, "fleet.html", result=result, headers=HEADERS)
     with chromium() as tab:
         tab.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=width < 500)
         tab.call("Emulation.setEmulatedMedia", media=medium)
