@@ -104,7 +104,6 @@ LEAST_CONTACT = 5.0
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
-NOTHING = "the motions tell no joint's stiffness, damping or friction"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
 
@@ -288,8 +287,8 @@ def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(
-            f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
-            f"scale: {', '.join(twin.unknown_scale)}"
+            f"it predicts motion like this, but no torques: only the ratios of stiffness, damping, friction, inertia "
+            f"and torque limit are known, not their common scale: {', '.join(twin.unknown_scale)}"
         )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
@@ -359,7 +358,7 @@ def identify_logs(
         gain=gain,
         notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
         fitted=fitted,
-        judgement=replace(judgement, doubts=(*missing, *_unidentified(twin))),
+        judgement=replace(judgement, doubts=tuple(missing)),
     )
 
 
@@ -450,11 +449,6 @@ def _fit_table(
 
     touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
     return fit_table(touching, unpack(found.vector, problem.joints), height)
-
-
-def _unidentified(twin: Twin) -> list[str]:
-    kinds = {name.partition(".")[0] for name, known in zip(twin.names, twin.identified, strict=True) if known}
-    return [] if kinds & {"stiffness", "damping", "coulomb"} else [NOTHING]
 
 
 def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
