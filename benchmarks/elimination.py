@@ -23,7 +23,6 @@ from rejoint.control.comparison.compare import BLOCK, Ledger, Settings, TrialRun
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven
-from rejoint.control.controllers.catalogue import contenders
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
@@ -31,7 +30,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import StageMotion
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
-from rejoint.session.context import make_factories
+from rejoint.session.controllers import contenders, make_factories
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)
@@ -77,8 +76,11 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     address = f"emulated:worn?seed={number}"
     diagnosed = rejoint.diagnose(address, settings=rejoint.Settings(period=PERIOD, seed=number))
     twin = rejoint.identify([diagnosed.excitation, diagnosed.targets])
-    names = contenders(real=True, shelf=True, policy=policy is not None, twin=True)
-    given = {name: policy or name if name == "policy" else name for name in names if name != DEFAULT}
+    names = contenders(ARM, PERIOD, None, twin, real=True, posed=False)
+    given: dict[str, Path | str] = {name: name for name in names if name != DEFAULT}
+    if policy is not None:
+        del given["shelf"]
+        given["policy"] = policy
     factories = make_factories(given, ARM, PERIOD, twin=twin)
 
     def connect(count: int, seed: int) -> Robot:

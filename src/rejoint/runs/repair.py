@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.recording import Observer, StageObserver
+from rejoint.control.servogains import RIVALS
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
@@ -24,7 +25,8 @@ from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.train import TrainedPolicy, train
-from rejoint.session.context import Controllers, any_geared, equipped, listed, require_possible
+from rejoint.session.context import equipped
+from rejoint.session.controllers import Controllers, named, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -89,7 +91,7 @@ def stages_of(
     if what.gauge == NO_GAUGE or (what.gauge is None and not is_batchable(robot)):
         del found["calibrate"]
     rivals = not what.controllers and not quick
-    if not (_is_tunable(robot, arm) and (rivals or any_geared(listed(what.controllers)))):
+    if not (_is_tunable(robot, arm) and (rivals or any(one in RIVALS for one in named(what.controllers).values()))):
         del found["gains"]
     return found
 
@@ -199,7 +201,7 @@ def _require_possible(robot: RobotLike, arm: Arm, plan: RepairPlan, period: Peri
         load_preset(plan.preset)
     turns = None if plan.targets is None else as_targets(plan.targets, arm, sets=1, seed=0)[1]
     able = {"tunable": _is_tunable(robot, arm), "posed": turns is not None}
-    require_possible(listed(plan.controllers), arm, period_of(robot, period), **able)
+    require_possible(plan.controllers, arm, period_of(robot, period), **able)
 
 
 class _RepairStages:
@@ -218,7 +220,7 @@ class _RepairStages:
     ) -> None:
         self.robot, self.run, self.plan, self.settings, self.observer = robot, run, plan, settings, observer
         self.quick, self.only = quick, only
-        self.controllers = listed(plan.controllers)
+        self.controllers = plan.controllers
         self.files = stages_of(robot, run.arm, run.folder, plan, quick=quick)
 
     def do_all(self) -> None:

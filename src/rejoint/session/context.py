@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,47 +16,20 @@ from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.recommend import recommend
-from rejoint.control.controllers.catalogue import (
-    POLICY,
-    PREDICTIVE,
-    SHELF,
-    contenders,
-    make_controller,
-    shelf_controller,
-    shelf_policy,
-)
-from rejoint.control.controllers.contract import check_controller_period
-from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import servo_lines, standing_bands
 from rejoint.control.moving.posture import joint_weights
-from rejoint.control.robot import Controller, Robot, heeds_turn
-from rejoint.control.servogains import (
-    GEARED,
-    GEARED_POLICY,
-    GEARED_PREDICTIVE,
-    RIVALS,
-    GainsFound,
-    Geared,
-    ServoGains,
-    differing,
-    gains_in_force,
-    in_words,
-    inner_name,
-    stiffness_under,
-)
+from rejoint.control.robot import Robot
+from rejoint.control.servogains import ServoGains, gains_in_force, stiffness_under
 from rejoint.control.start import Stance
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
-from rejoint.session.inputs import CalibrationLike, Period, RobotLike, as_calibration, as_policy, laden
-from rejoint.system.errors import AddressError, ContractError, FileError, InputError
-from rejoint.system.files import read_json
+from rejoint.session.inputs import CalibrationLike, RobotLike, as_calibration, laden
+from rejoint.system.errors import AddressError, InputError
 
 if TYPE_CHECKING:
-    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.session.inputs import Settings
     from rejoint.twin.twin import Twin
@@ -247,20 +220,6 @@ def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) ->
     return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))
 
 
-def tuned_gains(run: Run | None) -> GainsFound | None:
-    """Gains that the run's search found."""
-    if run is None or not run.folder.gains.exists():
-        return None
-    return read_json(run.folder.gains, GainsFound)
-
-
-def trained_for_tuned(run: Run | None) -> bool:
-    """Whether the policy of a run was trained for its tuned gains."""
-    found, policy = tuned_gains(run), None if run is None else run.policy
-    gains = None if policy is None else policy.contract.servo_gains
-    return found is not None and gains is not None and not differing(gains, found.under)
-
-
 def correction_of(
     calibration: Calibration | None, arm: Arm, targets: Array | None = None
 ) -> Callable[[Arm], Modelled] | None:
@@ -295,193 +254,6 @@ def calibration_of(
     return None
 
 
-ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
-"""A controller, its name, a policy or its file, or a factory"""
-
-Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike]"
-"""Controllers, or a mapping from their names"""
-
-Factory = Callable[[Arm], Controller]
-
-_OF_A_RUN = (POLICY, PREDICTIVE, *RIVALS)
-"""Names that need what a run found out"""
-
-
-def recommended(run: Run) -> str:
-    """Name the controller that a run recommends, see `choice`."""
-    return choice(run, run.arm, None)[0]
-
-
-def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
-    """Return the controller that drives by default, and why.
-
-    In this order: the run's recommendation, its policy, the generic policy if it suits arm and ``period`` [s],
-    feed-forward.
-    """
-    comparison = None if run is None else run.comparison
-    if run is not None and comparison is not None:
-        return recommend(comparison).controller, f"{run.path} recommends it"
-    if run is not None and run.folder.policy.exists():
-        own = GEARED_POLICY if trained_for_tuned(run) else POLICY
-        return own, f"the policy of {run.path}, which has no comparison yet"
-    lacks = "without a run" if run is None else f"{run.path} has no policy yet"
-    if _on_shelf(arm, np.nan if period is None else sum(period) / 2):
-        return SHELF, f"the policy that comes with rejoint; {lacks}"
-    return FeedforwardController.name, f"no policy suits this arm; {lacks}"
-
-
 def quick_note(run: Run | None) -> str:
     """Remark on a run of a quick try, or nothing."""
     return f"{run.path} is a quick try, which is no result." if run is not None and run.folder.quick.exists() else ""
-
-
-def make_factories(
-    given: Controllers,
-    arm: Arm,
-    period: Period | None,
-    *,
-    run: Run | None = None,
-    twin: Twin | None = None,
-    real: bool = False,
-    posed: bool = False,
-) -> dict[str, Factory]:
-    """Return factories by name; ``twin`` gives the feed-forward its stiffness.
-
-    Nothing given: the `contenders` for a ``real`` arm or virtual time. Refuses what does not fit; ``posed`` targets
-    need controllers that turn the tool.
-    """
-    usual = np.nan if period is None else sum(period) / 2
-    if not given:
-        given = _contenders(arm, usual, run, twin, real=real, posed=posed)
-    named = given if isinstance(given, Mapping) else _unique(given)
-    factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
-    for name, make in factories.items():
-        controller = make(arm)
-        check_controller_period(controller, usual)
-        if posed and not heeds_turn(controller):
-            raise _turns_nothing(name)
-    return factories
-
-
-def require_possible(
-    given: Controllers, arm: Arm, period: Period | None, *, tunable: bool, posed: bool = False
-) -> None:
-    """Refuse what `make_factories` would, before a run has twin, policy and gains."""
-    named = given if isinstance(given, Mapping) else _unique(given)
-    for name, one in named.items():
-        if not (isinstance(one, str) and one in _OF_A_RUN):
-            make_factories({name: one}, arm, period, posed=posed)
-        elif one in RIVALS and not tunable:
-            raise InputError(f"{one} needs servo gains that can be tuned; an SO-101 on its own bus has them")
-        elif posed and inner_name(one) in (POLICY, PREDICTIVE):
-            raise _turns_nothing(one)
-
-
-def _turns_nothing(name: str) -> InputError:
-    return InputError(
-        f"{name} brings the tool to its place and does not turn it; for targets with an orientation take "
-        f"{FeedforwardController.name}, integrator or default"
-    )
-
-
-def _contenders(
-    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
-) -> tuple[str, ...]:
-    own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
-    plain = contenders(
-        real=real,
-        shelf=not posed and _on_shelf(arm, period),
-        policy=own,
-        twin=twin is not None and not tuned and not posed,
-    )
-    if not tuned:
-        return plain
-    geared = own and trained_for_tuned(run)
-    missing = {
-        POLICY: geared,
-        GEARED_POLICY: not geared,
-        GEARED_PREDICTIVE: posed or twin is None,
-    }
-    return tuple(name for name in (*plain, *RIVALS) if not missing.get(name))
-
-
-def _on_shelf(arm: Arm, period: float) -> bool:
-    """Whether a generic policy suits arm and control ``period`` [s]; NaN: not known yet."""
-    try:
-        check_controller_period(shelf_policy(arm), period)
-    except ContractError:
-        return False
-    return True
-
-
-def listed(given: Controllers | ControllerLike) -> Controllers:
-    """Return controllers as given; one name or file as a tuple."""
-    return (given,) if isinstance(given, str | Path) else cast("Controllers", given)
-
-
-def any_geared(given: Controllers) -> bool:
-    """Whether any of them needs a search for gains."""
-    return any(name in RIVALS for name in given if isinstance(name, str))
-
-
-def all_named(given: Controllers) -> bool:
-    """Whether all controllers are given by known names."""
-    return not isinstance(given, Mapping) and all(isinstance(one, str) and not one.endswith(".onnx") for one in given)
-
-
-def name_of(controller: ControllerLike) -> str:
-    """Name of a controller in tables."""
-    if isinstance(controller, str) and not controller.endswith(".onnx"):
-        return controller
-    if isinstance(controller, Path | str) or hasattr(controller, "controller"):  # a policy or its file
-        return POLICY
-    return str(getattr(controller, "name", "controller"))
-
-
-def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
-    found: dict[str, ControllerLike] = {}
-    for one in given:
-        name = name_of(one)
-        taken = sum(other == name or other.startswith(f"{name}-") for other in found)
-        found[f"{name}-{taken + 1}" if name in found else name] = one
-    return found
-
-
-def _predictive(arm: Arm, twin: Twin, period: float) -> Controller:
-    from rejoint.twin.predictive import PredictiveController
-
-    known = twin.parameters.stiffness
-    holder = shelf_controller(arm) if _on_shelf(arm, period) else FeedforwardController(arm, known)
-    return PredictiveController.of(arm, [twin], holder)
-
-
-def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: float) -> Factory:
-    if given == PREDICTIVE and twin is not None:
-        return lambda arm: _predictive(arm, twin, period)
-    if isinstance(given, str) and given in RIVALS:
-        return partial(_geared, given, run=run, twin=twin, period=period)
-    if isinstance(given, str) and not given.endswith(".onnx"):
-        file = run.folder.policy if run is not None and run.folder.policy.exists() else None
-        stiffness = None if twin is None else twin.parameters.stiffness
-        return lambda arm: make_controller(given, arm, policy=file, stiffness=stiffness)
-    if isinstance(given, Path | str):
-        return as_policy(given).controller
-    if hasattr(given, "controller"):
-        return given.controller
-    if hasattr(given, "reset") and not isinstance(given, type):
-        return lambda _: cast(Controller, given)
-    return cast("Factory", given)
-
-
-def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None, period: float) -> Controller:
-    found = tuned_gains(run)
-    if run is None or found is None:
-        where = "RUN" if run is None else str(run.path)
-        raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
-    if name == GEARED_POLICY and not trained_for_tuned(run):
-        raise ContractError(
-            f"{run.path} has no policy for the gains that its search found ({in_words(found.under)}); train one with: "
-            f"rejoint train {run.path}"
-        )
-    stiffer = None if twin is None else twin_under(twin, found.found, found.under)
-    return Geared(_factory(inner_name(name), run, stiffer, period)(arm), found.alone if name == GEARED else found.under)

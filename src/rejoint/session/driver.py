@@ -6,11 +6,11 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,18 +31,15 @@ from rejoint.robots import is_virtual, open_robot
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.runs.run import Run, exclusive, staged
 from rejoint.session.context import (
-    ControllerLike,
     calibration_of,
-    choice,
     correction_of,
     equipped,
     guard_limits,
-    make_factories,
-    name_of,
     quick_note,
     stance_of,
     twin_in_force,
 )
+from rejoint.session.controllers import ControllerLike, Factory, choice, make_factories
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -160,10 +157,6 @@ class ArmMotion:
         self.error: BaseException | None = None
         """what ended it early"""
 
-    def start(self) -> None:
-        """Drive in a thread of its own."""
-        threading.Thread(target=self.run, name="motion", daemon=True).start()
-
     def run(self) -> None:
         """Drive until the end."""
         try:
@@ -175,55 +168,58 @@ class ArmMotion:
         finally:
             self.over.set()
 
-    @property
-    def under_way(self) -> bool:
-        """Whether the arm is still driven."""
-        return not self.over.is_set()
-
     def give_up(self, _: ControlInput) -> Mask:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
         return np.array([self.ended.is_set()])
 
+    def require_wanted(self) -> None:
+        """Raise `EndedError` once it was asked to end."""
+        if self.ended.is_set():
+            raise EndedError
 
+
+@dataclass(eq=False)
 class GoalCheck:
     """Tells the loop whether the encoders stay at the goal for `CALM`."""
 
-    def __init__(
-        self, motion: ArmMotion, arm: Arm, within: float, within_turn: float, joints: Array | None = None
-    ) -> None:
-        """Take bounds: of the tool in metres and radians, or of ``joints`` (n,) [rad] in radians."""
-        self._motion, self._arm, self._within, self._within_turn, self._joints = (
-            motion,
-            arm,
-            within,
-            within_turn,
-            joints,
-        )
-        self._since: float | None = None
-        self._reached, self._left = False, ""
+    motion: ArmMotion
+    arm: Arm
+    within: float
+    """[m] of the tool"""
+    within_turn: float
+    """[rad] of the tool, or of each of the ``joints``"""
+    joints: Array | None = None
+    """(n,) [rad] to be reached instead of a tool's place"""
+
+    def __post_init__(self) -> None:
+        self._since, self._now, self._left = np.inf, -np.inf, ""  # [s] close since then, and at the last look
+
+    @property
+    def reached(self) -> bool:
+        """Whether it was close for long enough at the last look."""
+        return self._now - self._since >= CALM
 
     def __call__(self, inputs: ControlInput) -> Mask:
         """See `rejoint.control.loop.Schedule`."""
-        now, position = float(inputs.state.time[0]), inputs.state.position[0]
-        if self._joints is None:
-            error = float(np.linalg.norm(inputs.target[0] - tcp_position(self._arm, position)))
-            turned = float(turned_off(self._arm, inputs)[0])
-            near = error < self._within and not turned > self._within_turn
+        self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
+        if self.joints is None:
+            error = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, position)))
+            turned = float(turned_off(self.arm, inputs)[0])
+            near = error < self.within and not turned > self.within_turn
             self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
         else:
-            away = np.abs(position - self._joints)
+            away = np.abs(position - self.joints)
             worst = int(away.argmax())
-            near = bool(away[worst] < self._within_turn)
-            self._left = f"{np.degrees(away[worst]):.1f} deg at {self._arm.joint_names[worst]}"
-        self._since = (now if self._since is None else self._since) if near else None
-        self._reached = self._since is not None and now - self._since >= CALM
-        return np.array([self._reached or self._motion.ended.is_set()])
+            near = away[worst] < self.within_turn
+            self._left = f"{np.degrees(away[worst]):.1f} deg at {self.arm.joint_names[worst]}"
+        self._since = min(self._since, self._now) if near else np.inf
+        return self.motion.give_up(inputs) | self.reached
 
     def require(self, wanted: str, seconds: float) -> None:
         """Raise NotReachedError unless it arrived or was asked to end."""
-        if not (self._reached or self._motion.ended.is_set()):
+        if not (self.reached or self.motion.ended.is_set()):
             raise NotReachedError(
-                f"the arm did not come within {wanted} of {self._motion.goal} in {seconds:g} s, still {self._left} "
+                f"the arm did not come within {wanted} of {self.motion.goal} in {seconds:g} s, still {self._left} "
                 "off; it holds. Give it more time or room, or look whether something is in its way"
             )
 
@@ -286,13 +282,14 @@ class ArmDriver:
         about = about and about.seeded(self.settings.seed)
         if robot is None and about is None and arm is None:
             raise InputError("session: without a robot and a run the arm is needed")
-        bare = about.arm if about is not None else arm_of(robot, arm)
-        self.arm: Arm = equipped(bare, robot, self.settings)
+        self.arm: Arm = equipped(arm_of(robot, arm) if about is None else about.arm, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
         self.address = "" if robot is None else address_of(robot)
         self.period = None if robot is None else period_of(robot, self.settings.period)
         """[s] interval of control periods; None: the open robot knows"""
+        self.usual = float("nan")
+        """[s] usual control period, after the first motion"""
         self.limits: GuardLimits | None = None
         """of the guard; None before the robot is open"""
         self.beside: list[Callable[[], object]] = []
@@ -300,7 +297,7 @@ class ArmDriver:
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
         self._given, self._pace = robot, pace
-        self._stack, self._alone = ExitStack(), ExitStack()
+        self._stack, self._alone, self._gains = ExitStack(), ExitStack(), ExitStack()
         self._stack.enter_context(self._alone)
         self._alone.enter_context(exclusive(about))
         self._named = about  # as the user knows it, also where a copy is worked on
@@ -308,13 +305,13 @@ class ArmDriver:
         self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))
         """a copy in a dry run; None: nothing is written"""
         self.recorder = RunRecorder(self.run, self.observer.message)
-        self._base: GuardLimits | None = None
-        self._gains, self._in_charge = ExitStack(), cast("Controller | None", object())
+        self._base: GuardLimits | None = None  # under the gains that the robot had when it was opened
+        self._in_charge: Controller | None = None
         self._chosen: dict[bool, tuple[str, Controller]] = {}
         self._announced = set[str]()
         self._last: Cycle | None = None
-        self._sent: Array | None = None
-        self._usual, self._rested = float("nan"), False
+        self._sent: Array | None = None  # (1, n) [rad]
+        self._rested = False
         self.progress = RateLimit(self.observer.progress)
         """receives the progress of the motion"""
         self._asking = threading.RLock()  # of threads that ask the arm or begin a motion
@@ -322,12 +319,12 @@ class ArmDriver:
     @cached_property
     def robot(self) -> Robot:
         """The open robot."""
+        robot = self._given
+        if robot is None:
+            raise InputError("session: there is no robot to drive")
         if self.run is not None:
             require_space(self.run.path)
         with noted():
-            if self._given is None:
-                raise InputError("session: there is no robot to drive")
-            robot = self._given
             if isinstance(robot, str):
                 robot = open_robot(robot, arm=self.arm, seed=self.seed, period=self.period)
                 self._stack.callback(robot.close)
@@ -336,13 +333,18 @@ class ArmDriver:
             if self.settings.dry_run:
                 robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period)
             self._stack.enter_context(self._gains)
-            self._base = guard_limits(self.run, self.arm, self.address)
-            self.limits = limits_under(self._base, robot, None)
-            virtual = self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(robot.address))
-            if self._pace is not None and virtual:
-                robot = WallClock(robot, lambda: self._pace or 1.0)
-        paced = None if self._pace is None else False
-        return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
+            self._limit(robot)
+            if self._pace is None:
+                return self.observer.watch(robot, twin=self.twin, within=self.settings.within)
+            pace = self._pace
+            if self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(self.address)):
+                robot = WallClock(robot, lambda: pace)
+            return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=False)
+
+    def _limit(self, robot: Robot) -> None:
+        """Take the guard's limits, by what the run knows of the arm."""
+        self._base = guard_limits(self.run, self.arm, self.address)
+        self.limits = limits_under(self._base, robot, None)
 
     @contextmanager
     def metered(self, stage: str) -> Iterator[Robot]:
@@ -388,22 +390,21 @@ class ArmDriver:
     def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
         """Name and object of the controller to points, or to ``posed`` targets; a message says why."""
         if posed not in self._chosen:
-            wanted, why = self._to_points()
-            name, controller = self._made(wanted)
-            if posed and not heeds_turn(controller):
+            asked = self.settings.controller
+            wanted, why = choice(self._named, self.arm, self.period) if asked is None else (asked, "as asked for")
+            name, make = self.maker(wanted, self.twin)
+            if posed and not heeds_turn(make(self.arm)):
                 why = f"{name} does not turn the tool"
-                name, controller = self._made(FeedforwardController.name)
+                name, make = self.maker(FeedforwardController.name, self.twin)
+            controller = make(self.arm)
             self.announce(name, why)
             self._chosen[posed] = name, controller
         return self._chosen[posed]
 
-    def _to_points(self) -> tuple[ControllerLike, str]:
-        asked = self.settings.controller
-        return choice(self._named, self.arm, self.period) if asked is None else (asked, "as asked for")
-
-    def _made(self, given: ControllerLike) -> tuple[str, Controller]:
-        ((name, make),) = make_factories([given], self.arm, self.period, run=self.run, twin=self.twin).items()
-        return name, make(self.arm)
+    def maker(self, given: ControllerLike, twin: Twin | None, *, posed: bool = False) -> tuple[str, Factory]:
+        """Return the name of a controller, and what makes it; refuses what does not fit."""
+        ((name, make),) = make_factories([given], self.arm, self.period, run=self.run, twin=twin, posed=posed).items()
+        return name, make
 
     def announce(self, name: str, why: str) -> None:
         """Report once that the controller ``name`` drives, and why."""
@@ -411,25 +412,18 @@ class ArmDriver:
             self._announced.add(name)
             self.observer.message(f"Controller: {name} ({why}).")
 
-    def instead(self, name: str, why: str) -> None:
-        """Report once that ``name`` drives instead, and why."""
-        best, reason = self._to_points()
-        self.announce(name, f"{why}; {name_of(best)} drives to points: {reason}")
-
     def take_up(self, controller: Controller | None) -> None:
         """Put a controller's gains and limits in force."""
         robot = self.robot
-        if controller is self._in_charge:
-            return
-        self._gains.close()
-        self._gains.enter_context(under_gains(robot, controller))
-        self.limits = limits_under(self._base, robot, controller)
-        self._in_charge = controller
+        if controller is not self._in_charge:
+            self._gains.close()
+            self._gains.enter_context(under_gains(robot, controller))
+            self.limits, self._in_charge = limits_under(self._base, robot, controller), controller
 
     def posture_controller(self, gains: PostureGains | None = None) -> PostureController:
         """Return what brings every joint to its goal, by the twin."""
         twin = self.twin_now
-        self.instead(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
+        self.announce(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
         if twin is None:
             return PostureController(self.arm, gains=gains)
         own = twin.parameters
@@ -437,23 +431,21 @@ class ArmDriver:
 
     # --- the one place where the control loop is called ---------------------------------------
 
-    def begin(self, controller: Controller | None = None, *, rest: bool = True) -> tuple[Array, float]:
+    def begin(self, controller: Controller | None = None, *, rest: bool = True) -> None:
         """Look at the arm, and bring it to rest the first time.
 
-        Return the command (1, n) [rad] in force and the usual period [s] (NaN: not known). NotReadyError if it is
-        unsafe to move the arm; ContractError if ``controller`` does not suit the period.
+        NotReadyError if it is unsafe to move the arm; ContractError if ``controller`` does not suit the period.
         """
         self.take_up(controller)
         if rest and not self._rested:
             stance = stance_of(self.twin_now, self.run)
-            start = self._kept(lambda see: begin(self.robot, self.limits, stance, see), take=False)
-            self._usual, self._sent, self._rested = start.usual_period(), start.command[-1], True
+            start = self._seen_through(lambda see: begin(self.robot, self.limits, stance, see))
+            self.usual, self._rested = start.usual_period(), True
         elif self._sent is None:
             check_ready(self.robot)
             self._sent = self.robot.read().position.copy()
         if controller is not None:
-            check_controller_period(controller, self._usual)
-        return self._sent, self._usual
+            check_controller_period(controller, self.usual)
 
     def drive(
         self, controller: Controller, schedule: Schedule, reference: Reference, on_cycle: OnCycle | None = None
@@ -465,29 +457,22 @@ class ArmDriver:
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun
         plan = replace(schedule, sent=self._sent)
-        return self._kept(
-            lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), on_cycle
+        recorded = (self.recorder.see, *filter(None, [on_cycle]))
+        return self._seen_through(
+            lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), *recorded
         )
 
-    def go(self, posture: Array, give_up: Callable[[ControlInput], Mask] | None = None) -> Recording:
+    def go(self, posture: Array, give_up: Callable[[ControlInput], Mask] | None = None) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
-        return self._kept(
-            lambda see: move(
-                self.robot, posture, sent=self._sent, settle=0.5, limits=self.limits, give_up=give_up, on_cycle=see
-            ),
-            take=False,
-        )
+        about: dict[str, Any] = {"sent": self._sent, "limits": self.limits, "give_up": give_up}
+        self._seen_through(lambda see: move(self.robot, posture, settle=0.5, on_cycle=see, **about))
 
-    def _kept(
-        self, motion: Callable[[OnCycle], Recording], on_cycle: OnCycle | None = None, *, take: bool = True
-    ) -> Recording:
-        observed = self.observer.cycle if type(self.observer).cycle is not Observer.cycle else None
+    def _seen_through(self, motion: Callable[[OnCycle], Recording], *watches: OnCycle) -> Recording:
+        """Do a motion that everyone sees who looks, and keep its last command; its end is written also in an error."""
 
         def see(cycle: Cycle) -> None:
             self._last = cycle
-            if take:
-                self.recorder.see(cycle)
-            for watch in filter(None, (on_cycle, observed, *self.watching)):
+            for watch in (*watches, self.observer.cycle, *self.watching):
                 watch(cycle)
             for ask in self.beside:
                 ask()

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from rejoint.control.seeing import Eye
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-    from rejoint.session.context import ControllerLike, PayloadLike
+    from rejoint.session.context import PayloadLike
+    from rejoint.session.controllers import ControllerLike
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"

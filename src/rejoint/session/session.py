@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,11 +21,11 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import Controller, JointState
+from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
-from rejoint.session.context import believed_motors, guard_limits
+from rejoint.session.context import believed_motors
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
@@ -108,6 +109,8 @@ class ArmSession(ArmDriver):
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
+        if self._base is not None:
+            self.take_up(None)
         self._alone.close()
         try:
             yield {"run": self.run, "settings": self.settings, "observer": self.observer}
@@ -117,18 +120,17 @@ class ArmSession(ArmDriver):
                 self.__dict__.pop(name, None)
             self._chosen.clear()
             if self._base is not None:
-                self._base = guard_limits(self.run, self.arm, self.address)
-                self._in_charge = cast("Controller | None", object())
+                self._limit(self.robot)
+
+    @property
+    def _moving(self) -> bool:
+        return self._motion is not None and not self._motion.over.is_set()
 
     @property
     def motors(self) -> Motors | None:
         """What the motors hold and lift, by the twin under the gains in force; None without one."""
         twin = self.twin_now
         return None if twin is None else believed_motors(twin)
-
-    @property
-    def _moving(self) -> bool:
-        return self._motion is not None and self._motion.under_way
 
     # --- motions ------------------------------------------------------------------------------
 
@@ -150,11 +152,13 @@ class ArmSession(ArmDriver):
         InputError for a target out of reach; NotReadyError during a motion; NotReachedError after ``timeout_s``;
         GuardTripError or RobotError. The arm then holds.
         """
-        pose = target_m if isinstance(target_m, Pose) else None
-        target = as_place("move_to", target_m if pose is None else pose.place_m)
+        target, turns = as_place("move_to", target_m.place_m if isinstance(target_m, Pose) else target_m), None
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
-        within_rad, timeout = as_positive("move_to", within_rad, ANGLE), as_seconds("move_to", timeout_s)
-        turns = None if pose is None else placed(self.arm, [pose])[1]
+        wanted, within_rad = f"{1e3 * within:g} mm", as_positive("move_to", within_rad, ANGLE)
+        if isinstance(target_m, Pose):
+            turns = placed(self.arm, [target_m])[1]
+            wanted += f" and {np.degrees(within_rad):g} deg"
+        timeout = as_seconds("move_to", timeout_s)
         self._require_free()
         ways = self.ways(target[None], turns)
         reference = TargetSequence(
@@ -167,8 +171,7 @@ class ArmSession(ArmDriver):
             self.recorder.begin(self.robot, "move", f"move/{name}")
             arrival = GoalCheck(motion, self.arm, within, within_rad)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival), reference)
-            turned = "" if turns is None else f" and {np.degrees(within_rad):g} deg"
-            arrival.require(f"{1e3 * within:g} mm{turned}", timeout)
+            arrival.require(wanted, timeout)
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
@@ -190,8 +193,9 @@ class ArmSession(ArmDriver):
         InputError for a wrong number, degrees, limits, floor, contacts, or no way.
         """
         goal = self._joints("move_joints", joints_rad)
-        if (goal < self.arm.lower).any() or (goal > self.arm.upper).any():
-            j = int(np.argmax(np.maximum(self.arm.lower - goal, goal - self.arm.upper)))
+        beyond = np.maximum(self.arm.lower - goal, goal - self.arm.upper)
+        if beyond.max() > 0.0:
+            j = int(beyond.argmax())
             low, at, high = np.degrees([self.arm.lower[j], goal[j], self.arm.upper[j]])
             raise InputError(
                 f"move_joints: {self.arm.joint_names[j]} at {at:.0f} deg is outside its limits of {low:.0f} to "
@@ -265,12 +269,13 @@ class ArmSession(ArmDriver):
                 self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
                 self.recorder.turn()
 
-        self._start(ArmMotion("the newest joint positions", work), wait=False)
-        self._goals, waited, motion = goals, 0.0, self._motion
-        while self._last is None and motion is not None and motion.under_way and waited < STARTING:
-            pause(_LOOK)
-            waited += _LOOK
-        if motion is not None and not motion.under_way:
+        motion = ArmMotion("the newest joint positions", work)
+        self._start(motion, wait=False)
+        self._goals = goals
+        for _ in range(round(STARTING / _LOOK)):
+            if self._last is not None or motion.over.wait(_LOOK):
+                break
+        if not self._moving:
             self._tell_last()
         return goals
 
@@ -313,14 +318,12 @@ class ArmSession(ArmDriver):
 
     def deploy(self, targets: Targets | None = None) -> Deployed:
         """Drive to targets in turn; see `rejoint.deploy`."""
-        from rejoint.session.motions import TargetDrive
+        from rejoint.session.motions import to_targets
 
         self._require_free()
-        drive = TargetDrive(self, targets)
-        motion = ArmMotion("its targets", lambda _: drive.work())
+        motion = ArmMotion("its targets", to_targets(self, targets))
         self._start(motion, wait=True)
-        done: Deployed = motion.result  # type: ignore[assignment]
-        return done
+        return cast("Deployed", motion.result)
 
     # --- what looks at motions and ends them ----------------------------------------------------
 
@@ -380,13 +383,13 @@ class ArmSession(ArmDriver):
             return self.state
         try:
             with noted():
-                while motion.under_way and (timeout_s is None or waited < timeout_s):
+                while not motion.over.is_set() and (timeout_s is None or waited < timeout_s):
                     pause(_LOOK)
                     waited += _LOOK
         except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
             self.stop()
             raise
-        if motion.under_way:
+        if not motion.over.is_set():
             raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
         self._tell_last()
         return self.state
@@ -460,7 +463,7 @@ class ArmSession(ArmDriver):
                 self._seen = last
             self._motion, self._goals, self.progress = motion, None, RateLimit(self.observer.progress)
             if not wait:
-                motion.start()
+                threading.Thread(target=motion.run, name="motion", daemon=True).start()
                 return None
         with noted():
             motion.run()
@@ -468,15 +471,17 @@ class ArmSession(ArmDriver):
         return self.state
 
     def _state(self, time: float, joints: Array, *, moving: bool) -> ArmState:
-        tool = tcp_position(self.arm, joints)
-        cycle = self._last
-        aimed = cycle is not None and bool(np.isfinite(cycle.aim[0]).all())
+        tool, target, error, turned, cycle = tcp_position(self.arm, joints), None, None, None, self._last
+        if cycle is not None and np.isfinite(cycle.aim[0]).all():
+            target, error = cycle.target[0].copy(), float(np.linalg.norm(cycle.aim[0] - tool))
+        if cycle is not None and np.isfinite(cycle.turned[0]):
+            turned = float(cycle.turned[0])
         return ArmState(
             time_s=time,
             joints_rad=joints.copy(),
             tool_m=tool,
             moving=moving,
-            target_m=cycle.target[0].copy() if cycle is not None and aimed else None,
-            error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
-            turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
+            target_m=target,
+            error_m=error,
+            turned_rad=turned,
         )

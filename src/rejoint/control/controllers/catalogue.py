@@ -33,12 +33,6 @@ CONTROLLERS = (*BASELINES, SHELF, POLICY, PREDICTIVE)
 """The simplest first"""
 
 
-def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
-    """Default contenders; a real arm gets the generic policy until it has its own."""
-    missing = {SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
-    return tuple(name for name in CONTROLLERS if not missing.get(name))
-
-
 def make_controller(
     name: str,
     arm: Arm,

@@ -5,7 +5,7 @@ Repetition adds the error to the corrected path, per frequency the share that re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.correction import Modelled, ToolModel, TrueError, checked, rms, true_error
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.reference import Corrected, Guide, Path, Poses, Route, interpolated
+from rejoint.control.moving.reference import Ahead, Guide, Path, Poses, Route, Stream, interpolated
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
 
@@ -60,33 +60,28 @@ class Followed:
         return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
 
-def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | None = None) -> Path:
-    """Corrected path for an arm near ``home`` (n,) [rad]."""
-    time = path.grid
-    places, wanted = path.poses(time)
-    aims, turns = places, wanted
-    postures = PathPostures(arm, places[:1], turns and turns[:1], home)
+def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None = None) -> Guide:
+    """Guide of an arm near ``home`` (n,) [rad] by whose corrected targets the tool goes where ``guide`` says."""
+    start = guide.poses(0.0, np.zeros(1))
+    postures = PathPostures(arm, *start, home)
+    if isinstance(guide, Stream):
+
+        def correct(places: Array, turns: Orientation | None) -> Poses:
+            way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
+            aims = checked(places, places - correction.shift(way))
+            return aims, turns and correction.untwisted(turns, way)
+
+        guide.corrected = correct
+        return guide
+    time = guide.path.grid
+    places, wanted = aims, turns = guide.path.poses(time)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
         came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
         aims = checked(places, places - correction.shift(way, came))
-        turns = None if wanted is None else correction.untwisted(wanted, way, came)
+        turns = wanted and correction.untwisted(wanted, way, came)
         postures.last = way[:1]
-    return Path(time=time, place=aims, turn=turns, name=path.name)
-
-
-def corrector(
-    arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None, home: Array | None = None
-) -> Corrected:
-    """Corrector of a stream's targets, from ``start`` (3,) [m] and ``turn`` () on."""
-    postures = PathPostures(arm, start[None], turn and turn[None], home)
-
-    def correct(places: Array, turns: Orientation | None) -> Poses:
-        way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
-        aims = checked(places, places - correction.shift(way))
-        return aims, None if turns is None else correction.untwisted(turns, way)
-
-    return correct
+    return replace(guide, aim=Path(time=time, place=aims, turn=turns, name=guide.path.name))
 
 
 def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolModel | None = None) -> Pass:
@@ -111,10 +106,10 @@ def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Rows, Array
     return rows, time[rows]
 
 
-def missed(arm: Arm, recording: Recording, guide: Guide, wanted: Path, b: int = 0) -> tuple[Array, Array]:
-    """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` from ``wanted``."""
+def missed(arm: Arm, recording: Recording, guide: Ahead, b: int = 0) -> tuple[Array, Array]:
+    """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` on the way of ``guide``."""
     rows, time = rows_on(recording, guide.route(), b)
-    return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])
+    return time, guide.aimed.at(time) - tcp_position(arm, recording.position[rows, b])
 
 
 _LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried

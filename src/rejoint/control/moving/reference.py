@@ -279,18 +279,23 @@ class Ahead:
     aim: Path | None = None
     """corrected path with the same times"""
 
+    @property
+    def aimed(self) -> Path:
+        """The corrected path."""
+        return self.aim or self.path
+
     def place(self, now: float) -> Array:
         """Target (3,) [m] at ``now`` [s]."""
         return self.path.at(now - LEAD_IN)
 
     def poses(self, now: float, later: Array) -> Poses:
         """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
-        return (self.aim or self.path).poses(now - LEAD_IN + later)
+        return self.aimed.poses(now - LEAD_IN + later)
 
     def route(self) -> Route:
         """Return all targets."""
         time = self.path.grid
-        return Route(LEAD_IN, time, self.path.at(time), (self.aim or self.path).at(time))
+        return Route(LEAD_IN, time, self.path.at(time), self.aimed.at(time))
 
 
 Corrected = Callable[[Array, Orientation | None], Poses]

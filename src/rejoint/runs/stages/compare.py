@@ -38,17 +38,13 @@ from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
-    Controllers,
-    Factory,
-    all_named,
     calibration_of,
     correction_of,
     guard_limits,
-    listed,
-    make_factories,
     say_heavy,
     stance_of,
 )
+from rejoint.session.controllers import Controllers, Factory, is_name, make_factories, named
 from rejoint.session.inputs import (
     ArmLike,
     Borrowed,
@@ -424,7 +420,7 @@ def comparison_job(
     observer: Observer,
 ) -> ComparisonJob:
     """Assemble and validate a comparison; ``arm`` includes load and tool."""
-    controllers, wanted = listed(controllers), plan or TrialPlan()
+    wanted = plan or TrialPlan()
     real = not is_batchable(robot)
     block = BLOCK if real and not wanted.full else 0
     seed = as_seed(settings.seed) if run is None else run.seed
@@ -462,7 +458,7 @@ def comparison_job(
         correct=correction_of(model, arm, points),
         model=model,
         observer=observer,
-        by_name=all_named(controllers),
+        by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
         directions=wanted.directions,
         turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",

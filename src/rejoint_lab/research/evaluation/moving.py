@@ -108,7 +108,7 @@ def _follow(
         case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, f"time {time + 1}")
         recording = drive(case, worn, known, noise=time)
         known = [
-            Ahead(path=one.path, aim=lesson.learn(one.aim or one.path, *missed(arm, recording, one, one.path, b)))
+            Ahead(path=one.path, aim=lesson.learn(one.aimed, *missed(arm, recording, Ahead(path=one.path), b)))
             for b, (one, lesson) in enumerate(zip(known, lessons, strict=True))
         ]
     drive(STREAM, worn, [played(path, RATE) for path in paths])
