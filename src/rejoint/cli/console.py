@@ -101,7 +101,7 @@ class Terminal:
         """Tell what is going on."""
         self.notes.print(text, markup=False)
 
-    def stage(self, text: str) -> None:
+    def heading(self, text: str) -> None:
         """Announce a stage of a chain."""
         self.notes.print(f"\n[bold]{text}[/bold]")
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import rejoint
 from rejoint.arms import Arm
-from rejoint.cli import show
 from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
@@ -26,9 +25,7 @@ if TYPE_CHECKING:
 
 def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) -> object:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
-    with call.watched("identify") as observer:
-        twin = rejoint.identify(logs, run=job, observer=observer, plan=plan)
-    show.twin(call, twin)
+    twin = call.stage("identify", rejoint.identify, logs, run=job, plan=plan)
     if twin.judgement is not None:
         show_errors(call, twin.judgement)
     path = rejoint.report(job)

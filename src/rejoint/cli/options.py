@@ -6,10 +6,10 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import typer
 
@@ -17,7 +17,7 @@ from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
-from rejoint.cli import texts
+from rejoint.cli import show, texts
 from rejoint.cli.console import Terminal, live_view
 from rejoint.control.recording import Observer, Observers
 from rejoint.logs.runfolder import LOGS, RunFolder
@@ -27,6 +27,8 @@ from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress
+
+T = TypeVar("T")
 
 
 class ArmPick(NamedTuple):
@@ -72,9 +74,11 @@ class ConsoleObserver(Observer):
 class Call(Terminal):
     """One call of a command: where it writes, and what the user wrote in the options that commands share."""
 
-    def __init__(self, *, json: bool, live: str | None, pick: ArmPick, settings: Settings) -> None:
-        super().__init__(json=json, dry=settings.dry_run, live=live)
-        self.pick, self.settings = pick, settings
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
+        self.settings = Settings(**{name: given[name] for name in Settings.__dataclass_fields__ if name in given})
+        self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
+        super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
 
     def arm(self, robot: str | None = None) -> Arm:
         """Load the arm, by default the one that ``robot`` is, and say what its description left open.
@@ -104,6 +108,15 @@ class Call(Terminal):
             return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
         chosen = self.arm()
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
+
+    def stage(self, name: str, work: Callable[..., T], *given: object, **options: object) -> T:
+        """Do a stage by ``work`` of the front door, and print its result, also one cut short."""
+        tell = partial(show.stage, self, name)
+        with self.watched(name, tell) as observer:
+            found = work(*given, observer=observer, **options)
+        if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
+            tell(found)
+        return found
 
     @contextmanager
     def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
@@ -196,7 +209,7 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
 
 
 class SharedOption(NamedTuple):
-    """An option that becomes a field of `Settings`; its help is in the section ``shared`` of `texts`."""
+    """An option of several commands; its help is in the section ``shared`` of `texts`."""
 
     kind: object = str | None
     """type of the command's parameter"""
@@ -217,6 +230,7 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
 
 
 SHARED = {
+    **dict.fromkeys(ArmPick._fields, SharedOption()),
     "controller": SharedOption(),
     "dwell": SharedOption(float),
     "within": SharedOption(float | None, lambda mm: None if mm is None else 1e-3 * mm),
@@ -227,36 +241,29 @@ SHARED = {
     "period": SharedOption(str | None, period_seconds),
     "seed": SharedOption(int | None),
     "dry_run": SharedOption(bool),
+    "live": SharedOption(),
+    "json": SharedOption(bool),
 }
-"""Options of several commands that become fields of `Settings`"""
+"""Options of several commands; most become fields of `Settings`"""
 
 
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
-    """Give a command shared options: ``arm``, ``part`` of it, ``live``, and of `SHARED`; all commands have ``json``.
+    """Give a command options of `SHARED`; ``part`` stands for those of a part of the arm, and all have ``json``.
 
     The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
     """
-    fields = {name: one.field or name for name, one in SHARED.items()}
-    arm = [name for name in ArmPick._fields if name in names or (name != "arm" and "part" in names)]
-    own, shared = texts("rejoint.cli"), [name for name in names if name in SHARED]
-    known, help_of = own["all"], own["shared"]
-    options = [
-        *(keyword(name, str | None, known[name]) for name in arm),
-        *(keyword(name, SHARED[name].kind, help_of[name], getattr(Settings, fields[name])) for name in shared),
-        *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
-        keyword("json", bool, known["json"], default=False),
-    ]
+    parts = ArmPick._fields[1:] if "part" in names else ()
+    shared = {name: SHARED[name] for name in SHARED if name in (*names, *parts, "json")}
+    known = texts("rejoint.cli")
+    options = []
+    for name, one in shared.items():
+        default = getattr(Settings, one.field or name, False if one.kind is bool else None)
+        options.append(keyword(name, one.kind, known["shared"][name], default))
 
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            given = {fields[name]: SHARED[name].read(words.pop(name)) for name in shared}
-            call = Call(
-                json=words.pop("json"),
-                live=words.pop("live", None),
-                pick=ArmPick(**{name: words.pop(name) for name in arm}),
-                settings=Settings(**given),  # type: ignore[arg-type]
-            )
+            call = Call({one.field or name: one.read(words.pop(name)) for name, one in shared.items()})
             found = command(call, **words)
             result = found if isinstance(found, Result) else Result(found)
             if result.value is not None:
@@ -267,7 +274,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
         ours = texts(command.__module__.rpartition(".")[0])
         hints = get_type_hints(command)
         own = list(signature(command).parameters.values())[1:]
-        entries = known | ours["all"] | ours[command.__name__.rstrip("_")]
+        entries = known["all"] | ours["all"] | ours[command.__name__.rstrip("_")]
         kept = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
         run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
         run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}

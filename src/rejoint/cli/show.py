@@ -175,8 +175,8 @@ def followed(terminal: Terminal, done: Followed) -> None:
     _say_gaps(terminal, done.gaps)
 
 
-def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
-    """Print what became of each target; ``within`` [m] one counts as reached."""
+def deployment(terminal: Terminal, done: Deployed) -> None:
+    """Print what became of each target."""
     rows = [
         [
             str(number),
@@ -202,10 +202,8 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
         "reached",
         "remark",
     ]
-    title = (
-        f"Errors of {done.controller} at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
-    )
-    terminal.table(title, headers, rows)
+    reached = f"reached: within {1e3 * done.within:g} mm by the encoders"
+    terminal.table(f"Errors of {done.controller} at the end of each target ({reached})", headers, rows)
     if done.missed:
         terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
     seen = [visit.seen_error for visit in done.visits if visit.seen_error is not None]
@@ -242,6 +240,8 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "train": (training, "training"),
     "gains": (gains,),
     "calibrate": (calibration,),
+    "deploy": (deployment,),
+    "follow": (followed,),
     "compare": (comparison, "comparison", "recommendation"),
 }
 """What prints the result of a stage, and the parts of the result that it takes"""

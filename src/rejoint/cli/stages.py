@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from contextlib import ExitStack
-from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +17,6 @@ from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, live_view, results_of
 from rejoint.cli.options import Call, ConsoleObserver, Result, takes
-from rejoint.control.deployment import REACHED
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
@@ -145,7 +143,7 @@ class _Narrator(ConsoleObserver):
         self._bar.close()
         if stage.state != "done":
             heading = f"{stage.number}/{stage.total}  {TITLES[stage.name]}"
-            self._terminal.stage(heading)
+            self._terminal.heading(heading)
             if self._view is not None:
                 self._view.begin(heading)
         if stage.state == "kept":
@@ -182,22 +180,18 @@ def diagnose(
         if robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given():
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
         job = call.run_of_logs(logs, run, seed)
-        with call.watched("diagnose") as observer:
-            judged = rejoint.diagnose(logs, run=job, healthy=healthy, observer=observer).diagnosis
-        show.diagnosis(call, judged)
+        found = call.stage("diagnose", rejoint.diagnose, logs, run=job, healthy=healthy)
         call.next(command("identify", "--logs", logs, "--run", job.path))
-        return {"run": job.path, "diagnosis": judged}
+        return {"run": job.path, "diagnosis": found.diagnosis}
     robot = robot or "emulated:worn"
     chosen = call.arm(robot)
     path = run or newest_or_new(robot, chosen, seed)[0]
     job = Run.plan(path, robot, chosen, seed)
-    with call.watched("diagnose", partial(show.stage, call, "diagnose")) as observer:
-        found = rejoint.diagnose(
-            robot, run=job, healthy=healthy, quick=quick, settings=call.settings, observer=observer
-        )
+    found = call.stage(
+        "diagnose", rejoint.diagnose, robot, run=job, healthy=healthy, quick=quick, settings=call.settings
+    )
     if call.settings.dry_run:
         return {"robot": robot}
-    show.stage(call, "diagnose", found)
     call.next(command("identify", path))
     open_loop = found.diagnosis.open_loop
     return {
@@ -238,9 +232,7 @@ def identify(
             "--gain and --torque-off"
         )
     job = Run.open(run)
-    with call.watched("identify") as observer:
-        twin = rejoint.identify(run=job, seed=seed, quick=quick, observer=observer)
-    show.twin(call, twin)
+    twin = call.stage("identify", rejoint.identify, run=job, seed=seed, quick=quick)
     call.next(command("train", run))
     return {"run": run, "twin": job.folder.twin, "held_out": twin.held_out, "notes": twin.notes}
 
@@ -264,9 +256,7 @@ def train(
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
-    with call.watched("train") as observer:
-        result = rejoint.train(run=job, preset=preset, quick=quick, settings=how, observer=observer).training
-    show.training(call, result)
+    result = call.stage("train", rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
 
@@ -301,9 +291,7 @@ def compare(
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, directions=directions, full=full)
     names = opt.controller_names(controllers)
-    with call.watched("compare", partial(show.stage, call, "compare")) as observer:
-        found = rejoint.compare(robot, names, targets, run=run, plan=plan, settings=call.settings, observer=observer)
-    show.stage(call, "compare", found)
+    found = call.stage("compare", rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))
     return {
         "run": run,
@@ -328,10 +316,7 @@ def deploy(
     if run is not None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
-    tell = partial(show.deployment, call, call.settings.within or REACHED)
-    with call.watched("deploy", tell) as observer:
-        done = rejoint.deploy(robot, targets, run=run, arm=chosen, settings=call.settings, observer=observer)
-    tell(done)
+    done = call.stage("deploy", rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
@@ -383,9 +368,7 @@ def follow(
     repeat: int = 1,
 ) -> Result:
     """Drive an arm along a path, and say how well it followed."""
-    with call.watched("follow") as observer:
-        done = rejoint.follow(robot, path, run=run, repeat=repeat, settings=call.settings, observer=observer)
-    show.followed(call, done)
+    done = call.stage("follow", rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed
 
@@ -420,10 +403,7 @@ def gains(
 ) -> object:
     """Search for better gains of an SO-101's own servos, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
-        with call.watched("gains") as observer:
-            found = rejoint.gains(robot, run, settings=call.settings, observer=observer)
-        if not call.settings.dry_run:  # a simulation does not heed gains
-            show.stage(call, "gains", found)
+        found = call.stage("gains", rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         return {"run": run, "gains": found}
     job = Run.open(run)

@@ -71,6 +71,8 @@ class Deployed:
     """[s] median"""
     gaps: tuple[float, ...]
     """[s]"""
+    within: float = REACHED
+    """[m] accepted encoder error"""
     log: RunLog | None = None
     """None: it ended early"""
 
@@ -117,6 +119,7 @@ def judge(
         visits=tuple(visits),
         period=period if np.isfinite(period) else None,
         gaps=tuple(gap[gap > 0.0].tolist()),
+        within=job.within,
     )
 
 
