@@ -171,14 +171,10 @@ def _misused(error: typer.TyperException) -> str:
     return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
 
 
-_HOME = re.compile(r"(?P<option>--[a-z-]+=)?(?P<path>~(/.*)?)", re.DOTALL)
-
-
 def with_home(words: Sequence[str]) -> list[str]:
     """Replace ``~`` where the shell left it: quoted, or right after an option, as in ``--run=~/mine``."""
-    found = [(word, _HOME.fullmatch(word)) for word in words]
-    home = os.path.expanduser  # that of Path fails where there is no home folder
-    return [f"{at['option'] or ''}{home(at['path'])}" if at else word for word, at in found]
+    home = os.path.expanduser("~")  # noqa: PTH111 - that of Path fails where there is no home folder
+    return [re.sub(r"^(--[a-z-]+=)?~(?=/|$)", lambda at: f"{at[1] or ''}{home}", word) for word in words]
 
 
 RESUMED = ("repair", "compare", "fleet")
@@ -200,7 +196,8 @@ def _ended(error: BaseException, *, json: bool) -> int:
             sys.stdout.flush()
         except OSError:  # no reader, or its disk is full: what is left in its buffer has nowhere to go either
             into_nothing(sys.stdout)
-    _say_notes(error)
+    for note in getattr(error, "__notes__", ()):
+        _say(note)
     return code
 
 
@@ -233,11 +230,6 @@ def _reason(error: BaseException) -> tuple[str, str, int]:
     whose = driver_of(error) or "rejoint itself"
     what = f"{type(error).__name__}: {first_line(error)}"
     return f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG
-
-
-def _say_notes(error: BaseException) -> None:
-    for note in getattr(error, "__notes__", ()):
-        _say(note)
 
 
 def _say(text: str) -> None:

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 import rejoint
-from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Call, ConsoleObserver, takes
+from rejoint.cli.options import Call, takes
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
@@ -70,7 +69,7 @@ def calibrate(
             from rejoint.camera.film import read_folder
 
             given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = rejoint.calibrate(run=job, gauge=given, settings=settings)
+        found = call.stage("calibrate", rejoint.calibrate, run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
@@ -82,12 +81,9 @@ def calibrate(
         )
         if scouts:
             call.say(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
-        tell, quiet = partial(show.calibration, call), ConsoleObserver(call)  # a bar would write over the questions
-        with call.unsaved(tell), nullcontext(quiet) if kind == "touch" else call.watched("calibrate") as observer:
-            found = rejoint.calibrate(
-                robot, run=job, gauge=gauge, count=count, visits=visits, settings=settings, observer=observer
-            )
-    show.calibration(call, found)
+        about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
+        # a bar would write over the questions
+        found = call.stage("calibrate", rejoint.calibrate, robot, run=job, bar=kind != "touch", **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -109,19 +109,26 @@ class Call(Terminal):
         chosen = self.arm()
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
 
-    def stage(self, name: str, work: Callable[..., T], *given: object, **options: object) -> T:
+    def stage(self, name: str, work: Callable[..., T], *given: object, bar: bool = True, **options: object) -> T:
         """Do a stage by ``work`` of the front door, and print its result, also one cut short."""
         tell = partial(show.stage, self, name)
-        with self.watched(name, tell) as observer:
+        with self.watched(name, tell, bar=bar) as observer:
             found = work(*given, observer=observer, **options)
         if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
             tell(found)
         return found
 
     @contextmanager
-    def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
+    def watched(
+        self,
+        title: str,
+        show: Callable[[Any], object] = lambda result: None,  # noqa: ARG005
+        *,
+        bar: bool = True,
+    ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
-        with self.unsaved(show), live_view(self, self.live, title) as view, self.progress(title) as update:
+        progress = self.progress(title) if bar else nullcontext()
+        with self.unsaved(show), live_view(self, self.live, title) as view, progress as update:
             console = ConsoleObserver(self, update, show)
             yield console if view is None else Observers(console, view)
 
