@@ -154,15 +154,15 @@ class EmulatedRobot:
         )
 
     def eye(self, seed: int) -> EmulatedEye:
-        """Detector of the tool of the only arm; InputError."""
+        """Detector of the tool of the only arm."""
         return EmulatedEye(self, seed=seed)
 
     def camera(self, board: Board, carried: str, seed: int) -> EmulatedCamera:
         """Camera beside the only arm, or on its tool."""
         from rejoint_lab.cameras.scene import beside, on_tool
 
-        scene = beside(self.arm, board=board) if carried == "board" else on_tool(self.arm, board=board)
-        return EmulatedCamera(scene, lambda: self.plant.true_pose()[0], seed)
+        rig = beside(self.arm, board=board) if carried == "board" else on_tool(self.arm, board=board)
+        return EmulatedCamera(rig, lambda: self.plant.true_pose()[0], seed)
 
     def close(self) -> None:
         """Do nothing."""

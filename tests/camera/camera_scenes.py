@@ -24,35 +24,35 @@ WORN = Displacement(
 
 @dataclass
 class Taken:
-    scene: object
+    rig: object
     position: np.ndarray
     links: np.ndarray
     views: list
 
 
-def view_of(scene, name, links, rng, noise=0.1):
+def view_of(rig, name, links, rng, noise=0.1):
     """Visible corners with ``noise`` [px], without an image."""
-    pose, corners = scene.rig.sight(tcp_pose(ARM, links)), scene.rig.board.corners
-    pixel = scene.rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
+    pose, corners = rig.sight(tcp_pose(ARM, links)), rig.board.corners
+    pixel = rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
     return BoardView(name=name, number=np.arange(len(corners)), pixel=pixel + noise * rng.standard_normal(pixel.shape))
 
 
 @lru_cache
 def taken(carried="board", count=24, seed=0):
     """Views of the worn arm in chosen postures; joints that float lie anywhere in their play."""
-    scene = beside(ARM) if carried == "board" else on_tool(ARM, board=ON_TABLE)
-    position = choose_postures(ARM, scene.rig, count, seed)
+    rig = beside(ARM) if carried == "board" else on_tool(ARM, board=ON_TABLE)
+    position = choose_postures(ARM, rig, count, seed)
     rng = np.random.default_rng(seed)
     free = 1.0 - np.tanh(WORN.torque(ARM, position) / 0.004) ** 2
     links = WORN.joints(ARM, position) + 0.5 * WORN.play * free * rng.uniform(-1, 1, position.shape)
     links += np.radians(0.03) * rng.standard_normal(position.shape)
-    views = [view_of(scene, f"view-{i:02}.png", q, rng) for i, q in enumerate(links)]
-    return Taken(scene, position, links, views)
+    views = [view_of(rig, f"view-{i:02}.png", q, rng) for i, q in enumerate(links)]
+    return Taken(rig, position, links, views)
 
 
 def film_of(t, carried="board", names=()):
     """Image sequence of these views; those of the ``names`` are swapped with one another."""
-    film, place = Film(board=t.scene.rig.board, carried=carried), {name: int(name[5:7]) for name in names}
+    film, place = Film(board=t.rig.board, carried=carried), {name: int(name[5:7]) for name in names}
     other = dict(zip(place.values(), reversed(place.values()), strict=True))
     for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
         seen = t.views[other.get(k, k)]

@@ -33,7 +33,7 @@ def test_the_displacement_predicts_the_tool(found):
 
 
 def test_lens_camera_and_board_are_found(found):
-    rig = taken().scene.rig
+    rig = taken().rig
     sigma = found.rig_sigma[:7]
     assert (np.abs(found.rig.lens.numbers - rig.lens.numbers) < 4 * sigma).all()
     assert sigma[0] < 0.01 * rig.lens.f
@@ -58,10 +58,10 @@ def test_one_picture_tells_where_the_tool_is(found):
     _, links = fresh()
     truth = tcp_pose(ARM, links)
     # what counts is what the camera shows, and the lens and the poses that were found belong together
-    pixel = t.scene.rig.lens.project
+    pixel = t.rig.lens.project
     off = []
-    for pose, true in zip(t.scene.rig.sight(truth), truth, strict=True):
-        seen = pixel(t.scene.rig.board.corners @ pose[:3, :3].T + pose[:3, 3])
+    for pose, true in zip(t.rig.sight(truth), truth, strict=True):
+        seen = pixel(t.rig.board.corners @ pose[:3, :3].T + pose[:3, 3])
         off.append(_seen(found, seen) - true[:3, 3])
     assert np.linalg.norm(off, axis=1).mean() < 0.8e-3
 
@@ -98,4 +98,4 @@ def test_a_camera_on_the_tool_does_as_well():
     position, links = fresh()
     off = found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links)
     assert np.linalg.norm(off, axis=-1).mean() < 1.0e-3
-    np.testing.assert_allclose(found.rig.standing[:3, 3], t.scene.rig.standing[:3, 3], atol=6e-3)
+    np.testing.assert_allclose(found.rig.standing[:3, 3], t.rig.standing[:3, 3], atol=6e-3)

@@ -22,7 +22,7 @@ from rejoint.camera.film import (
 from rejoint.camera.filming import believed_rig
 from rejoint.camera.fit import fit_film
 from rejoint.system.errors import FileError, InputError
-from rejoint_lab.cameras.scene import LENS
+from rejoint_lab.cameras.scene import LENS, render
 
 SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")
@@ -85,7 +85,7 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     t, film = taken(), film_of(3)
     write_postures(tmp_path / POSTURES, ARM, film)
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(ARM, t.links[k]), k))
+        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), render(t.rig, tcp_pose(ARM, t.links[k]), k))
     found = read_folder(str(tmp_path), ARM, ON_TOOL)
     assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
     for one, other in zip(found.usable, film.shots, strict=False):
@@ -118,7 +118,7 @@ def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
     film = film_of(12)
     scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.name not in SWAPPED))
     rig = believed_rig(ARM, scouted)
-    assert np.linalg.norm((inverse(rig.standing) @ taken().scene.rig.standing)[:3, 3]) < 0.03
+    assert np.linalg.norm((inverse(rig.standing) @ taken().rig.standing)[:3, 3]) < 0.03
     larger = replace(scouted, board=replace(ON_TOOL, square=ON_TABLE.square, marker=ON_TABLE.marker))
     with pytest.raises(InputError, match=r"squares of the board measure about (19|20|21) mm, by its description 30"):
         believed_rig(ARM, larger)
@@ -127,7 +127,7 @@ def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
 def test_a_bent_board_is_refused():
     """A bow of two percent moved the tool by 13 mm, though the corners fitted within 0.6 px."""
     t, rng = taken(count=22), np.random.default_rng(0)
-    rig, views = t.scene.rig, []
+    rig, views = t.rig, []
     corners = rig.board.corners
     corners[:, 2] = 0.02 * (2 * corners[:, 0] - rig.board.size[0]) ** 2 / rig.board.size[0]
     for view, pose in zip(t.views, rig.sight(tcp_pose(ARM, t.links)), strict=True):

@@ -23,7 +23,7 @@ from rejoint.runs.run import Run
 from rejoint.session.motions import opened_eye
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera
-from rejoint_lab.cameras.scene import beside
+from rejoint_lab.cameras.scene import beside, render
 from standin import StandIn
 
 ARM = mycobot280()
@@ -48,7 +48,7 @@ class Still(StandIn):
 class Cut(EmulatedCamera):
     """A camera whose cable is pulled at some picture."""
 
-    def __init__(self, robot, last=np.inf, looks=SCENE.looks):
+    def __init__(self, robot, last=np.inf, **looks):
         super().__init__(SCENE, robot.tool, 3)
         self.last, self.looks, self.taken = last, looks, []
 
@@ -56,7 +56,7 @@ class Cut(EmulatedCamera):
         if number > self.last:
             raise InputError("camera 0 gives no pictures any more; check its cable")
         self.taken.append(number)
-        return replace(SCENE, looks=self.looks).shows(self._tool(), (3, number))
+        return render(SCENE, self._tool(), (3, number), **self.looks)
 
 
 def film(robot, camera, run, **options):
@@ -136,7 +136,7 @@ class FakeCapture:
         self.number += 1
         if self.pulled:
             return False, None
-        return True, cv2.cvtColor(SCENE.shows(self.robot.tool(), (5, self.number)), cv2.COLOR_GRAY2BGR)
+        return True, cv2.cvtColor(render(SCENE, self.robot.tool(), (5, self.number)), cv2.COLOR_GRAY2BGR)
 
     def release(self):
         self.released = True
@@ -156,7 +156,7 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
     with pytest.raises(InputError, match="it is not known where it stands"), opened_eye("0", robot, run, 0):
         pass
-    write_rig(run.folder.camera, ARM, SCENE.rig, np.full(19, 1e-3))
+    write_rig(run.folder.camera, ARM, SCENE, np.full(19, 1e-3))
     with opened_eye("0", robot, run, 0) as eye:
         wait_for(lambda: eye.sighting(100.0) is not None)
         seen, now = eye.sighting(100.0), time.monotonic()
@@ -174,10 +174,10 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
 def test_a_camera_that_hangs_is_not_believed(caplog):
     """It told for ever that the tool stood where it was, and the arm was pulled after it."""
     robot = Still()
-    first, second = (SCENE.shows(robot.tool(), (5, number)) for number in (0, 1))
+    first, second = (render(SCENE, robot.tool(), (5, number)) for number in (0, 1))
     shown = [first]
     stream = SimpleNamespace(picture=lambda: (shown[-1], time.monotonic()))
-    with LiveEye(stream, SCENE.rig, name="camera 0") as eye:
+    with LiveEye(stream, SCENE, name="camera 0") as eye:
         wait_for(lambda: "same picture for ever" in eye.why)
         before = eye.sighting(100.0).time - 100.0 + time.monotonic()
         time.sleep(0.1)

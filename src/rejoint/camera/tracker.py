@@ -8,8 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -29,15 +27,14 @@ PAUSE = 0.4
 FRAMES = 5
 """Averaged images (chosen: halves noise and flicker)"""
 
-_MANUAL = 1.0  # what Video4Linux calls an exposure by hand
 _TRIES = 30  # frames that may fail before the camera counts as gone: a second
 
 
 class LiveCamera:
     """A camera by its number, as a context manager; its settings stay."""
 
-    def __init__(self, number: int = 0, size: tuple[int, int] = SIZE, exposure: float | None = None) -> None:
-        self.number, self.size, self.exposure = number, size, exposure
+    def __init__(self, number: int = 0, size: tuple[int, int] = SIZE) -> None:
+        self.number, self.size = number, size
         self._device: cv2.VideoCapture | None = None
 
     def __enter__(self) -> LiveCamera:
@@ -46,15 +43,13 @@ class LiveCamera:
         if not device.isOpened():
             device.release()
             raise InputError(f"no camera answers as number {self.number}; plug it in, or give another number")
-        wanted: dict[str, float] = {
+        wanted = {
             "FOURCC": cv2.VideoWriter.fourcc(*"MJPG"),
             "FRAME_WIDTH": self.size[0],
             "FRAME_HEIGHT": self.size[1],
             "AUTOFOCUS": 0,
             "AUTO_WB": 0,
         }
-        if self.exposure is not None:
-            wanted |= {"AUTO_EXPOSURE": _MANUAL, "EXPOSURE": self.exposure}
         for name, value in wanted.items():
             device.set(getattr(cv2, f"CAP_PROP_{name}"), value)
         self._device = device
@@ -121,17 +116,10 @@ FROZEN = 10
 """Equal pictures after which a camera hangs (chosen)"""
 
 
-class PictureStream(Protocol):
-    """A camera that is open."""
-
-    def picture(self) -> tuple[Picture, float]:
-        """Newest picture, and its time [s] by `time.monotonic`; InputError without."""
-
-
 class LiveEye:
     """Looks at the pictures of an open camera in a thread of its own."""
 
-    def __init__(self, camera: PictureStream, rig: Rig, name: str = "camera") -> None:
+    def __init__(self, camera: LiveCamera, rig: Rig, name: str = "camera") -> None:
         self.name = name
         self.why = ""
         """why the last picture was unusable, or empty"""
@@ -152,9 +140,7 @@ class LiveEye:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End; warn where nothing was seen, or the camera is gone."""
         self._end.set()
         self._thread.join()

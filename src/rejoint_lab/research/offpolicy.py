@@ -22,6 +22,8 @@ from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, Model
 from skrl.resources.noises.torch import GaussianNoise
 from torch import Tensor, nn
+from torch.distributions import Normal, TransformedDistribution
+from torch.distributions.transforms import TanhTransform
 
 from rejoint.arms import Arm
 from rejoint.logs.runfolder import Outputs
@@ -31,7 +33,7 @@ from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
 from rejoint.training.ppo import LAST_LAYER_SCALE, perceptron, unbounded
 from rejoint.training.presets import DEFAULT, Preset
-from rejoint.training.task import ReachTask, Transition
+from rejoint.training.task import ReachTask
 from rejoint.training.train import (
     Trainer,
     TrainingResult,
@@ -87,14 +89,11 @@ class SquashedActor(BoundedActor):
     def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Sample actions (N, n) and their log-probability (N, 1)."""
         hidden = self.net[:-1](inputs["observations"])
-        log_std = self.log_std(hidden).clamp(*_LOG_STD)
-        normal = torch.distributions.Normal(self.net[-1](hidden), log_std.exp())
-        free = normal.rsample()
-        # log(1 - tanh(u)^2) in a form that does not underflow
-        squeeze = 2.0 * (np.log(2.0) - free - nn.functional.softplus(-2.0 * free))
-        density: Tensor = normal.log_prob(free)  # type: ignore[no-untyped-call]
-        self.spread = float(log_std.detach().exp().mean())
-        return torch.tanh(free), {"log_prob": (density - squeeze).sum(dim=-1, keepdim=True)}
+        sigma = self.log_std(hidden).clamp(*_LOG_STD).exp()
+        self.spread = float(sigma.detach().mean())
+        squashed = TransformedDistribution(Normal(self.net[-1](hidden), sigma), TanhTransform(cache_size=1))  # type: ignore[no-untyped-call]
+        action = squashed.rsample()
+        return action, {"log_prob": squashed.log_prob(action).sum(dim=-1, keepdim=True)}
 
 
 class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
@@ -153,63 +152,6 @@ ALGORITHMS = {
 }
 
 
-class OffPolicyLearner:
-    """Networks, algorithm and task of one training."""
-
-    def __init__(self, task: ReachTask, settings: OffPolicySettings) -> None:
-        torch.manual_seed(settings.seed)
-        self.task, self.settings, self.cycle = task, settings, 0
-        self.agent = _make_agent(task, settings)
-        self.agent.init()
-        self.agent.enable_training_mode(True)
-        self.curve: list[CurvePoint] = []
-        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
-
-    def learn(self) -> CurvePoint:
-        """Run until the next report."""
-        start, actor = time.perf_counter(), self.agent.policy
-        done = [self._interact() for _ in range(min(_REPORT_EVERY, self.settings.cycles - self.cycle))]
-        end = np.concatenate([one.distance[one.truncated | one.terminated] for one in done])
-        last = self.curve[-1] if self.curve else None
-        losses = {key: float(np.mean(values)) for key, values in self.agent.tracking_data.items() if values}
-        self.agent.tracking_data.clear()
-        point = CurvePoint(
-            step=self.cycle * self.task.agents,
-            reward=float(np.mean([one.reward.mean() for one in done])),
-            **ends(end, end < REACHED_DISTANCE, last),
-            noise=actor.spread if isinstance(actor, SquashedActor) else noise_at(self.settings, self.cycle),
-            learning_rate=self.settings.learning_rate,
-            policy_loss=losses.get("Loss / Policy loss", 0.0),
-            value_loss=losses.get("Loss / Critic loss", 0.0),
-            wall_s=(last.wall_s if last else 0.0) + time.perf_counter() - start,
-        )
-        self.curve.append(point)
-        return point
-
-    def _interact(self) -> Transition:
-        clock = {"timestep": self.cycle, "timesteps": self.settings.cycles}
-        with torch.no_grad():
-            action, _ = self.agent.act(self._observation, self._privileged, **clock)
-            transition = self.task.step(action.numpy())
-            seen = {name: torch.from_numpy(value) for name, value in transition._asdict().items()}
-            self.agent.record_transition(
-                observations=self._observation,
-                states=self._privileged,
-                actions=action,
-                rewards=(self.settings.preset.ppo.reward_scale * seen["reward"]).float()[:, None],
-                next_observations=seen["final_observation"],
-                next_states=seen["final_privileged"],
-                terminated=seen["terminated"][:, None],
-                truncated=seen["truncated"][:, None],
-                infos={},
-                **clock,
-            )
-        self._observation, self._privileged = seen["observation"], seen["privileged"]
-        self.agent.post_interaction(**clock)
-        self.cycle += 1
-        return transition
-
-
 def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
@@ -217,15 +159,64 @@ def train_offpolicy(
     recipe, files, name = know_stiffness(settings.preset, arm, twin), Outputs(out), settings.algorithm
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
-    learner = OffPolicyLearner(task, settings)
-    while learner.cycle < settings.cycles:
-        with on_threads(1):
-            point = learner.learn()
-        on_progress(learner.cycle / settings.cycles, describe(point))
-    write_curves(files.curves, learner.curve)
-    contract = policy_contract(arm, twin, recipe, settings.seed, name)
-    export_policy(files.policy, learner.agent.policy.network(), contract)
-    return training_result(files, name, settings.seed, learner.curve)
+    torch.manual_seed(settings.seed)
+    agent, curve, began = _make_agent(task, settings), list[CurvePoint](), time.perf_counter()
+    seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
+    with on_threads(1):
+        for first in range(0, settings.cycles, _REPORT_EVERY):
+            done = []
+            for cycle in range(first, min(first + _REPORT_EVERY, settings.cycles)):
+                done.append(seen := _interact(agent, task, settings, cycle, seen))
+            curve.append(_point(agent, settings, cycle + 1, done, curve, time.perf_counter() - began))
+            on_progress((cycle + 1) / settings.cycles, describe(curve[-1]))
+    write_curves(files.curves, curve)
+    export_policy(files.policy, agent.policy.network(), policy_contract(arm, twin, recipe, settings.seed, name))
+    return training_result(files, name, settings.seed, curve)
+
+
+Seen = dict[str, Tensor]
+"""`Transition` of a control cycle"""
+
+
+def _interact(agent: Agent, task: ReachTask, settings: OffPolicySettings, cycle: int, before: Seen) -> Seen:
+    """Act, record and learn for one control cycle."""
+    clock = {"timestep": cycle, "timesteps": settings.cycles}
+    with torch.no_grad():
+        action, _ = agent.act(before["observation"], before["privileged"], **clock)
+        seen = {name: torch.from_numpy(value) for name, value in task.step(action.numpy())._asdict().items()}
+        agent.record_transition(
+            observations=before["observation"],
+            states=before["privileged"],
+            actions=action,
+            rewards=(settings.preset.ppo.reward_scale * seen["reward"]).float()[:, None],
+            next_observations=seen["final_observation"],
+            next_states=seen["final_privileged"],
+            terminated=seen["terminated"][:, None],
+            truncated=seen["truncated"][:, None],
+            infos={},
+            **clock,
+        )
+    agent.post_interaction(**clock)
+    return seen
+
+
+def _point(
+    agent: Agent, settings: OffPolicySettings, cycle: int, done: list[Seen], curve: list[CurvePoint], wall_s: float
+) -> CurvePoint:
+    """Sum up the control cycles ``done`` since the last point."""
+    distance = torch.cat([one["distance"][one["truncated"] | one["terminated"]] for one in done]).numpy()
+    losses = {key: float(np.mean(values)) for key, values in agent.tracking_data.items() if values}
+    agent.tracking_data.clear()
+    return CurvePoint(
+        step=cycle * settings.agents,
+        reward=float(np.mean([one["reward"].mean() for one in done])),
+        **ends(distance, distance < REACHED_DISTANCE, curve[-1] if curve else None),
+        noise=agent.policy.spread if settings.algorithm == "sac" else noise_at(settings, cycle),
+        learning_rate=settings.learning_rate,
+        policy_loss=losses.get("Loss / Policy loss", 0.0),
+        value_loss=losses.get("Loss / Critic loss", 0.0),
+        wall_s=wall_s,
+    )
 
 
 def trainer(name: str, seed: int) -> Trainer:
@@ -260,7 +251,7 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
     if kind == "td3":
         options |= {"smooth_regularization_noise": GaussianNoise, "smooth_regularization_clip": 0.2}
         options["smooth_regularization_noise_kwargs"] = {"mean": 0.0, "std": 0.1}
-    return algorithm(
+    agent = algorithm(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
         observation_space=unbounded(size),
@@ -279,3 +270,6 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
             **options,
         ),
     )
+    agent.init()
+    agent.enable_training_mode(True)
+    return agent
