@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rejoint.control.comparison.result import Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.system.statistics import paired_difference
-from rejoint_lab.research.evaluation.summary import inside
+from rejoint_lab.research.evaluation.evaluate import inside
 
 Array = NDArray[np.float64]
 NARROW = int(np.argmin(Protocol().within))

@@ -100,7 +100,7 @@ def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("run
         arm, found, tools, sound = load_arm(kind), list[Array](), list[Array](), list[Array]()
         held = list[Array]()
         for i in range(arms):
-            seed = ArmFamily(seed=family).wear_seed(i)
+            seed = ArmFamily(seed=family).wear_seeds[i]
             address, run = f"emulated:worn?seed={seed}", out / f"{kind}-{seed}"
             prepare(address, arm, run)
             robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)

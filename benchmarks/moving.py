@@ -23,8 +23,8 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.family import own_twin
 from rejoint_lab.research.evaluation.moving import played
-from rejoint_lab.research.evaluation.trials import own_twin
 
 ARM = mycobot280()
 SEEDS = (30001, 30002, 30003)

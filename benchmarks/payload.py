@@ -41,8 +41,7 @@ from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.evaluate import planned
-from rejoint_lab.research.evaluation.family import FAMILY_SIZE
-from rejoint_lab.research.evaluation.trials import own_twin
+from rejoint_lab.research.evaluation.family import FAMILY_SIZE, own_twin
 
 LOAD = 0.1  # [kg]
 SEEDS = range(50000, 50008)  # of worn arms, those of family 4

@@ -48,8 +48,14 @@ from rejoint.control.robot import JointState
 from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere
-from rejoint_lab.research.evaluation.trials import own_twins
+from rejoint_lab.research.evaluation.family import (
+    NEARBY,
+    ArmFamily,
+    find_variant,
+    open_family,
+    own_twins,
+    targets_anywhere,
+)
 
 ROUNDS, WAYS, PERIOD = 5, 100, 0.025
 """Sets of boxes per arm, ways of each set, and the control period [s]"""

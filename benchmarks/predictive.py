@@ -20,8 +20,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import planned
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import own_twin, try_controller
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, own_twin, try_controller
 from rejoint_lab.research.rivals.laws import make_rival
 
 TARGETS, STEPS = 3, 2000
@@ -33,7 +32,7 @@ ARM = mycobot280()
 def know(family: ArmFamily, folder: Path, again: int = 0) -> list[Twin]:
     """Identify the arms of a family, or take over the twins in ``folder``; ``again`` gives each other motions."""
     found = []
-    for seed in map(family.wear_seed, range(family.arms)):
+    for seed in family.wear_seeds:
         files = RunFolder(folder / (f"{seed}-{again}" if again else str(seed)))
         files.path.mkdir(parents=True, exist_ok=True)
         found.append(own_twin(ARM, seed, files, seed + OTHER_MOTIONS * again))

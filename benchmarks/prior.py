@@ -23,8 +23,7 @@ from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.research.evaluation.calibrating import SIGMA, fitted, measure
-from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
-from rejoint_lab.research.evaluation.trials import TrialArms, try_on
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, TrialArms, open_family, try_on
 
 FIRST, TARGETS = 10, 4
 WORN_ON, BUMPED = 1.3, np.radians(2.0)

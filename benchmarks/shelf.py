@@ -16,8 +16,7 @@ from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controllers.catalogue import shelf_arms, shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.training.shelf import make_shelf_policy
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import try_controller
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, try_controller
 
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2

@@ -24,8 +24,7 @@ from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import TrialArms, try_on
+from rejoint_lab.research.evaluation.family import ArmFamily, TrialArms, try_on
 
 COPIES = 8
 """Trials of one arm side by side (chosen)"""

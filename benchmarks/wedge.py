@@ -19,8 +19,7 @@ from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.research.evaluation.calibrating import SIGMA, fitted, measure
-from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
-from rejoint_lab.research.evaluation.trials import TrialArms, try_on
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, TrialArms, open_family, try_on
 
 POINTS, TARGETS = 10, 4
 

@@ -18,8 +18,7 @@ from rejoint.system.progress import part
 from rejoint_lab.family import SIMULATOR
 
 if TYPE_CHECKING:
-    from rejoint_lab.research.evaluation.evaluate import Contestant
-    from rejoint_lab.research.evaluation.summary import Evaluation
+    from rejoint_lab.research.evaluation.evaluate import Contestant, Evaluation
 
 SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
 """How the arms that can be served are called, and their usual wear profile"""
@@ -105,11 +104,11 @@ def evaluate(
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
+    from rejoint_lab.research.evaluation.evaluate import KNOWN
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
-    from rejoint_lab.research.evaluation.evaluate import known_names
     from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
 
-    names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
+    names = {"all": KNOWN, "none": ()}.get(controllers, controller_names(controllers))
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
     with call.progress("evaluate") as update:
@@ -242,7 +241,7 @@ def _contestants(
 
 
 def _show(call: Call, found: Evaluation, file: Path) -> dict[str, object]:
-    from rejoint_lab.research.evaluation.summary import terminal_tables
+    from rejoint_lab.research.evaluation.evaluate import terminal_tables
 
     for table in terminal_tables(found):
         call.table(*table)

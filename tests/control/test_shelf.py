@@ -13,8 +13,7 @@ from rejoint.robots import place_of
 from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
-from rejoint_lab.research.evaluation.trials import try_controller
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, try_controller
 
 
 def test_there_is_one_for_each_arm_of_the_catalogue():

@@ -38,9 +38,9 @@ def drawn(board: Board) -> NDArray[np.float32]:
 
 
 def render(rig: Rig, tool: Array, seed: int | tuple[int, ...], *, blur: float = 0.7, noise: float = 4.0) -> Picture:
-    """Image with the tool at ``tool`` (4, 4) in the base; standard deviations of ``blur`` [px], ``noise`` [grey levels].
+    """Image with the tool at ``tool`` (4, 4) in the base, noise by ``seed``.
 
-    Noise is by ``seed``.
+    Standard deviations of ``blur`` [px] and ``noise`` [grey levels].
     """
     rng, lens = np.random.default_rng(seed), rig.lens
     x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)

@@ -91,9 +91,10 @@ class SquashedActor(BoundedActor):
         hidden = self.net[:-1](inputs["observations"])
         sigma = self.log_std(hidden).clamp(*_LOG_STD).exp()
         self.spread = float(sigma.detach().mean())
-        squashed = TransformedDistribution(Normal(self.net[-1](hidden), sigma), TanhTransform(cache_size=1))  # type: ignore[no-untyped-call]
+        squashed = TransformedDistribution(Normal(self.net[-1](hidden), sigma), TanhTransform(cache_size=1))
         action = squashed.rsample()
-        return action, {"log_prob": squashed.log_prob(action).sum(dim=-1, keepdim=True)}
+        density: Tensor = squashed.log_prob(action)  # type: ignore[no-untyped-call]
+        return action, {"log_prob": density.sum(dim=-1, keepdim=True)}
 
 
 class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]

@@ -18,8 +18,3 @@ def outcome(
     found |= {"settled": settled_mm / 1e3, "settled_true": settled_mm / 1e3 + 0.007}
     found["arm"], found["target"] = 10_000.0 + np.indices(shape)[0], np.indices(shape)[1].astype(float)
     return found | columns
-
-
-def pooled(*seeds: Columns) -> Columns:
-    """Results of some training seeds, (A, seeds, K)."""
-    return {name: np.stack([one[name] for one in seeds], axis=1) for name in seeds[0]}

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from evaluation_samples import outcome, pooled
+from evaluation_samples import outcome
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.system.statistics import wilson
-from rejoint_lab.research.evaluation.summary import FAR, make_row
+from rejoint_lab.research.evaluation.evaluate import FAR, make_row, together
 
 
 def test_a_row_counts_what_it_says():
@@ -19,7 +19,7 @@ def test_a_row_counts_what_it_says():
         crossing_error=np.array([[9e-3, 8e-3], [20e-3, 9e-3], [8e-3, 12e-3]]),
         crossing_time=np.array([[1.0, 2.0], [20.0, 2.0], [1.0, 20.0]]),
     )
-    row = make_row("worn", "x", pooled(found), Protocol())
+    row = make_row("worn", "x", together([found]), Protocol())
     assert (row.variant, row.controller, row.seeds) == ("worn", "x", 1)
     assert row.settled.mean.value == pytest.approx(7.4e-3 / 5)
     assert row.settled.p95 == pytest.approx(np.quantile([0.2, 0.4, 0.3, 6.0, 0.5], 0.95) / 1e3)
@@ -38,7 +38,7 @@ def test_a_row_counts_what_it_says():
 def test_targets_of_one_arm_do_not_count_as_independent():
     """Arms that fail at all their targets or at none: the interval is that of so many arms."""
     settled = np.repeat(np.where(np.arange(20) < 5, 9.0, 0.3)[:, None], 8, axis=1)
-    row = make_row("worn", "x", pooled(outcome(settled)), Protocol())
+    row = make_row("worn", "x", together([outcome(settled)]), Protocol())
     arms = wilson(5, 20)
     assert row.outside.value == 0.25
     assert row.outside.low == pytest.approx(arms.low, abs=0.01)
@@ -49,4 +49,4 @@ def test_a_hold_fails_beyond_five_millimetres_and_not_at_them():
     at, beyond = np.full((1, 1), 1e3 * FAR), np.full((1, 1), np.nextafter(1e3 * FAR, 6.0))
     assert FAR == 0.005
     for settled, share in ((at, 0.0), (beyond, 1.0)):
-        assert make_row("worn", "x", pooled(outcome(settled)), Protocol()).outside.value == share
+        assert make_row("worn", "x", together([outcome(settled)]), Protocol()).outside.value == share

@@ -12,7 +12,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.result import Columns
@@ -25,10 +24,18 @@ from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.system.progress import Progress
 from rejoint.system.statistics import Estimate, wilson
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.evaluate import Contestant, Trials, conclude
-from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, open_family, targets_anywhere
-from rejoint_lab.research.evaluation.summary import Evaluation
-from rejoint_lab.research.evaluation.trials import OnTargets, TrialArms, own_twins, try_on
+from rejoint_lab.research.evaluation.evaluate import Contestant, Evaluation, Trials, conclude
+from rejoint_lab.research.evaluation.family import (
+    FAMILY_SIZE,
+    ArmFamily,
+    OnTargets,
+    TrialArms,
+    Variant,
+    open_family,
+    own_twins,
+    targets_anywhere,
+    try_on,
+)
 
 POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
@@ -69,11 +76,7 @@ def evaluate_calibrations(
         "anywhere": targets_anywhere(arm, family, own_twins(arm, family.wear_seeds, folder, family.seed)),
     }
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
-    rivals = [
-        replace(contestant, name=name, group=name, learned=count > 0, identity=f"{contestant.identity} {name}")
-        for count in (0, *POINTS)
-        for name in [f"{count} points" if count else "not calibrated"]
-    ]
+    counts = {"not calibrated": 0} | {f"{count} points": count for count in POINTS}
 
     @cache
     def measured(condition: Variant) -> list[Measurements]:
@@ -87,30 +90,20 @@ def evaluate_calibrations(
         (targets, ways), found = places[where], calibrated(condition, count)
         opened = partial(open_family, arm, condition, family)
         arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds, calibrations=found)
-        return try_on(arm, arms, contestant.on(()), family, on_targets)
+        return try_on(arm, arms, lambda arm: contestant.make(arm, ()), family, on_targets)
 
-    trials = [
-        Trials(
-            where=f"{condition.name}, {where}",
-            contestant=one,
-            drive=partial(drive, condition, where, count),
-            identity=repr(condition),
+    trials = {
+        (f"{condition.name}, {where}", name): Trials(
+            f"{condition!r}, {contestant.identity}", partial(drive, condition, where, count)
         )
         for condition in conditions
         for where in places
-        for one, count in zip(rivals, (0, *POINTS), strict=True)
-    ]
+        for name, count in counts.items()
+    }
     meanings = {f"{one.name}, {where}": f"{one.meaning}, {where}" for one in conditions for where in places}
-    result = conclude(arm, meanings, trials, family, folder / "calibration.json", on_progress)
-    shares = [(one.name, *find_wrong(arm, measured(one), family)) for one in conditions]
-    return result, [
-        Accused(
-            condition=name,
-            wrong=wilson(float(named.sum()), family.arms),
-            right=wilson(float(accused.sum()), family.arms),
-        )
-        for name, named, accused in shares
-    ]
+    calibrations = [name for name, count in counts.items() if count]
+    result = conclude(arm, meanings, trials, calibrations, family, folder / "calibration.json", on_progress)
+    return result, [find_wrong(arm, one.name, measured(one), family) for one in conditions]
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Measurements]:
@@ -136,17 +129,17 @@ def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calib
     return [fit(arm, one.rows(np.arange(count))) for one in measured]
 
 
-def find_wrong(arm: Arm, measured: Sequence[Measurements], family: ArmFamily) -> NDArray[np.bool_]:
-    """Tell for each arm whether a wrong point is named, and whether a right one is, (2, A)."""
-    named, accused = found = np.zeros((2, family.arms), dtype=bool)
-    for i, one in enumerate(measured):
-        rng, right = np.random.default_rng([family.wear_seed(i), 4]), one.rows(np.arange(WRONG_AMONG))
+def find_wrong(arm: Arm, condition: str, measured: Sequence[Measurements], family: ArmFamily) -> Accused:
+    """Put a wrong point among the first ten of each arm, and fit with and without it."""
+    named = accused = 0
+    for seed, one in zip(family.wear_seeds, measured, strict=True):
+        rng, right = np.random.default_rng([seed, 4]), one.rows(np.arange(WRONG_AMONG))
         row, away = int(rng.integers(WRONG_AMONG)), rng.normal(size=3)
         point = right.point.copy()
         point[row] += away * rng.uniform(*WRONG) / np.linalg.norm(away)
-        accused[i] = len(fit(arm, right).suspects) > 0
-        named[i] = fit(arm, replace(right, point=point)).suspects[:1] == (row,)
-    return found
+        accused += bool(fit(arm, right).suspects)
+        named += fit(arm, replace(right, point=point)).suspects[:1] == (row,)
+    return Accused(condition=condition, wrong=wilson(named, family.arms), right=wilson(accused, family.arms))
 
 
 def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:

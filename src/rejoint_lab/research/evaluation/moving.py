@@ -33,8 +33,7 @@ from rejoint.system.statistics import Spread, spread
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import Wear, load_wear
-from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import keep, own_twins
+from rejoint_lab.research.evaluation.family import ArmFamily, keep, own_twins
 
 RATE = 30.0
 """[Hz] of a path's setpoints where it is not known ahead"""

@@ -15,7 +15,7 @@ from rejoint.system.errors import FileError
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges, Ranges
 from rejoint.training.task import ReachTask
-from rejoint_lab.research.evaluation.trials import keep
+from rejoint_lab.research.evaluation.family import keep
 from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found
 
 DRAWN = 12

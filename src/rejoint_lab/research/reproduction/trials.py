@@ -22,10 +22,8 @@ from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint.training.presets import PAPER
-from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.summary import VariantRow, make_row
-from rejoint_lab.research.evaluation.trials import TrialArms, keep, try_on
+from rejoint_lab.research.evaluation.evaluate import VariantRow, classical, make_row, together
+from rejoint_lab.research.evaluation.family import ArmFamily, TrialArms, keep, try_on
 from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, recipe
 
 DWELL = 5.0
@@ -59,7 +57,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return classical(name).on(())
+        return lambda arm: classical(name).make(arm, ())
     return partial(load_policy, bench.training(name).policy)
 
 
@@ -68,7 +66,7 @@ def _open(bench: Bench, profile: str, count: int) -> Robot:
 
 
 def _row(name: str, outcomes: list[Columns], protocol: Protocol) -> VariantRow:
-    return make_row("", name, {key: np.stack([one[key] for one in outcomes], axis=1) for key in outcomes[0]}, protocol)
+    return make_row("", name, together(outcomes), protocol)
 
 
 def _mm(one: Spread | None, places: int = 2) -> str:
