@@ -12,6 +12,7 @@ from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
 from rejoint.arms import tcp_position
 from rejoint.diagnosis import diagnosis as diagnosing
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs
+from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
 from rejoint.diagnosis.segments import FREE, join_logs, log_of
 from rejoint.logs.exclusions import Exclusions, find_exclusions
@@ -194,27 +195,43 @@ def test_one_direction_tells_no_friction(logs):
     assert fit_law(both, 1) is not None
 
 
-def test_current_tells_friction_where_nobody_recorded_commands():
-    """Windows of motion of 0.4 A dry and 0.3 A s/rad viscous friction, 0.05 A s^2/rad of inertia, and a lone joint."""
+def states_with_current(dry, phase):
+    """A minute of states, and of current: ``dry`` (n,) [A], 0.3 A s/rad by speed, 0.05 A s^2/rad, noise; one rests."""
     time = np.arange(0.0, 60.0, 0.01)
-    phase = 2 * np.pi * np.array([0.11, 0.17, 0.23, 0.31])
     position = np.zeros((len(time), ARM.joints))
     speed, acceleration = np.zeros((2, len(time), ARM.joints))
-    for joint in range(ARM.joints - 1):  # the last one does not move
-        for k, rate in enumerate(phase):
-            angle = rate * time + joint + k
+    for joint in range(ARM.joints - 1):
+        for k, rate in enumerate(2 * np.pi * np.array([0.11, 0.17, 0.23, 0.31])):
+            angle = rate * time + joint + k + phase
             position[:, joint] += 0.2 * np.sin(angle)
             speed[:, joint] += 0.2 * rate * np.cos(angle)
             acceleration[:, joint] -= 0.2 * rate**2 * np.sin(angle)
-    current = 0.4 * np.sign(speed) + 0.3 * speed + 0.05 * acceleration
+    noise = 0.02 * np.random.default_rng(5).standard_normal(speed.shape)
+    current = dry * np.sign(speed) + 0.3 * speed + 0.05 * acceleration + noise
     log = as_log("states", time, position, np.full_like(position, np.nan))
+    return dataclasses.replace(log, current=current, units={"current": "A"})
+
+
+def test_current_tells_friction_where_nobody_recorded_commands():
+    log = states_with_current(np.full(ARM.joints, 0.4), 0.0)
     with pytest.raises(InputError, match="hold no commands"):
-        diagnose_logs(ARM, [log], None)
-    diagnosis = diagnose_logs(ARM, [dataclasses.replace(log, current=current, units={"current": "A"})], None)
+        diagnose_logs(ARM, [dataclasses.replace(log, current=None, units={})], None)
+    diagnosis = diagnose_logs(ARM, [log], None)
     assert (diagnosis.condition, diagnosis.findings) == ("unknown", ())
     for row in diagnosis.measurement.joints[:-1]:
         assert row.coulomb_effort.value == pytest.approx(0.4, rel=0.05)
         assert row.viscous_effort.value == pytest.approx(0.3, rel=0.05)
         assert row.stiffness_nm_per_rad is None
     assert diagnosis.measurement.joints[-1].coulomb_effort is None
-    assert "0.4 A (" in diagnosis.verdict
+    assert " A (" in diagnosis.verdict
+
+
+@pytest.mark.parametrize(("grown", "condition"), [(1.0, "unknown"), (1.6, "worn")])
+def test_friction_that_grew_between_two_dates_is_named_and_no_other(grown, condition):
+    dry = np.full(ARM.joints, 0.4)
+    before = diagnose_logs(ARM, [states_with_current(dry, 0.0)], None)
+    dry[1] *= grown
+    now = diagnose_logs(ARM, [states_with_current(dry, 0.7)], reference_by(ARM, before))
+    assert now.condition == condition
+    assert ("it grew at shoulder_lift." in now.verdict) == (condition == "worn")
+    assert now.measurement.joints[1].coulomb_effort.value == pytest.approx(0.4 * grown, rel=0.05)

@@ -85,7 +85,5 @@ def test_joints_outside_their_limits():
         f"beyond the limits of joint shoulder_lift in {(position[:, 1] > ARM.upper[1]).sum()} samples"
         in check(changed(position=position))[1]
     )
-    with pytest.raises(
-        FileError, match=r"beyond the limits of joint shoulder_lift .* in 100 % .*check unit, joint order"
-    ):
+    with pytest.raises(FileError, match=r"beyond the limits of joint shoulder_lift .* in 100 % .*gear"):
         check(changed(position=sample(rows=200).position + np.array([0, np.pi, 0, 0, 0])))

@@ -17,7 +17,7 @@ from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, me
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.open_loop import OpenLoop, Postures, open_loop_errors, resting_postures, settled_postures
 from rejoint.diagnosis.regression import mean_of
-from rejoint.diagnosis.segments import join_logs
+from rejoint.diagnosis.segments import FREE, SHORTEST, join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints
@@ -59,9 +59,6 @@ class Evidence:
 
 MANY = 8
 """Logs from which each is one observation; chosen"""
-
-SHORTEST = 10.0
-"""[s] least free motion; chosen"""
 
 KINDS = {
     "stuck": "stuck or without power",
@@ -174,12 +171,12 @@ def diagnose_logs(
     height = None if bare else table_height(arm, logs)
     excluded = [_nowhere(log) for log in logs] if bare else find_exclusions(arm, logs, height)
     evidence = _evidence(arm, logs, excluded, height)
-    if evidence.free_seconds < SHORTEST:
-        raise InputError(
-            f"diagnosis: {evidence.free_seconds:.1f} s of free motion, expected at least {SHORTEST:.0f} s"
-            f"{evidence.left_out}; record longer motions, off table and stops"
-        )
     data = join_logs(arm, logs, excluded)
+    if not data.of_kind(FREE):
+        raise InputError(
+            f"diagnosis: no {SHORTEST:g} s of free motion in one piece{evidence.left_out}; record longer motions, off "
+            "table and stops"
+        )
     rows = []
     for joint, name in enumerate(arm.joint_names):
         on_progress(0.1 + 0.9 * joint / arm.joints, name)

@@ -332,7 +332,7 @@ def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
         if far > FAR_OUT:
             limits = f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad)"
             said = f"{beyond} {limits} in {100 * far:.0f} % of the samples, by up to {worst:.3g} rad"
-            found.doubt(said, "check unit, joint order and zero posture (--angle-unit, --map)")
+            found.doubt(said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}")
         if worst > 0:
             found.notes.append(f"{beyond} in {int((excess[:, joint] > 0).sum())} samples, by up to {worst:.3g} rad")
     if len(motion) >= SPEED_ROWS:
