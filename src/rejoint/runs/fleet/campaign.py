@@ -18,7 +18,7 @@ from rejoint.pages.words import number, plural
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
-from rejoint.runs.run import is_of_another, newest_or_new_in
+from rejoint.runs.run import newest_or_new_in
 from rejoint.session.inputs import Settings, arm_of
 from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain, require
@@ -86,29 +86,24 @@ class WorkOutcome:
 
 def do_work(work: Work) -> WorkOutcome:
     """Do one task; errors are in the outcome."""
-    begun, problem, code, trace = time.monotonic(), "", 0, ""
+    begun, arm, problem, code, trace = time.monotonic(), work.arm, "", 0, ""
     try:
-        _do(work)
+        if work.step == "check":
+            from rejoint.runs.stages.check import check
+
+            check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
+        else:
+            repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
     except Interrupted as error:
         problem, code = "held, as it was asked to stop", error.exit_code
     except RejointError as error:
         problem, code = "; ".join((str(error), *getattr(error, "__notes__", ()))), error.exit_code
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
-        problem, code = (explain(error) or "") if isinstance(error, ImportError) else "", 2
+        problem, code = explain(error) or "", 2
         if not problem:
             problem, code = f"a bug: {type(error).__name__}: {first_line(error)}", 1
             trace = "".join(traceback.format_exception(error))
     return WorkOutcome(seconds=time.monotonic() - begun, problem=problem, code=code, trace=trace)
-
-
-def _do(work: Work) -> None:
-    arm = work.arm
-    if work.step == "check":
-        from rejoint.runs.stages.check import check
-
-        check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
-    else:
-        repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
 
 
 Verb: TypeAlias = Literal["check", "repair"]
@@ -140,16 +135,17 @@ class Campaign:
     """whether an earlier call began it"""
 
     @classmethod
-    def open(cls, fleet: Fleet, verb: Verb, rules: FleetRules, only: tuple[str, ...] = ()) -> Campaign:
-        """Resume or begin a call, with its folder locked (`state_folder`)."""
-        path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
-        before = info = CampaignInfo(begun=now, runs={})
+    def open(cls, fleet: Fleet, verb: Verb, rules: FleetRules, arms: Sequence[FleetArm]) -> Campaign:
+        """Resume or begin a call for ``arms``, with its folder locked (`Fleet.home`)."""
+        path, now, resumed = fleet.home / f"{verb}.json", utc_now(), False
+        info = CampaignInfo(begun=now, runs={})
         if path.exists() and not rules.fresh:
             last = read_json(path, CampaignInfo)
             # What was begun in the future was so by a wrong clock: no check of now would count for it.
-            info = last if not last.finished and timedelta(0) <= now - last.begun < STALE[verb] else info
+            resumed = not last.finished and timedelta(0) <= now - last.begun < STALE[verb]
+            info = last if resumed else info
         runs = {arm.name: _run_of(fleet, arm, info.runs.get(arm.name)) if verb == "repair" else "" for arm in arms}
-        resumed, info = info is not before, replace(info, runs=info.runs | runs)
+        info = replace(info, runs=info.runs | runs)
         write_json(path, info)
         return cls(fleet=fleet, verb=verb, rules=rules, info=info, resumed=resumed)
 
@@ -189,29 +185,29 @@ class Campaign:
         allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
         return not any(self.left(arm) for arm in allowed)
 
-    def finish(self) -> None:
-        """Mark the campaign as finished."""
-        write_json(state_file(self.fleet, self.verb), replace(self.info, finished=True))
-
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Newest check of an arm in this campaign."""
         begun = self.info.begun
         for place in sorted((self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}"), reverse=True):
             if place.parent.name < f"{begun:%Y%m%dT%H%M%S}":  # named after its time; of years, few are read
                 break
-            with suppress(FileError):  # a damaged one is made again
-                row = next((row for row in read_rows(place) if not row.joint), None)
-                if row is not None and row.time >= begun:
-                    return row
+            row = _summary(place)
+            if row is not None and row.time >= begun:
+                return row
         return None
 
 
+def _summary(path: Path) -> HistoryRow | None:
+    """Row of a whole arm; None from a missing or damaged file."""
+    with suppress(FileError, FileNotFoundError):
+        return next((row for row in read_rows(path) if not row.joint), None)
+    return None
+
+
 def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
+    if before is not None and RunFolder(fleet.folder / before).finished.exists():
+        return before
     built = arm_of(arm.address, arm.description)
-    if before is not None:
-        files = RunFolder(fleet.folder / before)
-        if not is_of_another(files, arm.address, built) or files.finished.exists():
-            return before
     place, _ = newest_or_new_in(fleet.folder / "repairs" / arm.name, arm.address, built)
     return str(place.relative_to(fleet.folder))
 
@@ -221,22 +217,17 @@ def needs_repair(row: HistoryRow) -> bool:
     return row.state == "alarm" or row.over
 
 
-def state_folder(fleet: Fleet) -> Path:
-    """Folder of a fleet's campaigns and pages."""
-    return fleet.folder / "fleet"
-
-
-def state_file(fleet: Fleet, verb: Verb) -> Path:
-    """File of `CampaignInfo`."""
-    return state_folder(fleet) / f"{verb}.json"
-
-
 End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
 """[s] between looks at clock and signals; chosen"""
 HOLDING = 15.0
 """[s] to come to a hold at the end; chosen"""
+DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
+"""Exit codes: watch it, repair it, partly done, robot failed"""
+
+# Exit codes, the worst first: bugs and failures, then alarms, then what was left
+_ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
 
 
 class Executor(Protocol):
@@ -253,128 +244,125 @@ class Executor(Protocol):
 
 
 @dataclass(kw_only=True, eq=False)
-class Standing:
-    """State of one arm in this call."""
+class ArmProgress:
+    """Progress of one arm in this call."""
 
     arm: FleetArm
+    left: tuple[Step, ...]
+    """remaining steps"""
     steps: list[tuple[Step, float]] = field(default_factory=list)
     """done in this call, with [s]"""
     end: End | None = None
     why: str = ""
     """reason of a failure or refusal"""
-    outcome: WorkOutcome | None = None
-    """of a failure"""
-    left: tuple[Step, ...] | None = None
-    """remaining steps; None: unknown"""
+    code: int = PARTLY
+    """exit code, unless done"""
+    trace: str = ""
+    """of an unexpected error"""
     running: Work | None = None
     held: bool = False
     """whether a hold was asked for"""
 
 
-@dataclass(kw_only=True, eq=False)
-class _Lead:
-    campaign: Campaign
-    executor: Executor
-    tell: Callable[[str], object]
-    standings: list[Standing]
+class _Drive:
+    def __init__(
+        self, campaign: Campaign, arms: Sequence[FleetArm], executor: Executor, tell: Callable[[str], object]
+    ) -> None:
+        self.campaign, self.executor, self.tell = campaign, executor, tell
+        self.arms = [ArmProgress(arm=arm, left=campaign.left(arm)) for arm in arms]
 
-    def lead(self) -> None:
+    def until_done(self) -> None:
         """Run until nothing is left for this call."""
-        rules = self.campaign.rules
         while True:
             check()
-            self._begin()
-            if not any(one.running for one in self.standings):
+            for one in self.arms:
+                if one.end is None and one.running is None:
+                    self._begin(one)
+            if not any(one.running for one in self.arms):
                 return
-            for one in self.standings:
-                if not one.arm.hours.is_open(rules.now()):
+            for one in self.arms:
+                if not one.arm.hours.is_open(self.campaign.rules.now()):
                     self._hold(one)
             self._wait()
 
     def hold_all(self) -> None:
         """Bring real arms to a hold."""
-        for one in self.standings:
-            self._hold(one, again=True)
+        for one in self.arms:
+            self._hold(one)
         until = time.monotonic() + HOLDING
-        while any(one.running and one.running.held for one in self.standings) and time.monotonic() < until:
+        while any(one.running and one.running.held for one in self.arms) and time.monotonic() < until:
             self._wait()
 
-    def _hold(self, one: Standing, *, again: bool = False) -> None:
-        if one.running is not None and one.running.held and (again or not one.held):
+    def _hold(self, one: ArmProgress) -> None:
+        if one.running is not None and one.running.held and not one.held:
             one.held = True
             self.executor.hold(one.running)
 
+    def _begin(self, one: ArmProgress) -> None:
+        """Begin the next step of an arm, if it may begin."""
+        if not one.left:
+            one.end = "done"
+            return
+        rules, work = self.campaign.rules, self.campaign.work(one.arm, one.left[0])
+        if work.moves:
+            why = refused(work, rules)
+            if why:
+                one.end, one.why = "left", why
+                return
+            moving = [other.running for other in self.arms if other.running is not None and other.running.moves]
+            if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
+                return
+            if work.held and sum(other.held for other in moving) >= rules.at_once:
+                return
+        one.running = work
+        self.tell(f"{one.arm.name}: {work.step} begun")
+        self.executor.begin(work)
+
     def _wait(self) -> None:
         for work, outcome in self.executor.wait(LOOK):
-            one = next(one for one in self.standings if one.running is work)
-            one.running = one.left = None
+            one = next(one for one in self.arms if one.running is work)
+            one.running = None
             self._end(one, work, outcome)
             kind = "failed" if one.end else f"done in {outcome.seconds:.0f} s"
             self.tell(f"{one.arm.name}: {work.step} {kind}{one.why and f': {one.why}'}")
 
-    def _begin(self) -> None:
-        """Begin what may begin."""
-        rules = self.campaign.rules
-        now = rules.now()
-        for one in [one for one in self.standings if one.end is None and one.running is None]:
-            if one.left is None:
-                one.left = self.campaign.left(one.arm)
-            if not one.left:
-                one.end = "done"
-                continue
-            work = self.campaign.work(one.arm, one.left[0])
-            if work.moves:
-                refusal, opens = refused(work, rules), one.arm.hours.begins(now)
-                if refusal or opens != now:
-                    one.end, one.why = "left", refusal or _begins(opens)
-                    continue
-                if not self._has_room(work):
-                    continue
-            one.running, one.why = work, ""
-            self.tell(f"{one.arm.name}: {work.step} begun")
-            self.executor.begin(work)
-
-    def _has_room(self, work: Work) -> bool:
-        moving = [one.running for one in self.standings if one.running is not None and one.running.moves]
-        if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
-            return False
-        return not work.held or sum(other.held for other in moving) < self.campaign.rules.at_once
-
-    def _end(self, one: Standing, work: Work, outcome: WorkOutcome) -> None:
+    def _end(self, one: ArmProgress, work: Work, outcome: WorkOutcome) -> None:
         """Note how a step of an arm ended."""
         step, problem = work.step, outcome.problem
+        if one.held and problem and not outcome.lost:
+            one.end, one.why = "left", f"held during {step}; {_begins(one.arm, self.campaign.rules)}"
+            return
+        one.left, one.code, one.trace = self.campaign.left(one.arm), ROBOT, outcome.trace
         if outcome.lost:
-            look = ": look at the arm, then go on" * work.held
-            one.end, one.why = "failed", f"what did {step} was lost ({problem}){look}"
-        elif one.held and problem:
-            one.end = "left"
-            one.why = f"held during {step}; {_begins(one.arm.hours.begins(self.campaign.rules.now()))}"
+            one.why = f"what did {step} was lost ({problem})" + ": look at the arm, then go on" * work.held
         elif problem:
-            one.end, one.why, one.outcome = "failed", f"{step}: {problem}", outcome
-        elif step in self.campaign.left(one.arm)[:1]:
-            one.end = "failed"
+            one.why = f"{step}: {problem}"
+            one.code = outcome.code if outcome.code in _ORDER else ROBOT  # held, since the call had ended
+        elif step in one.left[:1]:
             one.why = f"{step} ended, but left no file in {work.folder}: can all computers reach that folder?"
         else:
             one.steps.append((step, outcome.seconds))
+            one.code = PARTLY
+            return
+        one.end = "failed"
 
 
 def drive(
     arms: Sequence[FleetArm], campaign: Campaign, executor: Executor, tell: Callable[[str], object]
-) -> list[Standing]:
+) -> list[ArmProgress]:
     """Do all remaining steps; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
-    Returns their states, in the order of ``arms``.
+    Returns their progress, in the order of ``arms``.
     """
-    standings = [Standing(arm=arm) for arm in arms]
-    lead = _Lead(campaign=campaign, executor=executor, tell=tell, standings=standings)
+    call = _Drive(campaign, arms, executor, tell)
     with noted():
         try:
-            lead.lead()
+            call.until_done()
         except BaseException:
             with shielded():
-                lead.hold_all()
+                call.hold_all()
             raise
-    return standings
+    return call.arms
 
 
 def refused(work: Work, rules: FleetRules) -> str:
@@ -386,18 +374,15 @@ def refused(work: Work, rules: FleetRules) -> str:
         return "may_repair is not true in the file"
     if arm.needs_somebody and not rules.somebody:
         return "somebody has to be there: say --somebody-is-there when somebody is"
-    return ""
+    now = rules.now()
+    return "" if arm.hours.begins(now) == now else _begins(arm, rules)
 
 
-def _begins(opens: datetime | None) -> str:
+def _begins(arm: FleetArm, rules: FleetRules) -> str:
+    opens = arm.hours.begins(rules.now())
     return "its hours never come" if opens is None else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"
 
 
-DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
-"""Exit codes: watch it, repair it, partly done, robot failed"""
-
-# Exit codes, the worst first: bugs and failures, then alarms, then what was left
-_ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
@@ -452,16 +437,9 @@ class FleetResult:
         return min((row.code for row in self.rows), key=_ORDER.index, default=0)
 
 
-def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
-    """Make the rows of all arms, the worst first."""
-    rows = [_row(campaign, one) for one in standings]
-    return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
-
-
-def _row(campaign: Campaign, one: Standing) -> FleetRow:
+def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
     arm, end, folder = one.arm, one.end or "left", campaign.fleet.folder
-    run = campaign.run(arm) if campaign.verb == "repair" else folder
-    code = PARTLY if end != "failed" else ROBOT if one.outcome is None else one.outcome.code
+    repairs = campaign.verb == "repair"
     row = FleetRow(
         name=arm.name,
         address=arm.address,
@@ -471,12 +449,14 @@ def _row(campaign: Campaign, one: Standing) -> FleetRow:
         found=one.why,
         todo="mend that, then give the same command again" if end == "failed" else "once that is so: the same command",
         steps=tuple(one.steps),
-        folder=run,
-        code=code if code in _ORDER else ROBOT,  # held, since the call had ended
+        folder=campaign.run(arm) if repairs else folder,
+        code=one.code,
     )
-    if end == "done" and RunFolder(run).info.exists():  # else the check said that there is no need
+    if end != "done":
+        return row
+    if repairs and RunFolder(row.folder).info.exists():  # else the check said that there is no need
         return _repaired(row, quick=campaign.rules.quick)
-    check = campaign.check_of(arm) if end == "done" else None
+    check = campaign.check_of(arm)
     if check is None:
         return row
     return replace(
@@ -491,10 +471,10 @@ def _row(campaign: Campaign, one: Standing) -> FleetRow:
 
 
 def _repaired(row: FleetRow, *, quick: bool) -> FleetRow:
-    try:
-        found = next(one for one in read_rows(row.folder / SUMMARY) if not one.joint)
-    except (FileError, FileNotFoundError) as error:
-        return replace(row, state="damaged", found=str(error), todo="repair it again", code=2)
+    found = _summary(row.folder / SUMMARY)
+    if found is None:
+        told = f"{row.folder / SUMMARY}: missing or damaged"
+        return replace(row, state="damaged", found=told, todo="repair it again", code=2)
     whose, before = "by the encoders", found.error_mm
     if found.settled_true_mm is not None:
         whose, before = "of the tool", found.true_error_mm
@@ -526,28 +506,28 @@ def run_fleet(
     folder is in use or not writable; InputError for an unknown arm or cluster.
     """
     require(f"rejoint fleet {verb}", "report")
-    arms, begun, place = fleet.only(only), time.monotonic(), state_folder(fleet)
+    arms, begun, place = fleet.only(only), time.monotonic(), fleet.home
     with locked(RunFolder(place)):
-        campaign = Campaign.open(fleet, verb, rules, only)
+        campaign = Campaign.open(fleet, verb, rules, arms)
         start, since = "Starting the", ""
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
         tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
         with executor(arms) as ready:
-            standings = drive(arms, campaign, ready, tell)
+            done = drive(arms, campaign, ready, tell)
+        rows = [_row(campaign, one) for one in done]
         result = FleetResult(
             verb=verb,
-            rows=rows_of(campaign, standings),
+            rows=tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name))),
             ended=utc_now(),
             seconds=time.monotonic() - begun,
             page=place / f"{verb}.html",
             finished=campaign.through,
         )
         with saving(result):
-            if result.finished:
-                campaign.finish()
-            for one in standings:
-                if one.outcome is not None and one.outcome.trace:
-                    write_text(place / f"bug-{one.arm.name}.txt", one.outcome.trace)
+            write_json(place / f"{verb}.json", replace(campaign.info, finished=result.finished))
+            for one in done:
+                if one.trace:
+                    write_text(place / f"bug-{one.arm.name}.txt", one.trace)
             write_page(result.page, "fleet.html", result=result, headers=HEADERS)
     return result

@@ -156,6 +156,11 @@ class Fleet:
     """of all runs and checks"""
     arms: tuple[FleetArm, ...]
 
+    @property
+    def home(self) -> Path:
+        """Folder of its calls and pages."""
+        return self.folder / "fleet"
+
     def only(self, names: tuple[str, ...]) -> tuple[FleetArm, ...]:
         """Named arms, default: all; InputError for an unknown name."""
         known = [arm.name for arm in self.arms]
