@@ -107,7 +107,7 @@ class Call(Terminal):
         if path is not None and RunFolder(path).info.exists() and not any(self.pick):
             return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
         chosen = self.arm()
-        return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
+        return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
 
     def stage(self, name: str, work: Callable[..., T], *given: object, bar: bool = True, **options: object) -> T:
         """Do a stage by ``work`` of the front door, and print its result, also one cut short."""

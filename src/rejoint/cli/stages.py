@@ -67,9 +67,10 @@ def repair(
         with call.watched("repair") as observer:
             rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
         return {"robot": robot}
-    path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
+    path = run or newest_or_new(robot, chosen, seed)
+    start = "Going on with" if path.exists() else "Starting"
     job = Run.plan(path, robot, chosen, seed)
-    call.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
+    call.say(f"{start} the repair of {robot} in {path}")
     gauge = gauge_by_word(call, robot, measure, seed)
     plan = rejoint.RepairPlan(
         preset=preset,
@@ -185,7 +186,7 @@ def diagnose(
         return {"run": job.path, "diagnosis": found.diagnosis}
     robot = robot or "emulated:worn"
     chosen = call.arm(robot)
-    path = run or newest_or_new(robot, chosen, seed)[0]
+    path = run or newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
     found = call.stage(
         "diagnose", rejoint.diagnose, robot, run=job, healthy=healthy, quick=quick, settings=call.settings

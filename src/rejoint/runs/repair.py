@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,7 +18,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish, newest_or_new, require_same_pace
+from rejoint.runs.run import Run, exclusive, finish, newest_or_new
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
@@ -32,7 +32,6 @@ from rejoint.session.inputs import (
     NO_GAUGE,
     ArmLike,
     GaugeLike,
-    Period,
     RobotLike,
     RunLike,
     Settings,
@@ -47,6 +46,7 @@ from rejoint.session.inputs import (
     settled,
 )
 from rejoint.session.session import ArmSession
+from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
@@ -179,49 +179,48 @@ def repair(
         require("rejoint repair", "train", "report")
     what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    _require_possible(robot, built, what, chosen.period)
-    folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed))[0] if run is None else run
+    if isinstance(what.preset, str):
+        from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
+
+        load_preset(what.preset)
+    posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None
+    tunable = _is_tunable(robot, built)
+    require_possible(what.controllers, built, period_of(robot, chosen.period), tunable=tunable, posed=posed)
+    folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed)) if run is None else run
     about = run_about(folder, address_of(robot), built, chosen.seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     chosen, told = settled(chosen, about, robot)
     watching = observer or Observer()
     if told:
         watching.message(told)
-    require_same_pace(about, quick=quick)
+    if about.folder.quick.exists() and not quick:
+        raise InputError(
+            f"{about.path} is of a quick try, which is no result; give another --run, or delete the folder"
+        )
     found = about.begin()
-    _RepairStages(robot, found, what, chosen, watching, quick=quick, only=only).do_all()
+    _RepairStages(
+        robot=robot, run=found, plan=what, settings=chosen, observer=watching, quick=quick, only=only
+    ).do_all()
     watching.progress(1.0, "done")
     return found
 
 
-def _require_possible(robot: RobotLike, arm: Arm, plan: RepairPlan, period: Period | None) -> None:
-    if isinstance(plan.preset, str):
-        from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
-
-        load_preset(plan.preset)
-    turns = None if plan.targets is None else as_targets(plan.targets, arm, sets=1, seed=0)[1]
-    able = {"tunable": _is_tunable(robot, arm), "posed": turns is not None}
-    require_possible(plan.controllers, arm, period_of(robot, period), **able)
-
-
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _RepairStages:
     """Does stages without a file; always writes the report."""
 
-    def __init__(
-        self,
-        robot: RobotLike,
-        run: Run,
-        plan: RepairPlan,
-        settings: Settings,
-        observer: Observer,
-        *,
-        quick: bool,
-        only: StageName | None,
-    ) -> None:
-        self.robot, self.run, self.plan, self.settings, self.observer = robot, run, plan, settings, observer
-        self.quick, self.only = quick, only
-        self.controllers = plan.controllers
-        self.files = stages_of(robot, run.arm, run.folder, plan, quick=quick)
+    robot: RobotLike
+    run: Run
+    plan: RepairPlan
+    settings: Settings
+    observer: Observer
+    quick: bool
+    only: StageName | None
+
+    @cached_property
+    def files(self) -> dict[StageName, Path]:
+        """File of each stage, in order."""
+        return stages_of(self.robot, self.run.arm, self.run.folder, self.plan, quick=self.quick)
 
     def do_all(self) -> None:
         """Do the stages in order; a comparison of an emulated arm begins during the training."""
@@ -232,7 +231,7 @@ class _RepairStages:
         self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
         self.do("identify", partial(identify, run=run, quick=quick))
         self.do("gains", partial(gains, robot, **moving))
-        early = is_batchable(robot) and self.only is None and not self.controllers
+        early = is_batchable(robot) and self.only is None and not plan.controllers
         early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
         ahead = self._comparison(Observer()).begin_ahead() if early else None
         with nullcontext() if ahead is None else closing(ahead):
@@ -255,7 +254,7 @@ class _RepairStages:
         settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
         arm = equipped(run.arm, self.robot, self.settings)
         about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
-        return comparison_job(self.robot, self.controllers, targets, **about)
+        return comparison_job(self.robot, plan.controllers, targets, **about)
 
     def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
         with exclusive(self.run):

@@ -121,10 +121,6 @@ class Run:
                 f"give another --run, or {self.folder.arm(self.info.arm)} as the arm to go on with that one"
             )
 
-    def is_of(self, robot: str, arm: Arm) -> bool:
-        """Whether the run is of this robot and arm description."""
-        return self.robot == robot and not differing(bare(self.arm), bare(arm))
-
     @property
     def path(self) -> Path:
         """The folder."""
@@ -189,39 +185,24 @@ class Run:
         return {name: read_log(path) for name, path in self.folder.logs().items()}
 
 
-def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
-    """Default run folder of a robot, below `RUNS`."""
-    name = re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
-    return newest_or_new_in(RUNS / name, robot, arm)
-
-
-def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
-    """Return the newest run folder in ``home`` if interrupted, else a new one, and whether to resume it."""
+def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> Path:
+    """Return the newest run folder in ``home`` if interrupted, else a new one; default: the robot's, below `RUNS`."""
+    if home is None:
+        home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
     last = max((int(p.name) for p in home.glob("*") if p.name.isdecimal()), default=0)
     newest = RunFolder(home / f"{last:03}")
-    if last and not newest.finished.exists() and not is_of_another(newest, robot, arm):
-        return newest.path, True
-    return home / f"{last + 1:03}", False
-
-
-def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
-    """Whether a run is of another robot or arm; False if unreadable."""
-    try:
-        return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
-    except FileError:
-        return False
+    again = last > 0 and not newest.finished.exists()
+    with suppress(FileError):  # who uses an unreadable one is told so
+        if again and newest.info.exists():
+            run = Run.open(newest.path)
+            again = run.robot == robot and not differing(bare(run.arm), bare(arm))
+    return newest.path if again else home / f"{last + 1:03}"
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:
     """Mark a quick stage: the folder's results are not valid."""
     if run is not None and quick:
         write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
-
-
-def require_same_pace(run: Run, *, quick: bool) -> None:
-    """Raise InputError if a full repair would use quick results."""
-    if run.folder.quick.exists() and not quick:
-        raise InputError(f"{run.path} is of a quick try, which is no result; give another --run, or delete the folder")
 
 
 def finish(run: Run) -> None:
@@ -279,25 +260,13 @@ class StageMotion:
     """What a stage's robots do: metered, and journaled at ``path``."""
 
     def __init__(self, run: Run | None = None, stage: str = "", path: Path | None = None) -> None:
-        self._run, self._stage, self._path = run, stage, path
+        self.run, self.stage, self.path = run, stage, path
         self.journal: Journal | None = None
         self.moving, self.travel = 0.0, 0.0
 
     def watch(self, robot: Robot) -> Robot:
         """Robot whose motion counts."""
         return _StageRobot(robot, self) if robot.count == 1 else robot
-
-    def see(self, robot: Robot, before: JointState, command: Array, after: JointState) -> None:
-        """Take a step."""
-        if self.journal is None and self._path is not None:
-            if self._run is not None:
-                self._run.begin()
-            self.journal = start_journal(self._path, robot, self._stage)
-        passed, turned = after.time[0] - before.time[0], after.position[0] - before.position[0]
-        self.moving += max(float(np.nan_to_num(passed)), 0.0)
-        self.travel += float(np.nansum(np.abs(turned)))
-        if self.journal is not None:
-            self.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
 
 
 class _StageRobot(RobotWrapper):
@@ -308,10 +277,18 @@ class _StageRobot(RobotWrapper):
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Pass the command on."""
-        state = super().step(command, active)
-        if self._before is not None:
-            self._motion.see(self, self._before, command, state)
+        state, before, motion = super().step(command, active), self._before, self._motion
         self._before = state
+        if before is None:
+            return state
+        if motion.journal is None and motion.path is not None:
+            if motion.run is not None:
+                motion.run.begin()
+            motion.journal = start_journal(motion.path, self.robot, motion.stage)
+        motion.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
+        motion.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
+        if motion.journal is not None:
+            motion.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
         return state
 
 

@@ -18,7 +18,7 @@ from rejoint.pages.words import number, plural
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
-from rejoint.runs.run import newest_or_new_in
+from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings, arm_of
 from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain, require
@@ -208,7 +208,7 @@ def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
     if before is not None and RunFolder(fleet.folder / before).finished.exists():
         return before
     built = arm_of(arm.address, arm.description)
-    place, _ = newest_or_new_in(fleet.folder / "repairs" / arm.name, arm.address, built)
+    place = newest_or_new(arm.address, built, 0, fleet.folder / "repairs" / arm.name)
     return str(place.relative_to(fleet.folder))
 
 
