@@ -133,8 +133,6 @@ class WebPage:
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(enabled=True, cast_shadow=True)
-        scene.add_light_ambient("/light", intensity=0.8)
-        self._parts: list[viser.SceneNodeHandle] = []
         self._built: tuple[Arm, float] | None = None
         self.shown: Shown | None = None
         """the run that is drawn"""
@@ -160,36 +158,31 @@ class WebPage:
         while len(shown.cycles) > 1:  # what came before anyone looked
             shown.cycles.popleft()
         self._pace.visible = shown.paced
-        if self._built is None or self._built[0] is not shown.robot.arm or self._built[1] != shown.within:
-            self._built = shown.robot.arm, shown.within
-            self._build(*self._built)
+        arm, within = shown.robot.arm, shown.within
+        if self._built is None or self._built[0] is not arm or self._built[1] != within:
+            self._built = arm, within
+            self._build(arm, within)
 
     def _build(self, arm: Arm, within: float) -> None:
         """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
         scene, size = self._server.scene, reach(arm)
-        for part in self._parts:
-            part.remove()
+        scene.reset()
+        scene.add_light_ambient("/light", intensity=0.8)
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
         look = np.array([0.45 * middle[0], 0.45 * middle[1], 0.28 * size])
         side = np.arctan2(middle[1], middle[0]) - np.radians(52.0)
         camera = self._server.initial_camera
-        camera.fov = np.radians(45.0)
-        camera.up = (0.0, 0.0, 1.0)
-        camera.look_at = look
+        camera.fov, camera.up, camera.look_at = np.radians(45.0), UP, look
         camera.position = look + size * np.array([1.25 * np.cos(side), 1.25 * np.sin(side), 0.55])
         cell = cell_of(size)
         wide, dot = np.ceil(2.4 * size / cell) * cell, max(size, 0.3) / 0.3
-        grid = scene.add_grid(
-            "/ground",
-            width=wide,
-            height=wide,
-            cell_size=cell,
-            section_size=2 * cell,
-            cell_color=(225, 228, 232),
-            section_color=(200, 205, 212),
-            shadow_opacity=0.2,
+        light, dark = (225, 228, 232), (200, 205, 212)
+        scene.add_grid(
+            "/ground", wide, wide, cell_size=cell, section_size=2 * cell, cell_color=light, section_color=dark
         )
         self._limbs = self._add_limbs(arm, "/arm", LINKS, 1.0, None)
+        radius = collision_shape(arm).radius
+        scene.add_cylinder("/foot", 1.7 * radius, 0.25 * radius, LINKS[1], position=(0.0, 0.0, 0.125 * radius))
         self._ghosts = self._add_limbs(arm, "/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
         self._target = scene.add_icosphere("/target", 0.0025 * dot, TARGET, visible=False)
         scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
@@ -198,48 +191,28 @@ class WebPage:
         nowhere = np.zeros((1, 2, 3), dtype=np.float32)
         self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
         self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
-        boxes = [
-            scene.add_box(
-                f"/keep_out/{k}",
-                GHOST,
-                box.upper - box.lower,
-                position=0.5 * (box.lower + box.upper),
-                opacity=GHOST_OPACITY,
-            )
-            for k, box in enumerate(arm.keep_out)
-        ]
-        self._parts = [grid, *boxes, *self._limbs, *self._ghosts, self._target, self._true, self._trail, self._way]
+        for k, box in enumerate(arm.keep_out):
+            place, extent = 0.5 * (box.lower + box.upper), box.upper - box.lower
+            scene.add_box(f"/keep_out/{k}", GHOST, extent, position=place, opacity=GHOST_OPACITY)
         _pose(arm, self._limbs, arm.rest)
         _pose(arm, self._ghosts, arm.rest)
 
     def _add_limbs(
         self, arm: Arm, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
-    ) -> list[viser.FrameHandle]:
-        """Add base and links, each a capsule from its frame's origin to the next."""
+    ) -> list[viser.MeshHandle]:
+        """Add base and links, each a capsule from its frame's origin to the next, and the tool."""
         scene, whole, found = self._server.scene, collision_shape(arm).radius, []
         for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
-            found.append(scene.add_frame(f"{root}/{link}", show_axes=False))
             radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
             if link == arm.joints:  # the tool, whose round end is its tip
                 radius = TOOL_SHARE * whole
-                end = end * max(1.0 - radius / length, 0.0) if length > radius else end
-                length = float(np.linalg.norm(end))
-            shape = trimesh.creation.capsule(height=length, radius=share * radius, count=(12, 20))
-            turn, _ = Rotation.align_vectors(end if length else UP, UP)
-            scene.add_mesh_simple(
-                f"{root}/{link}/link",
-                shape.vertices.astype(np.float32),
-                shape.faces.astype(np.uint32),
-                position=0.5 * end,
-                wxyz=turn.as_quat(scalar_first=True),
-                color=colours[link % 2],
-                opacity=opacity,
-                cast_shadow=opacity is None,
-                receive_shadow=opacity is None,
-            )
-        if opacity is None:
-            height = 0.25 * whole
-            scene.add_cylinder(f"{root}/0/foot", 1.7 * whole, height, colours[1], position=(0.0, 0.0, 0.5 * height))
+                end = end * max(1.0 - radius / max(length, radius), 0.0)
+            turn, _ = Rotation.align_vectors(end if np.any(end) else UP, UP)
+            shape = trimesh.creation.capsule(np.linalg.norm(end), share * radius, count=(12, 20))
+            vertices = turn.apply(shape.vertices) + 0.5 * end
+            name, colour, solid = f"{root}/{link}", colours[link % 2], opacity is None
+            found.append(scene.add_mesh_simple(name, vertices, shape.faces, color=colour, opacity=opacity))
+            found[-1].cast_shadow = found[-1].receive_shadow = solid
         return found
 
     def draw(self, doing: Doing, stopped: str) -> None:
@@ -262,9 +235,7 @@ class WebPage:
                 _pose(arm, self._ghosts, ghost)
                 _place(self._target, now.aim)
                 _place(self._true, now.aim + now.true_tcp - now.target if known else now.true_tcp)
-                text = "target" if moves else f"target {int(now.target_index) + 1}"
-                if self._label.text != text:
-                    self._label.text = text
+                self._label.text = "target" if moves else f"target {int(now.target_index) + 1}"
             if self._count % SLOWER == 0:
                 _trail(self._trail, self._tool)
                 _trail(self._way, self._aims if moves else ())
@@ -297,10 +268,8 @@ class WebPage:
             "legend": write.legend([*entries, (GREY, f"squares of {1e3 * cell_of(reach(robot.arm)):.0f} mm")]),
         }
         for name, text in texts.items():
-            if self._texts[name].content != text:
-                self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
-        if abs(self._bar.value - 100.0 * doing.share) > 0.05:
-            self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
+            self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
+        self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
 
     def held(self, text: str) -> None:
         """Disable the button."""
@@ -328,7 +297,7 @@ def _extend(trail: deque[Array], point: Array) -> None:
         trail.append(point.copy())
 
 
-def _pose(arm: Arm, limbs: Sequence[viser.FrameHandle], position: Array) -> None:
+def _pose(arm: Arm, limbs: Sequence[viser.MeshHandle], position: Array) -> None:
     """Put the joints at ``position`` (n,) [rad]."""
     found = frames(arm, position)
     turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
@@ -338,10 +307,8 @@ def _pose(arm: Arm, limbs: Sequence[viser.FrameHandle], position: Array) -> None
 
 def _place(handle: viser.IcosphereHandle, point: Array) -> None:
     """Put a ball at ``point`` (3,) [m]; NaN hides it."""
-    known = bool(np.isfinite(point).all())
-    if handle.visible != known:
-        handle.visible = known
-    if known:
+    handle.visible = bool(np.isfinite(point).all())
+    if handle.visible:
         handle.position = point
 
 
