@@ -72,9 +72,9 @@ def same_side(quaternions: Array) -> Array:
 
 
 def pose_of(rotation: Array, position: Array) -> Array:
-    """Pose (4, 4)."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, position
+    """Poses (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3)."""
+    pose = np.zeros((*np.shape(position)[:-1], 4, 4))
+    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = rotation, position, 1.0
     return pose
 
 
