@@ -15,8 +15,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
@@ -146,7 +145,7 @@ def canvas(
 ) -> tuple[Figure, NDArray[Any]]:
     """Figure of ``size`` [inch] with styled axes (rows, columns); ``grid`` as for `Figure.subplots`."""
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="compressed")
         found = figure.subplots(rows, columns, squeeze=False, **grid)
     for axes in found.flat:
         axes.tick_params(which="both", colors=INK, labelsize=FONT, length=3, width=0.7)
@@ -193,70 +192,38 @@ def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
     return figure
 
 
-def in_view(points: Array, view: str) -> Array:
-    """Return points (..., 3) [m] as seen in one of `VIEWS` (2, ...) [mm]."""
-    return np.moveaxis(1e3 * points[..., VIEWS[view]], -1, 0)
+Stroke = tuple[Array, dict[str, Any]]
+"""Points (T, 3) [m], and their look as for `Axes.plot`"""
 
 
-def name_view(axes: Axes, view: str, title: str = "") -> None:
-    """Label a view and its axes."""
+def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str = "") -> None:
+    """Draw strokes as seen in one of `VIEWS`."""
     across, up = VIEWS[view]
+    for points, look in strokes:
+        axes.plot(*(MM * points[:, VIEWS[view]].T), **look)
     axes.set_title(title, **TITLE)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
-    if across == 1:
+    if across == 1 and not axes.xaxis_inverted():
         axes.invert_xaxis()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ways:
-    """TCP paths in a panel."""
-
-    title: str
-    look: Look
-    paths: Sequence[Array]
-    """(T, 3) [m] each; NaN is omitted"""
-    targets: Array
-    """(K, 3) [m]"""
-    radius: float = 0.010
-    """[m] around targets"""
-
-    def draw(self, axes: Axes, view: str) -> None:
-        """Draw them in one of `VIEWS`."""
-        colour, thin = self.look.colour, len(self.paths) > 1
-        for path in self.paths:
-            points = in_view(path[np.isfinite(path).all(axis=-1)], view)
-            axes.plot(*points, color=colour, linewidth=0.8 if thin else 1.1, alpha=0.75 if thin else 1.0)
-            axes.plot(*points[:, :1], "s", markersize=4, color=colour)
-        for i, target in enumerate(in_view(self.targets, view).T, start=1):
-            axes.add_patch(Circle(target, 1e3 * self.radius, fill=False, edgecolor=INK, linewidth=0.7, alpha=0.7))
-            axes.plot(*target, "+", markersize=4, color=INK, markeredgewidth=0.8)
-            if not thin:  # they have an order
-                how: dict[str, Any] = {"textcoords": "offset points", "fontsize": FONT - 1.5, "color": INK}
-                axes.annotate(str(i), target, xytext=(5, 5), **how)
-
-
-def bounds(paths: Sequence[Array], margin: float = 0.012) -> Array:
-    """Box (3, 2) [m] around ``paths`` (T, 3) [m] (margin chosen)."""
-    points = np.concatenate(list(paths))
-    return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin], axis=1)
-
-
-def ways(panels: Sequence[Ways], limits: Array, views: Sequence[str] = ("from above", "from the side")) -> Figure:
-    """Draw paths in ``views``, on axes ``limits`` (3, 2) [m]."""
-    low, high = (np.array([in_view(end, view) for view in views]) for end in limits.T)
-    width, extent = min(WIDE, 3.1 * len(panels) + 0.4), high - low
-    heights = (width - 0.7) / len(panels) / extent[:, 0].max() * extent[:, 1]
-    size = (width, heights.sum() + 0.55 * len(views) + 0.2)
-    figure, grid = canvas(size, len(views), len(panels), height_ratios=heights)
+def ways(panels: Mapping[str, Sequence[Stroke]], views: Sequence[str] = ("from above", "from the side")) -> Figure:
+    """Draw each panel in ``views``, one below the other, on common axes."""
+    figure, grid = canvas((WIDE, 4.0 * len(views)), len(views), len(panels), sharex="row", sharey="row")
     for (row, column), axes in np.ndenumerate(grid):
-        panels[column].draw(axes, views[row])
-        axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
-        name_view(axes, views[row], "" if row else panels[column].title)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(MultipleLocator(50))
-        if column:
-            axes.set_ylabel("")
+        title, strokes = list(panels.items())[column]
+        plane(axes, views[row], strokes, "" if row else title)
     return figure
+
+
+def strokes_of(paths: Sequence[Array], targets: Array, look: Look) -> list[Stroke]:
+    """TCP ``paths`` (T, 3) [m] with their starts, and ``targets`` (K, 3) [m]."""
+    width, colour = 0.8 if len(paths) > 1 else 1.1, look.colour
+    return [
+        *((path, {"color": colour, "linewidth": width}) for path in paths),
+        (np.stack([path[0] for path in paths]), {"color": colour, "marker": "s", "markersize": 4, "linestyle": ""}),
+        (targets, {"color": INK, "marker": "+", "markersize": 6, "linestyle": ""}),
+    ]
 
 
 STEP, LONGEST = 0.02, 8.0
@@ -306,10 +273,9 @@ class Gallery:
         return self.show(
             "tool-places",
             arrows(seen, scale * (tool - seen), wrong),
-            alt=f"Arrows at {len(seen)} points from the tool by the encoders to the measured one, {low} to {high} mm.",
-            caption="Where the encoders saw the tool (circles) and where it was measured (ends of the arrows), in the "
-            f"base frame. Arrows are drawn {scale} times as long as they are. Points without all coordinates are left "
-            "out.",
+            alt=f"Lines at {len(seen)} points from the tool by the encoders to the measured one, {low} to {high} mm.",
+            caption="Where the encoders saw the tool (circles) and where it was measured (squares), in the base "
+            f"frame. Lines are drawn {scale} times as long as they are. Points without all coordinates are left out.",
         )
 
     def error_over_time(self, arm: Arm, logs: Mapping[str, RunLog]) -> Picture:
@@ -347,21 +313,20 @@ def in_base(found: Calibration, measured: Measurements) -> Array:
 
 
 def arrows(seen: Array, way: Array, wrong: NDArray[np.bool_]) -> Figure:
-    """Draw arrows ``way`` from encoder TCP ``seen``, (M, 3) [m]; ``wrong`` (M,) ones grey."""
-    groups = {"measured point": (~wrong, ORANGE), "does not fit to the others": (wrong, GREY)}
+    """Draw lines ``way`` from encoder TCP ``seen``, (M, 3) [m]; ``wrong`` (M,) ones grey."""
+    point: dict[str, Any] = {"linestyle": "", "markersize": 4}
+    hollow = point | {"marker": "o", "color": INK, "markerfacecolor": "none"}
+    strokes: list[Stroke] = [(seen, hollow | {"label": "where the encoders saw the tool"})]
+    for label, rows, look in (("measured point", ~wrong, ORANGE), ("does not fit to the others", wrong, GREY)):
+        if rows.any():
+            ends = seen[rows] + way[rows]
+            lines = np.stack([seen[rows], ends, np.full_like(ends, np.nan)], axis=1).reshape(-1, 3)
+            strokes.append((lines, {"color": look.colour, "linewidth": 1.2}))
+            strokes.append((ends, point | {"marker": "s", "color": look.colour, "label": label}))
     figure, grid = canvas((WIDE, 0.45 * WIDE), 1, 2)
-    hollow = {"markersize": 5, "color": INK, "markerfacecolor": "none"}
     for axes, view in zip(grid[0], ("from above", "from the side"), strict=True):
-        axes.plot(*in_view(seen, view), "o", label="where the encoders saw the tool", **hollow)
-        for label, (rows, look) in groups.items():
-            if rows.any():
-                start, away = in_view(seen[rows], view), in_view(way[rows], view)
-                axes.plot(*(start + away), "s", markersize=4, color=look.colour, label=label, linestyle="")
-                how = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0035, "headwidth": 4}
-                axes.quiver(*start, *away, color=look.colour, **how)
-        axes.margins(0.12)
+        plane(axes, view, strokes, view)
         axes.set(adjustable="datalim")
-        name_view(axes, view, view)
     legend(figure, grid[0, 0])
     return figure
 
@@ -369,17 +334,15 @@ def arrows(seen: Array, way: Array, wrong: NDArray[np.bool_]) -> Figure:
 def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
     """Draw the first and last repetition of a path as ``figures/follow-NAME.png``; returns its path."""
     logs = [one.log for one in done.passes if one.log is not None]
-    chosen = [("first", logs[0], RED), ("last", logs[-1], BLUE)][-len(logs) :]
     figure, ((*planes, errors),) = canvas((WIDE, 3.6), 1, 3, width_ratios=(1.0, 1.0, 1.6))
-    for axes, view in zip(planes, ("from above", "from the front"), strict=True):
-        axes.plot(*in_view(aims(logs[-1]), view), color=INK, linewidth=2.2, alpha=0.35)
-        name_view(axes, view, view)
-    for label, log, look in chosen:
-        tool, time = tcp_position(arm, log.position), log.time - log.time[0] - LEAD_IN
-        for axes, view in zip(planes, ("from above", "from the front"), strict=True):
-            axes.plot(*in_view(tool, view), color=look.colour, linewidth=1.0)
+    strokes: list[Stroke] = [(aims(logs[-1]), {"color": INK, "linewidth": 2.2, "alpha": 0.35})]
+    for label, log, look in [("first", logs[0], RED), ("last", logs[-1], BLUE)][-len(logs) :]:
+        tool, time, line = tcp_position(arm, log.position), log.time - log.time[0] - LEAD_IN, {"color": look.colour}
+        strokes.append((tool, line | {"linewidth": 1.0}))
         error = MM * np.linalg.norm(aims(log) - tool, axis=-1)
-        errors.plot(time[time >= 0.0], error[time >= 0.0], color=look.colour, linewidth=0.9, label=label)
+        errors.plot(time[time >= 0.0], error[time >= 0.0], linewidth=0.9, label=label, **line)
+    for axes, view in zip(planes, ("from above", "from the front"), strict=True):
+        plane(axes, view, strokes, view)
     errors.set(xlabel="time [s]", ylabel="encoder error [mm]", ylim=(0.0, None))
     errors.set_title("along the way", **TITLE)
     errors.legend(**LEGEND)

@@ -10,7 +10,7 @@ from rejoint.control.comparison.result import Columns
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import WIDE, Series, Ways, curves, ways
+from rejoint.pages.report.figures import WIDE, Series, curves, strokes_of, ways
 from rejoint.system.errors import FileError
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges, Ranges
@@ -95,19 +95,11 @@ def measure_paths(bench: Bench) -> Found:
         way = np.nansum(np.linalg.norm(np.diff(one["tcp"], axis=0), axis=-1), axis=0)
         found[f"{key}_way"] = np.median(way / np.linalg.norm(one["target"] - one["tcp"][0], axis=-1))
         found |= {f"{key}_{name}": 100 * one[name].mean() for name in ("reached", "collided")}
-    panels = [
-        Ways(
-            title=title,
-            look=look,
-            paths=list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)),
-            targets=played[key]["target"][:DRAWN],
-            radius=0.005,
-        )
+    panels = {
+        title: strokes_of(list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)), played[key]["target"][:DRAWN], look)
         for title, look, key in (("first episode, exploring", RED, "first"), ("trained", BLUE, "last"))
-    ]
-    start, box = played["last"]["tcp"][0, 0], bench.arm.targets
-    limits = np.stack([np.minimum(box.lower, start) - 0.06, np.maximum(box.upper, start) + 0.06], axis=1)
-    bench.draw(ways(panels, limits), "fig-11")
+    }
+    bench.draw(ways(panels), "fig-11")
     return found | {"arms": arms}
 
 

@@ -10,7 +10,7 @@ from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_p
 from rejoint.arms.arm import DhRow, dh_chain
 from rejoint.control.controllers.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import Ways, bounds, ways
+from rejoint.pages.report.figures import strokes_of, ways
 from rejoint.training.ranges import PaperRanges
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
@@ -117,11 +117,11 @@ def measure_gains(bench: Bench) -> Found:
     targets = bench.targets[0, :VISITS]
     ours, literal = PaperRanges(arm=bench.arm), PaperRanges(arm=bench.arm, stiffness_unit=1.0, damping_unit=1.0)
     paths, printed = (trace(bench, ranges, targets) for ranges in (ours, literal))
-    panels = [
-        Ways(title=f"P = {p:g}, D = {d:g}", look=look, paths=[path], targets=targets)
+    panels = {
+        f"P = {p:g}, D = {d:g}": strokes_of([path], targets, look)
         for (p, d), look, path in zip(PAIRS, (BLUE, ORANGE, RED), paths, strict=True)
-    ]
-    bench.draw(ways(panels, bounds(list(paths), 0.015), views=("from above",)), "fig-10")
+    }
+    bench.draw(ways(panels, views=("from above",)), "fig-10")
     shown = [
         [f"{e:.2g} mm, {o:.0f} %" for e, o in (judge(path, targets) for path in some)] for some in (paths, printed)
     ]

@@ -16,7 +16,7 @@ from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, RED, look_of
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import WIDE, Series, Ways, bounds, curves, ways
+from rejoint.pages.report.figures import WIDE, Series, Stroke, curves, strokes_of, ways
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
@@ -156,7 +156,7 @@ def _seconds(bench: Bench) -> float:
 
 def measure_control(bench: Bench) -> Found:
     """Compare by the paper's protocol, and by holds."""
-    protocol, found, rows, panels = bench.scale.protocol, Found(), list[VariantRow](), list[Ways]()
+    protocol, found, rows, panels = bench.scale.protocol, Found(), list[VariantRow](), dict[str, list[Stroke]]()
     targets = bench.targets[0]
     for name, label in NAMES.items():
         policies = WORN if name == "policy" else (name,)
@@ -169,10 +169,8 @@ def measure_control(bench: Bench) -> Found:
             f"{name}_time": _ten(row),
         }
         rows += [_row(one, [outcome], protocol) for one, outcome in zip(policies, outcomes, strict=True)]
-        panels.append(
-            Ways(title=label, look=look_of(name), paths=[_path(bench, policies[0], targets)], targets=targets)
-        )
-    bench.draw(ways(panels, bounds([*(panel.paths[0] for panel in panels), targets])), "fig-13")
+        panels[label] = strokes_of([_path(bench, policies[0], targets)], targets, look_of(name))
+    bench.draw(ways(panels), "fig-13")
     headers, cells = plain_table(result_columns(protocol, bench.scale.targets), rows, notes=True)
     title = f"The table of the comparison: every target held for {protocol.hold:g} s as well (95 % intervals)"
     return found | {
