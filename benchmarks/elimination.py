@@ -92,8 +92,8 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     targets[0] = before.targets
 
     def keep(driven: Driven, recording: Recording) -> None:
-        if driven.kind == "hold":
-            short.extend(_short(driven, recording, b, targets) for b, (_, r) in enumerate(driven.places) if r == 1)
+        if driven.key.kind == "hold":
+            short.extend(_short(driven, recording, b, targets) for b, (_, r) in enumerate(driven.key.places) if r == 1)
 
     twice = TrialRunner(
         connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep
@@ -123,9 +123,9 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
 
 def _short(driven: Driven, recording: Recording, b: int, targets: np.ndarray) -> Driven:
     """Measure the trial of arm ``b`` as a comparison in blocks does."""
-    one, target_set = recording.of(slice(b, b + 1)), driven.places[b][0]
+    one, target_set = recording.of(slice(b, b + 1)), driven.key.places[b][0]
     one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
-    key = (driven.controller, driven.kind, ((target_set, 0),), 0)
+    key = driven.key._replace(places=((target_set, 0),), first=0)
     return measure(ARM, one, targets[target_set][None], ONE_ARM_PROTOCOL, key, both=True)
 
 
@@ -142,10 +142,11 @@ def _once(twice: Comparison) -> Comparison:
 
 def _parts(driven: Driven) -> list[Driven]:
     """Cut the holds of a set into blocks."""
-    return [
-        replace(driven, first=k, columns={name: values[:, k : k + BLOCK] for name, values in driven.columns.items()})
-        for k in range(0, driven.targets, BLOCK)
-    ]
+    parts = []
+    for k in range(0, driven.targets, BLOCK):
+        columns = {name: values[:, k : k + BLOCK] for name, values in driven.columns.items()}
+        parts.append(replace(driven, key=driven.key._replace(first=k), columns=columns))
+    return parts
 
 
 def _seconds(driven: Driven | None) -> float:

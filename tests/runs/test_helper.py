@@ -13,7 +13,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.compare import Settings
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.result import Key, Protocol
 from rejoint.runs.stages import compare as comparing
 from rejoint.runs.stages.compare import ComparisonJob, HelperProcess
 
@@ -36,9 +36,9 @@ def helper():
 
 
 def test_it_drives_the_same_to_the_bit(helper):
-    for key in (("integrator", "hold", PLACES, 0), ("shelf", "crossing", PLACES, 0)):
+    for key in (Key("integrator", "hold", PLACES), Key("shelf", "crossing", PLACES)):
         driven, recording = helper(key).result()
-        own, seen = JOB.runner_of(key[0]).drive_batch(key)
+        own, seen = JOB.runner_of(key.controller).drive_batch(key)
         assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)
         first = seen.of(slice(1))  # no other log is kept, and the rest is not sent
         assert first.position.shape[1] == 1 < seen.position.shape[1]
@@ -53,7 +53,7 @@ def test_what_it_does_not_drive_fails(lost, monkeypatch):
     helper = HelperProcess(JOB)
     if lost == "it is gone":
         helper._process.kill()
-    future = helper(("nobody" if lost == "a task fails" else "default", "hold", PLACES, 0))
+    future = helper(Key("nobody" if lost == "a task fails" else "default", "hold", PLACES))
     assert future.exception(60) is not None
     helper.close()
 
@@ -100,9 +100,9 @@ def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeyp
 def test_it_ends_with_the_process_that_started_it_however_that_ends():
     lines = (
         "import sys; sys.path[:0] = sys.argv[1:]",
-        "from test_helper import JOB, PLACES, HelperProcess",
+        "from test_helper import JOB, PLACES, HelperProcess, Key",
         "helper = HelperProcess(JOB)",
-        "helper(('default', 'hold', PLACES, 0)).result()",
+        "helper(Key('default', 'hold', PLACES)).result()",
         "print(helper._process.pid, flush=True)",
         "sys.stdin.read()",
     )

@@ -12,10 +12,12 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from operator import methodcaller
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+import numpy as np
 
 from rejoint.system.errors import FileError, UnsavedError, first_line
 
@@ -134,7 +136,7 @@ def require_space(folder: Path, needed: int = SPACE) -> None:
 
 def write_json(path: Path, value: object) -> None:
     """Write readable JSON; objects get a digest."""
-    data = msgspec.json.format(msgspec.json.encode(value), indent=2)
+    data = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("tolist")), indent=2)
     if data.endswith(b"\n}"):
         data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
     write_whole(path, lambda temporary: temporary.write_bytes(data))
@@ -150,7 +152,7 @@ def read_json(path: Path, kind: type[T]) -> T:
             data = data[: found.start()] + b"\n}"
             if digest(data) != found[1]:
                 raise FileError(path, CHANGED, remedy)
-        return msgspec.json.decode(data, type=kind)
+        return msgspec.json.decode(data, type=kind, dec_hook=lambda _, rows: np.array(rows, dtype=float))
 
 
 @contextmanager

@@ -59,17 +59,17 @@ def comparison(request, files):
 
 def test_the_guard_keeps_every_law_on_the_whole_recording(comparison):
     _, trials = comparison
-    assert {driven.controller for driven, _ in trials} == {"integrator", *NAMES}
-    for driven, recording, b in ((*trial, b) for trial in trials for b in range(len(trial[0].places))):
+    assert {driven.key.controller for driven, _ in trials} == {"integrator", *NAMES}
+    for driven, recording, b in ((*trial, b) for trial in trials for b in range(len(trial[0].key.places))):
         rows = recording.active[:, b]
         time, command = (getattr(recording, name)[rows, b] for name in ("time", "command"))
-        assert np.isfinite(command).all(), driven.label
-        assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), driven.label
+        assert np.isfinite(command).all(), driven.key.label
+        assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), driven.key.label
         period = np.minimum(np.diff(time), LIMITS.max_period)
         assert (period >= 0).all()  # a batch steps no arm that recovers from a gap
-        assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), driven.label
+        assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), driven.key.label
         height = heights(ARM, command)[:, 1:] - LIMITS.floors
-        assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), driven.label
+        assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), driven.key.label
 
 
 def test_the_comparison_notices(comparison):

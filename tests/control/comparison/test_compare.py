@@ -78,12 +78,12 @@ def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
     found, opened, trials = comparison
     assert [robot.count for robot in opened] == [6] * 4  # 2 controllers x 2 protocols
     assert all(robot.closed == 1 for robot in opened)
-    assert {(driven.kind, driven.controller) for driven, _ in trials} == {
+    assert {(driven.key.kind, driven.key.controller) for driven, _ in trials} == {
         (kind, name) for kind in ("crossing", "hold") for name in ("default", "integrator")
     }
     for driven, recording in trials:
-        assert set(driven.places) == {(s, r) for s in range(2) for r in range(3)}
-        for b, (s, _) in enumerate(driven.places):
+        assert set(driven.key.places) == {(s, r) for s in range(2) for r in range(3)}
+        for b, (s, _) in enumerate(driven.key.places):
             assert (recording.target[recording.active[:, b], b][0] == TARGETS[s, 0]).all()
     assert found.clusters == "trials"
     assert found.true_known
@@ -93,9 +93,9 @@ def test_results_per_target_are_those_of_single_trials(comparison):
     """Recompute one trial of the hold protocol from its run log alone."""
     found, _, trials = comparison
     driven, recording = next(
-        (one, seen) for one, seen in trials if (one.kind, one.controller) == ("hold", "integrator")
+        (one, seen) for one, seen in trials if (one.key.kind, one.key.controller) == ("hold", "integrator")
     )
-    log = recording.log(driven.places.index((1, 2)), "hold")
+    log = recording.log(driven.key.places.index((1, 2)), "hold")
     error = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=-1)
     true = np.linalg.norm(log.true_tcp - log.target, axis=-1)
     for k in range(2):
@@ -138,7 +138,7 @@ def test_one_arm_interleaves_and_returns_to_the_start():
     robot, starts, order = SaggingRobot(know_truth=False), [], []
 
     def note(driven, recording):
-        order.append((driven.places[0][1], driven.places[0][0], driven.controller, driven.kind))
+        order.append((driven.key.places[0][1], driven.key.places[0][0], driven.key.controller, driven.key.kind))
         starts.append(recording.position[0, 0])
 
     three = dict.fromkeys(("one", "two", "three"), IntegratorController)

@@ -50,8 +50,8 @@ def one_arm():
 
 def test_three_misses_in_a_row_end_it(one_arm):
     found, trials, progress, _ = one_arm
-    ((driven, rows),) = (trial for trial in trials if trial[0].controller == "default")
-    assert driven.kind == "crossing", "no hold and no further trial"
+    ((driven, rows),) = (trial for trial in trials if trial[0].key.controller == "default")
+    assert driven.key.kind == "crossing", "no hold and no further trial"
     assert rows.time[-1, 0] - rows.time[0, 0] < 5 * PROTOCOL.dwell, "an arm that stands is not waited for"
     row = found.row("default")
     assert row.out == "missed 3 targets in a row (set 1, repetition 1)"
@@ -71,7 +71,7 @@ def test_what_was_not_driven_counts_neither_way(one_arm):
 def test_the_others_are_driven_to_the_end(one_arm):
     found, trials, _, _ = one_arm
     row = found.row("integrator")
-    assert sum(driven.controller == "integrator" for driven, _ in trials) == 2 * 2 * 2
+    assert sum(driven.key.controller == "integrator" for driven, _ in trials) == 2 * 2 * 2
     assert (row.out, row.success.value) == ("", 1.0)
     assert np.isfinite(found.array("settled", "integrator")).all()
     assert row.settled.mean.low < row.settled.mean.high
@@ -79,7 +79,7 @@ def test_the_others_are_driven_to_the_end(one_arm):
 
 def test_a_command_that_is_not_a_number_costs_the_trial_and_not_the_comparison(one_arm):
     found, trials, _, arm = one_arm
-    driven = [recording for driven, recording in trials if driven.controller == "policy"]
+    driven = [recording for driven, recording in trials if driven.key.controller == "policy"]
     row = found.row("policy")
     assert len(driven) <= 2
     assert (row.failures, len(row.ended)) == (1, 1)
@@ -169,7 +169,7 @@ def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     trials, slow, quick = [], trained_for(0.040, 0.060), trained_for(0.020, 0.030)
     found = on(factories("integrator") | {"policy": slow}, leave_out=True)
     assert [row.controller for row in found.rows] == ["integrator"]
-    assert {trial.controller for trial in trials} == {"integrator"}
+    assert {trial.key.controller for trial in trials} == {"integrator"}
     (said,) = found.left_out
     assert said.startswith(
         "policy did not take part: the robot's control period is 25 ms, the policy was trained for 40"
@@ -202,7 +202,7 @@ def in_blocks(controllers, targets=TWENTY, *, measured=None, ledger=None, on_tri
     order = []
 
     def note(driven, _):
-        order.append((driven.controller, driven.kind, driven.places[0][0], driven.first))
+        order.append((driven.key.controller, driven.key.kind, driven.key.places[0][0], driven.key.first))
         if on_trial is not None:
             on_trial(driven)
 

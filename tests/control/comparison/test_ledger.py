@@ -54,7 +54,10 @@ def test_a_comparison_that_was_interrupted_finds_what_it_would_have_found(tmp_pa
     driven = []
     again = TrialRunner(connect, FACTORIES, TARGETS, BATCHED, ledger=ledger, on_trial=noting(driven)).compare()
     assert again == whole
-    assert {(trial.controller, trial.kind) for trial in driven} == {("integrator", "crossing"), ("integrator", "hold")}
+    assert {(trial.key.controller, trial.key.kind) for trial in driven} == {
+        ("integrator", "crossing"),
+        ("integrator", "hold"),
+    }
 
 
 def test_on_one_arm_trials_that_are_done_are_not_driven_again(tmp_path):
@@ -113,7 +116,7 @@ def test_a_trial_with_a_long_gap_is_driven_again(monkeypatch):
         {"integrator": BASELINES["integrator"]},
         TARGETS[:1],
         one,
-        on_trial=lambda driven, _: trials.append(driven.kind),
+        on_trial=lambda driven, _: trials.append(driven.key.kind),
     ).compare()
     assert trials == ["crossing"] * 3 + ["hold"] * 2
     assert result.rows[0].guard["gap"] > 0.0

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from itertools import product
 from pathlib import Path
 
@@ -58,15 +58,11 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import spread
 from rejoint.system.stopping import pause
 
-Numbers = list[list[float | None]]
-
 
 @dataclass(frozen=True)
 class _File:
-    """Content; columns stand beside their trials."""
-
     name: str
-    trials: list[tuple[Driven, dict[str, Numbers]]]
+    trials: list[Driven]
 
 
 class Ledger:
@@ -77,22 +73,16 @@ class Ledger:
         if path is None or not path.exists():
             return
         found = read_json(path, _File)
-        if found.name != name:
+        if found.name == name:
+            self.done = {driven.key: driven for driven in found.trials}
+        else:
             set_aside(path)
-            return
-        for driven, columns in found.trials:
-            arrays = {key: np.array(values, dtype=float) for key, values in columns.items()}
-            self.done[driven.key] = replace(driven, columns=arrays)
 
     def add(self, driven: Driven) -> None:
         """Store a trial; FileError."""
         self.done[driven.key] = driven
         if self.path is not None:
-            trials = [
-                (replace(one, columns={}), {name: values.tolist() for name, values in one.columns.items()})
-                for one in self.done.values()
-            ]
-            write_json(self.path, _File(self._name, trials))
+            write_json(self.path, _File(self._name, list(self.done.values())))
 
     def close(self) -> None:
         """Remove the file."""
@@ -104,7 +94,6 @@ OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 ControllerFactory = Callable[[Arm], Controller]
 Result = tuple[Driven, Recording]
-OnTrial = Callable[[Driven, Recording], object]
 Helper = Callable[[Key], Future[Result]]
 """Drives trials elsewhere"""
 
@@ -170,7 +159,7 @@ class TrialRunner:
     measured: Driven | None = None
     """trials of one arm, driven before"""
     on_progress: Progress = no_progress
-    on_trial: OnTrial = field(default=lambda *_: None)
+    on_trial: Callable[[Driven, Recording], object] = field(default=lambda *_: None)
     helper: Helper | None = None
 
     def __post_init__(self) -> None:
@@ -187,7 +176,6 @@ class TrialRunner:
         kinds = 1 if settings.block else len(KINDS)
         self._done, self._total, self._text = 0, len(self.controllers) * kinds * int(np.prod(self.shape)), ""
         self._sent: Array | None = None
-        self._about: dict[str, str] = {}
         self._rng = np.random.default_rng(settings.seed)
 
     def compare(self) -> Comparison:
@@ -206,7 +194,6 @@ class TrialRunner:
         return comparison_of(
             parts,
             self.targets,
-            **self._about,
             seed=settings.seed,
             batched=settings.batched,
             protocol=settings.protocol,
@@ -220,41 +207,27 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        asked: list[Key] = [(name, kind, places, 0) for name, kind in product(self.controllers, KINDS)]
-        for driven in filter(None, map(self.ledger.done.get, asked)):
-            self._take(driven)
-        keys, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
-        beside = {key: self.helper(key) for key in keys[::-1]} if self.helper and len(keys) > 1 else {}
-        for key in keys:
+        asked = [Key(name, kind, places) for name, kind in product(self.controllers, KINDS)]
+        left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
+        beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
+        for key in asked:
             if key in beside and not beside[key].cancel():
                 waiting.append(key)
             else:
-                self._take(self.drive_batch(key)[0])
+                self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
         for key in waiting:
-            self._take_over(key, beside[key])
-        if not self._about:
-            self._open(1).close()
-
-    def _open(self, count: int) -> Robot:
-        robot = self.open_robot(count, self.settings.seed)
-        self._about = {"robot": robot.address, "arm": robot.arm.name}
-        return robot
+            while not beside[key].done():
+                pause(_LOOK)
+            if beside[key].exception() is None:
+                self.on_trial(*beside[key].result())
+                self._take(beside[key].result()[0])
+            else:  # what the helper lost
+                self._take(self.drive_batch(key)[0])
 
     def drive_batch(self, key: Key) -> Result:
         """Drive a controller's trials side by side, each on an arm."""
-        with closing(self._open(len(key[2]))) as robot:
+        with closing(self.open_robot(len(key.places), self.settings.seed)) as robot:
             return self._drive(robot, key)
-
-    def _take_over(self, key: Key, future: Future[Result]) -> None:
-        """Take what a helper drove, or drive what it lost."""
-        while not future.done():
-            pause(_LOOK)
-        if future.exception() is None:
-            driven, recording = future.result()
-            self.on_trial(driven, recording)
-        else:
-            driven, _ = self.drive_batch(key)
-        self._take(driven)
 
     # --- in turns on one arm --------------------------------------------------------------------
 
@@ -263,16 +236,16 @@ class TrialRunner:
         places, firsts = [(s, r) for r in range(repetitions) for s in range(sets)], range(0, count, self._step)
         kinds: tuple[Kind, ...] = ("hold",) if block else KINDS  # a hold tells of the crossing as well
         tests = max(len(firsts) * len(places) * (len(self.controllers) - 1), 1)
-        with closing(self._open(1)) as robot:
+        with closing(self.open_robot(1, self.settings.seed)) as robot:
             if self.measured is not None:
-                self._trials[self.measured.controller].append(self.measured)
+                self._trials[self.measured.key.controller].append(self.measured)
                 self._judge(self.measured)
             for place, first in product(places, firsts):
                 left = self._left()
                 if not left or (block and len(left) == 1 and np.isfinite(self._in_order("crossed", left[0])).any()):
                     break
                 for name, kind in product(map(str, self._rng.permutation(left)), kinds):
-                    self._try(robot, (name, kind, (place,), first))
+                    self._try(robot, Key(name, kind, (place,), first))
                 if block:
                     self._out |= worse({name: self._in_order("settled", name) for name in self._left()}, tests)
         self._advance(self._total - self._done)
@@ -296,30 +269,24 @@ class TrialRunner:
             self._advance(len(known))
             return
         driven = self.ledger.done.get(key)
-        if driven is None:
+        for _ in range(0 if driven else 1 + REPEATS):
             self._to_rest(robot)
             if name in self._left_out:  # its period does not suit, as the first motion has shown
                 return
-            driven = self._insist(robot, key)
-        self._take(driven)
-        self._judge(driven)
-
-    def _judge(self, driven: Driven) -> None:
-        name, (s, r) = driven.controller, driven.places[0]
-        where = f"set {s + 1}, repetition {r + 1}"
-        if driven.failed:
-            self._out[name] = f"gave a command that is not a number ({driven.kind} protocol, {where})"
-        elif missed_in_a_row(self._in_order("crossed", name)):
-            self._out[name] = f"missed {MISSES} targets in a row ({where})"
-
-    def _insist(self, robot: Robot, key: Key) -> Driven:
-        driven, recording = self._drive(robot, key)
-        for _ in range(REPEATS):
+            driven, recording = self._drive(robot, key)
             if recording.gaps().max(initial=0.0) < LONG_GAP:
                 break
-            self._to_rest(robot)
-            driven, recording = self._drive(robot, key)
-        return driven
+        if driven:
+            self._take(driven)
+            self._judge(driven)
+
+    def _judge(self, driven: Driven) -> None:
+        name, kind, ((s, r),), _ = driven.key
+        where = f"set {s + 1}, repetition {r + 1}"
+        if driven.failed:
+            self._out[name] = f"gave a command that is not a number ({kind} protocol, {where})"
+        elif missed_in_a_row(self._in_order("crossed", name)):
+            self._out[name] = f"missed {MISSES} targets in a row ({where})"
 
     def _to_rest(self, robot: Robot) -> None:
         if self._sent is None:
@@ -343,10 +310,10 @@ class TrialRunner:
     # --- a trial ------------------------------------------------------------------------------
 
     def _take(self, driven: Driven) -> None:
-        self._trials[driven.controller].append(driven)
+        self._trials[driven.key.controller].append(driven)
         if driven.key not in self.ledger.done:
             self.ledger.add(driven)
-        self._advance(len(driven.places) * driven.targets)
+        self._advance(len(driven.key.places) * driven.targets)
 
     def _advance(self, size: int) -> None:
         self._done += size
@@ -401,7 +368,7 @@ class TrialRunner:
         """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
         batched, found = self.settings.batched, []
         parts = [targets] if batched else np.split(targets, len(targets))
-        with closing(self._open(len(parts[0]))) as robot:
+        with closing(self.open_robot(len(parts[0]), self.settings.seed)) as robot:
             for part in parts:
                 sent = None if batched else begin(robot, self.limits, self.stance).command[-1]
                 recording = self._run(robot, name, part, "hold", corrected=corrected, sent=sent)

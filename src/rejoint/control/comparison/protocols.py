@@ -203,15 +203,11 @@ def measure(
 
     ``both``: a hold also gives the crossing.
     """
-    controller, kind, places, first = key
-    kinds = KINDS if both and kind == "hold" else (kind,)
+    kinds = KINDS if both and key.kind == "hold" else (key.kind,)
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
     return Driven(
-        controller=controller,
-        kind=kind,
-        places=places,
+        key=key,
         failed=failed,
-        first=first,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),
         cycles=int(recording.active.sum()),
         ended=tuple(", ".join(reason_names(int(flags))) for flags in recording.tripped if flags),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -41,19 +41,30 @@ Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 
-Place = tuple[int, int]
-Places = tuple[Place, ...]
-Key = tuple[str, Kind, Places, int]
-"""Controller, protocol, trials, first target"""
+Places = tuple[tuple[int, int], ...]
+"""Target set and repetition of each arm"""
+
+
+class Key(NamedTuple):
+    """Identity of a trial, or of those of a batch."""
+
+    controller: str
+    kind: Kind
+    places: Places
+    first: int = 0
+    """index of the first target"""
+
+    @property
+    def label(self) -> str:
+        """Of the first trial, such as ``hold/policy/0/2``: protocol, controller, target set, repetition."""
+        return "/".join(map(str, (self.kind, self.controller, *self.places[0])))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Driven:
     """A trial, or those of a batch."""
 
-    controller: str
-    kind: Kind
-    places: Places
+    key: Key
     columns: Columns
     """(B, K)"""
     cycles: int
@@ -61,20 +72,8 @@ class Driven:
     ended: tuple[str, ...]
     """why trials ended early, see `reason_names`"""
     failed: bool = False
-    first: int = 0
-    """index"""
     source: str = ""
     """who drove it before the comparison"""
-
-    @property
-    def label(self) -> str:
-        """Of the first trial, such as ``hold/policy/0/2``: protocol, controller, target set, repetition."""
-        return "/".join(map(str, (self.kind, self.controller, *self.places[0])))
-
-    @property
-    def key(self) -> Key:
-        """Identity."""
-        return self.controller, self.kind, self.places, self.first
 
     @property
     def targets(self) -> int:
@@ -202,15 +201,11 @@ class TargetErrors:
     @classmethod
     def of(cls, found: Columns) -> TargetErrors:
         """Means of columns (R, K) over the repetitions."""
-        known = [_mean(values) for values in found["settled_true"].T]
-        modelled = map(mean_modelled, np.moveaxis(np.array([found[name] for name in MODELLED]), -1, 0))
-        return cls(
-            encoders=tuple(_mean(values) for values in found["settled"].T),
-            true=tuple(
-                other if value is None else TrueError(how="known", value=value)
-                for value, other in zip(known, modelled, strict=True)
-            ),
-        )
+        encoders, known = ([_mean(values) for values in found[name].T] for name in ("settled", "settled_true"))
+        modelled = map(mean_modelled, np.stack([found[name].T for name in MODELLED], axis=1))
+        each = zip(known, modelled, strict=True)
+        true = (other if value is None else TrueError(how="known", value=value) for value, other in each)
+        return cls(encoders=tuple(encoders), true=tuple(true))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,9 +226,6 @@ class DirectionVariation:
 class Comparison:
     """Controllers on one arm with the same targets."""
 
-    robot: str
-    """address"""
-    arm: str
     seed: int
     batched: bool
     """side by side on emulated arms"""
@@ -244,6 +236,9 @@ class Comparison:
     rows: tuple[ControllerRow, ...]
     results: dict[str, Values] = field(repr=False)
     """columns (`METRICS`) of `table`"""
+    robot: str = ""
+    """address"""
+    arm: str = ""
     targets_file: str = ""
     """empty: drawn"""
     period: tuple[float, float] | None = None
@@ -344,10 +339,10 @@ def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Pro
     """All columns (S, R, K) of one controller's trials."""
     columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
     for one in driven:
-        sets, repetitions = np.array(one.places).T
-        at = sets[:, None], repetitions[:, None], np.arange(one.first, one.first + one.targets)[None]
+        part = slice(one.key.first, one.key.first + one.targets)
         for name, values in one.columns.items():
-            columns[name][at] = values
+            for (s, r), row in zip(one.key.places, values, strict=True):
+                columns[name][s, r, part] = row
     return columns
 
 

@@ -15,8 +15,6 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -100,10 +98,12 @@ def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None 
 def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
     """Judge an open-loop log as trials; None if its holds are too short."""
     recording, targets = _recording(log)
-    found = measure(arm, recording, targets[None], protocol, (DEFAULT, "hold", ((0, 0),), 0), model=model, both=True)
+    found = measure(arm, recording, targets[None], protocol, Key(DEFAULT, "hold", ((0, 0),)), model=model, both=True)
     if not np.isfinite(found.columns["settled"]).all():
         return None
-    return OpenLoopTrials(targets=targets, driven=replace(found, source=SOURCE), log=replace(log, label=found.label))
+    return OpenLoopTrials(
+        targets=targets, driven=replace(found, source=SOURCE), log=replace(log, label=found.key.label)
+    )
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:
@@ -226,8 +226,8 @@ class ComparisonJob:
                 write_log(self.run.folder.log(label), log)
 
         def see(driven: Driven, recording: Recording) -> None:
-            if (driven.places[0], driven.first) == ((0, 0), 0):  # one of each suffices for the figures
-                keep(driven.label, recording.log(0, driven.label))
+            if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
+                keep(driven.key.label, recording.log(0, driven.key.label))
 
         helper = ahead or self._help()
         with (
@@ -252,7 +252,8 @@ class ComparisonJob:
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
         by = "" if self.model is None else self.model.date
-        result = replace(result, targets_file=self.file, period=self.period, calibration=by)
+        about = {"robot": address_of(self.robot), "arm": self.arm.name, "targets_file": self.file, "calibration": by}
+        result = replace(result, period=self.period, **about)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
@@ -275,7 +276,7 @@ class ComparisonJob:
         helper = self._help()
         if helper is not None:
             for name, kind in product(self.factories, KINDS):
-                helper((name, kind, self.places, 0))
+                helper(Key(name, kind, self.places))
         return helper
 
     def _help(self) -> HelperProcess | None:
@@ -482,7 +483,6 @@ class HelperProcess:
 
     def __init__(self, job: ComparisonJob) -> None:
         self._line, other = Pipe()
-        self._job: ComparisonJob | None = job
         self._process: subprocess.Popen[bytes] | None = None
         with other, suppress(OSError):  # no process to be had: its tasks fail
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
@@ -494,6 +494,7 @@ class HelperProcess:
                 start_new_session=True,  # Ctrl-C is for the process that started it
             )
         self._asking = ThreadPoolExecutor(1)
+        self._asking.submit(self._line.send, job)
         self._futures: dict[Key, Future[Result]] = {}
 
     def __call__(self, key: Key) -> Future[Result]:
@@ -503,9 +504,6 @@ class HelperProcess:
         return self._futures[key]
 
     def _ask(self, key: Key) -> Result:
-        if self._job is not None:
-            self._line.send(self._job)
-            self._job = None
         self._line.send(key)
         found: Result = self._line.recv()
         return found
@@ -520,20 +518,12 @@ class HelperProcess:
 
 
 def main(line: int) -> None:
-    """Serve `HelperProcess` at file descriptor ``line``."""
-    asked, tasks = Connection(line), SimpleQueue[Any]()
-    Thread(target=_listen, args=(asked, tasks), daemon=True).start()
-    job: ComparisonJob = tasks.get()
-    while True:
-        key: Key = tasks.get()
-        driven, recording = job.runner_of(key[0]).drive_batch(key)
-        asked.send((driven, recording.of(slice(1))))
-        give_back()
-
-
-def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:
-    try:
+    """Serve `HelperProcess` at file descriptor ``line`` to its end."""
+    asked = Connection(line)
+    with suppress(OSError, EOFError):
+        job: ComparisonJob = asked.recv()
         while True:
-            tasks.put(asked.recv())
-    except (OSError, EOFError):
-        os._exit(0)
+            key: Key = asked.recv()
+            driven, recording = job.runner_of(key.controller).drive_batch(key)
+            asked.send((driven, recording.of(slice(1))))
+            give_back()
