@@ -53,7 +53,7 @@ def main(
             if calibration != "none":
                 position, truth = done.log.position, done.log.true_tcp
                 ends = np.searchsorted(done.log.time - done.log.time[0], DWELL * np.arange(1, targets + 1)) - 1
-                low = found.calibration.interval(position[ends], truth[ends])[0]
+                low = found.calibration.distance(position[ends], truth[ends])[1]
                 inside += [low == 0.0]
         used, left = used + found.calibration.used, left + len(found.filmed.left_out)
         pictures += len(found.filmed.residuals) + len(found.filmed.left_out)

@@ -186,7 +186,7 @@ def test_intervals_hold_the_truth():
         found = fit(ARM, measured(truth, 8, seed=seed))
         fresh = measured(truth, 60, seed=100 + seed, noise=1e-9)
         away = np.linalg.norm(fresh.point - tcp_position(ARM, fresh.position), axis=1)
-        low, high = found.interval(fresh.position)
+        _, low, high = found.distance(fresh.position)
         inside.append((away >= low) & (away <= high))
         widths.append(high - low)
     assert 0.9 <= np.mean(inside) <= 1.0
@@ -199,7 +199,7 @@ def test_a_file_gives_back_what_was_written(tmp_path):
     again = read_calibration(path, ARM)
     q = postures(5)
     assert (again.tool(q) == found.tool(q)).all()
-    assert np.allclose(again.interval(q), found.interval(q), rtol=1e-9)
+    assert np.allclose(again.distance(q), found.distance(q), rtol=1e-9)
     for name in ("frame_name", "source", "date", "points", "before", "after", "used", "floor", "suspects"):
         assert getattr(again, name) == getattr(found, name)
 

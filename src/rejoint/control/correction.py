@@ -27,11 +27,8 @@ REMEDY = "not known: calibrate"
 class ToolModel(Protocol):
     """Estimates tool errors, as a `Calibration` does."""
 
-    def expected(self, position: Array, target: Array) -> Array:
-        """Mean distances (...) [m] from ``target`` (..., 3) [m] at ``position`` (..., n) [rad]."""
-
-    def interval(self, position: Array, target: Array) -> tuple[Array, Array]:
-        """95 % interval (...), (...) [m] of the same."""
+    def distance(self, position: Array, target: Array) -> Array:
+        """Mean and 95 % interval (3, ...) [m] of the distance from ``target`` (..., 3) [m] at ``position`` (..., n)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,8 +77,7 @@ def modelled(model: ToolModel, position: Array, target: Array) -> Array:
     found = np.full((3, *np.shape(position)[:-1]), np.nan)
     there = np.isfinite(position).all(axis=-1) & np.isfinite(target).all(axis=-1)
     if there.any():
-        low, high = model.interval(position[there], target[there])
-        found[:, there] = model.expected(position[there], target[there]), low, high
+        found[:, there] = model.distance(position[there], target[there])
     return found
 
 

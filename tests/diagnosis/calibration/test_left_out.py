@@ -38,12 +38,11 @@ def calibration(sigma=1e-9, arm=ARM, **values):
 
 def test_a_mean_error_lies_in_its_interval_and_grows_with_what_is_open():
     position, sharp, open_ = at_targets(ARM), calibration(offset=np.full(6, 0.01)), calibration(1e-3)
-    low, high = open_.interval(position)
-    mean = open_.expected(position)
+    mean, low, high = open_.distance(position)
     assert ((low < mean) & (mean < high)).all()
     away = np.linalg.norm(sharp.tool(position) - tcp_position(ARM, position), axis=-1)
-    np.testing.assert_allclose(sharp.expected(position), away, atol=1e-7)
-    assert (open_.expected(position) > 1e-3).all()
+    np.testing.assert_allclose(sharp.distance(position)[0], away, atol=1e-7)
+    assert (mean > 1e-3).all()
 
 
 def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():

@@ -98,26 +98,18 @@ class Calibration:
         known = np.einsum("d...i,d...j->...ij", away, away) / len(drawn)
         return np.asarray(known + play + self.floor**2 * np.eye(3))
 
-    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
-        """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
+    def distance(self, position: Array, target: Array | None = None) -> Array:
+        """Mean and 95 % interval (3, ...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
         Default target: the encoders' tool.
         """
-        place, spread = tcp_position(self.arm, position) if target is None else target, self.spread(position)
-        ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-        low, high = np.quantile(self._distances(position, place, spread), ends, axis=-1)
-        middle = (self.tool(position) - place)[..., None]
-        there = (middle * np.linalg.solve(spread, middle)).sum(axis=(-2, -1)) < _NEAR
-        return np.where(there, 0.0, low), high
-
-    def expected(self, position: Array, target: Array | None = None) -> Array:
-        """Mean (...) [m] of that distance."""
-        place = tcp_position(self.arm, position) if target is None else target
-        return np.asarray(self._distances(position, place, self.spread(position)).mean(axis=-1))
-
-    def _distances(self, position: Array, target: Array, spread: Array) -> Array:
+        spread = self.spread(position)
+        middle = self.tool(position) - (tcp_position(self.arm, position) if target is None else target)
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3)) @ np.swapaxes(np.linalg.cholesky(spread), -1, -2)
-        return np.linalg.norm((self.tool(position) - target)[..., None, :] + draws, axis=-1)
+        distances = np.linalg.norm(middle[..., None, :] + draws, axis=-1)
+        low, high = np.quantile(distances, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
+        there = (middle[..., None] * np.linalg.solve(spread, middle[..., None])).sum(axis=(-2, -1)) < _NEAR
+        return np.stack([distances.mean(axis=-1), np.where(there, 0.0, low), high])
 
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
@@ -181,26 +173,19 @@ class Preload:
 def preload(found: Calibration, position: Array) -> Preload:
     """Compute the benefit of a wedge at ``position`` (M, n) [rad]."""
     arm, own = found.arm, found.displacement
-    sides = {side: _chance(arm, _tilted(own, axis), position) for side, axis in _SIDES.items()}
+
+    def chance(gravity: Array) -> float:
+        covariance = scatter(arm, replace(own, gravity=gravity), position)[..., :3, :3]
+        return float(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1).mean()))
+
+    turns = {side: rotation_about(np.array([*axis, 0.0]), -WEDGE) for side, axis in _SIDES.items()}
+    sides = {side: chance(turn @ own.gravity) for side, turn in turns.items()}
     best = min(sides, key=lambda side: sides[side])
-    return Preload(joints=_floating(found, position), chance=_chance(arm, own, position), wedge=sides[best], side=best)
-
-
-def _floating(found: Calibration, position: Array) -> tuple[str, ...]:
-    torque = found.displacement.torque(found.arm, position)
-    lever = np.linalg.norm(position_kinematics(found.arm, position)[1], axis=-2).mean(axis=0)
-    often = (np.abs(torque) < FLOATING).mean(axis=0) >= 0.5
-    felt = 0.5 * found.displacement.play * lever > found.floor / 2
-    return tuple(name for name, floats in zip(found.arm.joint_names, often & felt, strict=True) if floats)
-
-
-def _chance(arm: Arm, displacement: Displacement, position: Array) -> float:
-    return float(np.sqrt(np.trace(scatter(arm, displacement, position)[..., :3, :3], axis1=-2, axis2=-1).mean()))
-
-
-def _tilted(displacement: Displacement, axis: tuple[float, float]) -> Displacement:
-    turn = rotation_about(np.array([*axis, 0.0]), -WEDGE)
-    return replace(displacement, gravity=turn @ displacement.gravity)
+    lever = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2).mean(axis=0)
+    often = (np.abs(own.torque(arm, position)) < FLOATING).mean(axis=0) >= 0.5
+    floats = often & (own.play * lever > found.floor)
+    names = tuple(np.array(arm.joint_names)[floats].tolist())
+    return Preload(joints=names, chance=chance(own.gravity), wedge=sides[best], side=best)
 
 
 FORMAT = 1
@@ -243,15 +228,12 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
         parts, body = data["displacement"], DisplacementLayout(joints=arm.joints).body
         shapes = {"covariance": (body, body), "frame": (4, 4), "left_out": (len(data["left_out"]), 2)}
-        arrays: dict[str, Any] = {name: finite(data[name], shape) for name, shape in shapes.items()}
-        np.linalg.cholesky(arrays["covariance"])
-        own = Displacement(**{name: finite(parts[name], shape) for name, shape in _shapes(arm).items()})
-        plain = {
-            name: msgspec.convert(data[name], kind)
-            for name, kind in get_type_hints(Calibration).items()
-            if name not in {"arm", "displacement", *arrays}
-        }
-        return Calibration(arm=arm, displacement=own, **plain, **arrays)
+        own: dict[str, Any] = {name: finite(data[name], shape) for name, shape in shapes.items()}
+        np.linalg.cholesky(own["covariance"])
+        own["displacement"] = Displacement(**{name: finite(parts[name], shape) for name, shape in _shapes(arm).items()})
+        kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name not in {"arm", *own}}
+        own |= {name: msgspec.convert(data[name], kind) for name, kind in kinds.items()}
+        return Calibration(arm=arm, **own)
 
     return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,32 +45,20 @@ DISTURBED = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LeftOut:
-    """Points, predicted from those of other postures."""
+def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool:
+    """Whether the correction is clearly better at points left out: errors (M,) [m] without and with it."""
+    numbers = np.unique(measured.posture)
+    gain = np.array([(before - after)[measured.posture == number].mean() for number in numbers])
+    noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
+    spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
+    return not astray(arm, after) and bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 
-    before: Array
-    """(M,) [m] distance from the encoders' tool"""
-    after: Array
-    """(M,) [m] distance from the calibration's tool"""
-    surprise: Array
-    """(M,) squared Mahalanobis distance: chi-squared"""
 
-    def helps(self, arm: Arm, measured: Measurements) -> bool:
-        """Whether the correction is clearly better."""
-        postures = np.unique(measured.posture)
-        gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
-        noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
-        spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
-        if astray(arm, self.after):
-            return False
-        return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
-
-    def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
-        """Rows that do not fit the others, the worst first; ``known`` (M, 3) where measured."""
-        freedom = known.sum(axis=1)
-        excess = self.surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
-        return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
+def suspects_of(surprise: Array, known: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Rows that do not fit the others, the worst first, by chi-squared (M,); ``known`` (M, 3) where measured."""
+    freedom = known.sum(axis=1)
+    excess = surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
+    return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
 
 
 def astray(arm: Arm, after: Array) -> bool:
@@ -90,24 +78,21 @@ def merge_repeats(measured: Measurements) -> Measurements:
     return replace(measured, posture=connected_components(same)[1])
 
 
-def leave_out(problem: ToolProblem, fitted: Fitted) -> LeftOut:
-    """Predict postures from the others, with and without displacement."""
-    before, after, surprise = np.zeros((3, len(problem.posture)))
-    for out in folds(problem.posture):
+def leave_out(problem: ToolProblem, fitted: Fitted) -> Array:
+    """Predict postures from the others: (3, M).
+
+    Distances [m] from the encoders' and from the calibration's tool, and the squared Mahalanobis distance.
+    """
+    found, numbers = np.zeros((3, len(problem.posture))), np.unique(problem.posture)
+    for group in range(min(FOLDS, len(numbers))):
+        out = np.isin(problem.posture, numbers[group::FOLDS])
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
         off, slope = held.misfit(refit.vector)[:, :3], held.slope(refit.vector)[:, :3]
         total = held.noise(refit.vector)[:, :3, :3] + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
-        after[out] = np.linalg.norm(off, axis=1)
-        surprise[out] = np.einsum("mi,mi->m", off, np.linalg.solve(total, off[..., None])[..., 0])
-        before[out] = np.linalg.norm(problem.uncorrected(out, fitted.vector)[:, :3], axis=1)
-    return LeftOut(before=before, after=after, surprise=surprise)
-
-
-def folds(posture: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
-    """Return groups of rows (M,) to leave out."""
-    numbers = np.unique(posture)
-    groups = np.arange(len(numbers)) % min(FOLDS, len(numbers))
-    return [np.isin(posture, numbers[groups == group]) for group in np.unique(groups)]
+        before = np.linalg.norm(problem.uncorrected(out, fitted.vector)[:, :3], axis=1)
+        surprise = np.einsum("mi,mi->m", off, np.linalg.solve(total, off[..., None])[..., 0])
+        found[:, out] = before, np.linalg.norm(off, axis=1), surprise
+    return found
 
 
 CASES = (
@@ -187,7 +172,7 @@ def likeliest(problem: ToolProblem, beliefs: list[tuple[Belief, float]]) -> tupl
 
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out."""
-    body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
+    body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm,
         displacement=problem.displacement(fitted.vector),
@@ -197,10 +182,10 @@ def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: s
         source=measured.source,
         date=date,
         points=len(measured),
-        before=float(tried.before.mean()),
-        after=float(tried.after.mean()),
-        used=tried.helps(problem.arm, measured),
+        before=float(before.mean()),
+        after=float(after.mean()),
+        used=helps(problem.arm, measured, before, after),
         floor=floor_of(problem.arm),
-        suspects=tried.suspects(problem.known[:, :3]),
-        left_out=np.stack([tried.before, tried.after], axis=-1),
+        suspects=suspects_of(surprise, problem.known[:, :3]),
+        left_out=np.stack([before, after], axis=-1),
     )

@@ -47,24 +47,28 @@ class DisplacementLayout:
     """parameters of the measuring device, which come last"""
 
     @property
-    def size(self) -> int:
-        """Length k of the vector."""
-        return self.body + self.outside
+    def sizes(self) -> tuple[int, ...]:
+        """Number of parameters of each of `KINDS`."""
+        return *[self.joints] * 4, 2, 6 * (self.joints + 1)
 
     @property
     def body(self) -> int:
         """Number of the arm's parameters."""
-        return self.at("twist").stop
+        return sum(self.sizes)
+
+    @property
+    def size(self) -> int:
+        """Length k of the vector."""
+        return self.body + self.outside
 
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`."""
-        sizes = (*[self.joints] * 4, 2, 6 * (self.joints + 1))
         place = KINDS.index(name)
-        return slice(sum(sizes[:place]), sum(sizes[: place + 1]))
+        return slice(sum(self.sizes[:place]), sum(self.sizes[: place + 1]))
 
     def names(self) -> tuple[str, ...]:
         """Names of the arm's parameters, such as ``play 2``."""
-        return tuple(f"{kind} {i + 1}" for kind in KINDS for i in range(self.at(kind).stop - self.at(kind).start))
+        return tuple(f"{kind} {i + 1}" for kind, size in zip(KINDS, self.sizes, strict=True) for i in range(size))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,24 +141,19 @@ def gravity_of(tilt: Array) -> Array:
 
 def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
     """Displacement of the vector (k,)."""
+    offset, compliance, play, mass, tilt, twist = (vector[layout.at(name)] for name in KINDS)
+    links = twist.reshape(layout.joints + 1, 6)
     return Displacement(
-        offset=vector[layout.at("offset")],
-        compliance=vector[layout.at("compliance")],
-        play=vector[layout.at("play")],
-        twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6),
-        gravity=gravity_of(vector[layout.at("tilt")]),
-        mass=1.0 + vector[layout.at("mass")],
+        offset=offset, compliance=compliance, play=play, twist=links, gravity=gravity_of(tilt), mass=1.0 + mass
     )
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
     """Turn a displacement into the vector, with zeros outside the arm."""
-    own, vector = displacement, np.zeros(layout.size)
-    tilt = between_directions(GRAVITY / np.linalg.norm(GRAVITY), own.gravity / np.linalg.norm(own.gravity))[:2]
-    parts = (own.offset, own.compliance, own.play, own.mass - 1.0, tilt, own.twist.ravel())
-    for name, part in zip(KINDS, parts, strict=True):
-        vector[layout.at(name)] = part
-    return vector
+    own, down = displacement, [one / np.linalg.norm(one) for one in (GRAVITY, displacement.gravity)]
+    parts = own.offset, own.compliance, own.play, own.mass - 1.0, between_directions(*down)[:2], own.twist.ravel()
+    each = [np.broadcast_to(part, size) for part, size in zip(parts, layout.sizes, strict=True)]
+    return np.append(np.concatenate(each), np.zeros(layout.outside))
 
 
 FLOOR = 0.5e-3

@@ -252,8 +252,8 @@ class ComparisonJob:
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
         by = "" if self.model is None else self.model.date
-        about = {"robot": address_of(self.robot), "arm": self.arm.name, "targets_file": self.file, "calibration": by}
-        result = replace(result, period=self.period, **about)
+        name, arm = address_of(self.robot), self.arm.name
+        result = replace(result, robot=name, arm=arm, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
