@@ -136,30 +136,26 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     slow, fast = ([fit_law(data, joint, delay, fast=fast) for joint in range(arm.joints)] for fast in (False, True))
     ratios = [None if law is None else _inertia_ratio(law) for law in fast]
     joints = []
-    for joint, k in enumerate(_stiffness(arm, slow, ratios, motors)):
+    for joint, (k, motor) in enumerate(_stiffness(arm, slow, ratios, motors)):
         law, dynamics = slow[joint], fast[joint]
         row = _row(data, joint, law, k)
         data.require(row.hunting_rad is not None, "holds", joint)
         data.require(row.noise_rad is not None, "readings at rest", joint)
-        torque = {} if law is None or k.value is None else torque_given(data, joint, law, k.value.value, delay)
-        joints.append(replace(row, damping_ratio=None if dynamics is None else _damping_ratio(dynamics), **torque))
+        torque = {} if law is None or k is None else torque_given(data, joint, law, k.value, delay)
+        damping = None if dynamics is None else _damping_ratio(dynamics)
+        inertia = None if motor is None else motor.value
+        joints.append(replace(row, damping_ratio=damping, motor_inertia_kg_m2=inertia, **torque))
     return Measurement(joints=tuple(joints), period_s=float(np.median(np.diff(log.time))))
 
 
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
     """Measure one joint from joined logs."""
     law = fit_law(data, joint)
-    return _row(data, joint, law, _Stiffness(value=_known(data, joint, law)))
+    return _row(data, joint, law, _known(data, joint, law))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Stiffness:
-    value: Estimate | None = None
-    motor: Estimate | None = None
-
-
-def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness) -> JointMetrics:
-    k, half = stiffness.value, None if law is None else law.fit.estimate(WIDTH)
+def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
+    half = None if law is None else law.fit.estimate(WIDTH)
     effort = metrics.fit_effort(data, joint)
     return JointMetrics(
         joint=data.arm.joint_names[joint],
@@ -172,7 +168,6 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
         noise_rad=metrics.noise(data, joint)
         if is_excitation(data.log) or len(data.of_kind(STILL)) >= FEWEST_RESTS
         else None,
-        motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
         sweep_gain=metrics.followed(data, joint),
         stuck_rad=metrics.farthest_off(data, joint, law),
         coulomb_effort=None if effort is None else effort.estimate(WIDTH),
@@ -183,20 +178,21 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
 
 def _stiffness(
     arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
-) -> list[_Stiffness]:
+) -> list[tuple[Estimate | None, Estimate | None]]:
+    """Stiffness and motor inertia of each joint."""
     links = link_inertia(arm, arm.rest)
     found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
-    known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
+    known = {joint: motor for joint, (_, motor) in enumerate(found) if motor is not None}
     if motors is not None and any(motor is not None for motor in motors):
         known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
-    for joint, (row, ratio) in enumerate(zip(found, ratios, strict=True)):
-        if not known or row.value is not None or ratio is None or ratio.value <= 0:
+    for joint, ((k, _), ratio) in enumerate(zip(found, ratios, strict=True)):
+        if not known or k is not None or ratio is None or ratio.value <= 0:
             continue
         near = min(known, key=lambda other: abs(other - joint))
         motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
         total = shifted(motor, float(links[joint]))
         if total is not None:
-            found[joint] = _Stiffness(value=product(total, reciprocal(ratio)))
+            found[joint] = product(total, reciprocal(ratio)), None
     return found
 
 
@@ -230,14 +226,13 @@ def _slope(fit: LinearFit | None, doubt: float, ratio: float) -> Estimate | None
     return None if not k.low or k.high is None or k.high > ratio * k.low else k
 
 
-def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _Stiffness:
+def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> tuple[Estimate | None, Estimate | None]:
     k = _by_sag(arm, law, SURE_WITHIN)
-    if k is None:
-        return _Stiffness()
-    motor = shifted(product(k, ratio), -link) if ratio is not None and ratio.value > 0 else None
-    if motor is None or motor.high is None or motor.high - motor.value > MOTOR_SHARE * motor.value:
-        motor = None
-    return _Stiffness(value=k, motor=motor)
+    if k is None or ratio is None or ratio.value <= 0:
+        return k, None
+    motor = shifted(product(k, ratio), -link)
+    sure = motor is not None and motor.high is not None and motor.high - motor.value <= MOTOR_SHARE * motor.value
+    return k, motor if sure else None
 
 
 def _inertia_ratio(law: Law) -> Estimate:

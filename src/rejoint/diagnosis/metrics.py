@@ -106,9 +106,12 @@ def window_averages(
 def _averages(
     data: ExcitationLog, time: Array, joint: int, length: float, delays: Array, first_cluster: int
 ) -> Averages:
-    log = data.log
-    position = np.interp(time, log.time, log.position[:, joint])
-    count = round(length / _GRID)
+    log, count = data.log, round(length / _GRID)
+
+    def at(columns: Array) -> Array:
+        return np.interp(time, log.time, columns[:, joint])
+
+    position = at(log.position)
     window, first, second = _window(count)
     hop = max(count // 4, 1)
 
@@ -122,13 +125,13 @@ def _averages(
     read = np.asarray(sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1))
     return Averages(
         error=average(data.commanded(joint, time - delays[:, None]) - position, window),
-        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),
+        command_speed=-average(at(log.command), first),
         speed=speed,
         acceleration=average(position, second),
         direction=average(np.tanh(smooth / _STILL_SPEED), window),
-        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window),
-        effort=average(np.interp(time, log.time, data.effort[:, joint]), window),
-        load=average(np.interp(time, log.time, data.load[:, joint]), window),
+        gravity=average(at(data.gravity), window),
+        effort=average(at(data.effort), window),
+        load=average(at(data.load), window),
         cluster=first_cluster + (begins / duration).astype(np.intp),
         time=time[0] + begins + 0.5 * length,
     ).at(read)
@@ -416,22 +419,18 @@ def arm_delay(data: ExcitationLog) -> float:
     found = []
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, DELAYS, fast=True)
-        if len(motion.time) < _MIN_WINDOWS:  # a joint that does not move has no time of its own
-            continue
-        fits: Array = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T, dtype=np.float64)
-        found.append(_lowest(_onset_costs(data, joint, fits)))
+        if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
+            fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
+            found.append(_lowest(_onset_costs(data, joint, fits)))
     return float(np.quantile(found, 0.25)) if found else _USUAL_DELAY
 
 
 def _lowest(cost: Array) -> float:
     """Delay [s] at the minimum of a parabola through the lowest cost (D,)."""
     i = int(np.argmin(cost))
-    around = np.pad(cost, 1, constant_values=np.inf)[i : i + 3]
-    if not np.isfinite(around).all():
-        return float(DELAYS[i])
-    before, here, after = around
-    bend = before - 2 * here + after
-    aside = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    before, here, after = np.pad(cost, 1, constant_values=np.inf)[i : i + 3]
+    bend = before - 2 * here + after  # infinite at either end
+    aside = 0.5 * (before - after) / bend if np.isfinite(bend) and bend > 0.0 else 0.0
     return float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside)
 
 

@@ -184,8 +184,7 @@ class TrackerGauge:
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it only has to stand
         """Mean (3,) [m] of the next `SPAN` seconds."""
-        before = self._newest()[-1, 0]
-        waited = 0.0
+        before, waited = self._newest()[-1, 0], 0.0
         while waited < PATIENCE + SPAN:
             self.wait(SPAN)
             waited += SPAN
@@ -205,10 +204,10 @@ class TrackerGauge:
                 head = file.readline(4096).decode().strip()
                 file.seek(max(self.path.stat().st_size - _TAIL, len(head)))
                 text = file.read().decode(errors="replace")
-        names = [name.strip().lower() for name in head.split(",")]
-        if not {"time", "x", "y", "z"} <= set(names):
+        names, wanted = [name.strip().lower() for name in head.split(",")], ("time", "x", "y", "z")
+        if not set(wanted) <= set(names):
             raise FileError(self.path, f"columns {head!r}, expected time, x, y, z", "name them in its first line")
-        places = [names.index(name) for name in ("time", "x", "y", "z")]
+        places = [names.index(name) for name in wanted]
         lines = text.splitlines()[1:-1]  # the first and the last may be cut
         with warnings.catch_warnings(action="ignore"):  # of lines that are no rows, which are left out
             table = np.genfromtxt(lines, delimiter=",", usecols=places, invalid_raise=False, ndmin=2)
@@ -278,18 +277,8 @@ def measure(
     drive, measured = StandingDrive(robot, limits, stance), earlier
     for number in range(done, total):
         on_progress(number / total, f"measurement {number + 1} of {total}")
-        found = _measured(drive, gauge, plan, number)
-        if found is not None:
-            position, approach, point = found
-            row = Measurements(
-                position=position[None],
-                approach=approach[None],
-                point=point[None],
-                sigma=np.array([gauge.sigma]),
-                posture=plan.posture[number : number + 1],
-                frame=gauge.frame,
-                source=gauge.source,
-            )
+        row = _measured(drive, gauge, plan, number)
+        if row is not None:
             measured = row if measured is None else measured.joined(row)
         if on_measured is not None and measured is not None:
             on_measured(measured, number + 1)
@@ -309,8 +298,9 @@ class StandingDrive:
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
         """Go to ``before`` (n,) [rad], then ``posture`` (n,); return both readings."""
-        came = self._go(before, settle=0.3)
-        return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
+        came, there = self._go(before, settle=0.3), self._go(posture, settle=SETTLE)
+        rows = there.time[:, 0] > there.time[-1, 0] - WINDOW
+        return np.asarray(there.position[rows, 0].mean(axis=0)), came.position[-1, 0]
 
     def rest(self) -> None:
         """Go back to rest, if the arm has moved."""
@@ -328,19 +318,16 @@ class StandingDrive:
         except PlanningError:
             ways = [plan(arm, start, arm.rest), plan(arm, arm.rest, posture)]
         corners = np.vstack([way.start + np.cumsum(way.moves, axis=0) for way in ways])
-        for corner in corners[:-1]:
-            self._move(corner, 0.0)
-        return self._move(posture, settle)
-
-    def _move(self, posture: Array, settle: float) -> Recording:
-        with noted():
-            gone = move(self.robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
-        self._sent = gone.command[-1]
+        for corner in (*corners[:-1], posture):
+            wait = settle if corner is posture else 0.0
+            with noted():
+                gone = move(self.robot, corner, sent=self._sent, speed=SPEED, settle=wait, limits=self._limits)
+            self._sent = gone.command[-1]
         return gone
 
 
-def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
-    """Return readings (n,) there and before, and tool (3,); None: left out or unreachable."""
+def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> Measurements | None:
+    """Return one measurement; None: left out or unreachable."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:
@@ -355,7 +342,15 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
             return None
         again = _gone(robot, position)
         if not again:
-            return position, approach, point
+            return Measurements(
+                position=position[None],
+                approach=approach[None],
+                point=point[None],
+                sigma=np.array([gauge.sigma]),
+                posture=plan.posture[number : number + 1],
+                frame=gauge.frame,
+                source=gauge.source,
+            )
     raise NotReadyError(f"{again}, {TRIES} times; what moves it?")
 
 
@@ -363,14 +358,8 @@ def _gone(robot: Robot, position: Array) -> str:
     with noted():
         away = np.abs(robot.read().position[0] - position)
     j = int(np.argmax(away))
-    if away[j] <= MOVED:
-        return ""
-    return f"{robot.arm.joint_names[j]} went {np.degrees(away[j]):.0f} deg while the arm was measured"
-
-
-def _reading(recording: Recording) -> Array:
-    rows = recording.time[:, 0] > recording.time[-1, 0] - WINDOW
-    return np.asarray(recording.position[rows, 0].mean(axis=0))
+    told = f"{robot.arm.joint_names[j]} went {np.degrees(away[j]):.0f} deg while the arm was measured"
+    return told if away[j] > MOVED else ""
 
 
 def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
@@ -379,9 +368,6 @@ def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ..
     ``frame`` (4, 4): measuring frame in the base.
     """
     away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
-    found = []
-    for number in np.unique(measured.posture):
-        both = away[measured.posture == number]
-        if len(both) == 2 and np.isfinite(both).all():
-            found.append(float(reversal(both[:1], both[1:])))
-    return tuple(found)
+    pairs = [away[measured.posture == number] for number in np.unique(measured.posture)]
+    whole = [both for both in pairs if len(both) == 2 and np.isfinite(both).all()]
+    return tuple(float(reversal(both[:1], both[1:])) for both in whole)

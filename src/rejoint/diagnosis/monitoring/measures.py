@@ -18,7 +18,8 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.workspace import torque_size
-from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses
+from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses, reversal
+from rejoint.control.comparison.result import position_repeatability
 from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, play
@@ -160,16 +161,16 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
         )
         for j, name in enumerate(arm.joint_names)
     )
-    goal = 1e3 * tcp_position(arm, command)
-    seen = _tool(goal, 1e3 * tcp_position(arm, position))
-    true = _tool(goal, 1e3 * tool) if np.isfinite(tool).all() else None
+    goal = tcp_position(arm, command)
+    seen = _tool(goal, tcp_position(arm, position))
+    true = _tool(goal, tool) if np.isfinite(tool).all() else (None, None, None)
     return CheckMeasures(
         joints=rows,
         error_mm=seen[0],
         repeatability_mm=seen[1],
         approach_mm=seen[2],
-        true_error_mm=None if true is None else true[0],
-        true_approach_mm=None if true is None else true[2],
+        true_error_mm=true[0],
+        true_approach_mm=true[2],
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )
 
@@ -238,10 +239,7 @@ def _sag(deviation: Array, torque: Array, least: float) -> float | None:
 
 
 def _tool(goal: Array, attained: Array) -> tuple[float, float, float]:
-    """AP, RP and vAP [mm] of positions (poses, sides, cycles, 3) [mm]."""
-    middle = attained.mean(axis=2)
-    accuracy = np.linalg.norm(middle - goal.mean(axis=2), axis=-1)
-    away = np.linalg.norm(attained - middle[:, :, None], axis=-1)
-    scatter = away.mean(axis=2) + 3.0 * away.std(axis=2, ddof=1)
-    apart = np.linalg.norm(middle[:, 0] - middle[:, 1], axis=-1)
-    return float(accuracy.mean()), float(scatter.max()), float(apart.max())
+    """AP, RP and vAP [mm] of positions (poses, sides, cycles, 3) [m]."""
+    accuracy, apart = reversal(attained, goal), reversal(attained[:, 0], attained[:, 1])
+    scatter = position_repeatability(attained)
+    return 1e3 * float(accuracy.mean()), 1e3 * float(scatter.max()), 1e3 * float(apart.max())
