@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, load_arm, tcp_pose
-from rejoint.arms.loading import at_targets, unit_arm, urdf_text, write_urdf
+from rejoint.arms.loading import unit_arm, urdf_text, write_urdf
 from rejoint.arms.rotations import roll_pitch_yaw, rotation_about
+from rejoint.arms.workspace import posture_grid
 
 
 def displaced(arm, seed=0):
@@ -38,7 +39,7 @@ def test_what_is_read_back_is_the_displaced_arm(tmp_path, name):
 
 def test_rigid_links_take_the_mean_of_play_and_flex():
     arm = load_arm("mycobot280")
-    whole, position = displaced(arm), at_targets(arm)
+    whole, position = displaced(arm), posture_grid(arm, 3).q
     rigid = whole.rigid(arm, position)
     assert not rigid.play.any()
     assert not rigid.compliance.any()

@@ -93,8 +93,8 @@ def test_gravity_torque_is_the_gradient_of_the_potential() -> None:
 
 def test_the_papers_table_is_the_same_mechanism() -> None:
     # the paper gives d1 and d5 as 131.2 and 74.1 mm, the vendor 131.22 and 75.05 mm
-    rows = list(PAPER_DH_TABLE)
-    rows[0], rows[4] = replace(rows[0], d=DH_TABLE[0].d), replace(rows[4], d=DH_TABLE[4].d)
+    rows = PAPER_DH_TABLE.copy()
+    rows[[0, 4], 0] = DH_TABLE[[0, 4], 0]
     offset, axis, tip = dh_chain(rows)
     wide = {"lower": np.full(6, -10.0), "upper": np.full(6, 10.0)}
     paper = replace(ARM, offset=offset, axis=axis, tip=tip, **wide)

@@ -6,7 +6,6 @@ with joint i. ``tip`` is the tool centre point (TCP) in the last frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -141,28 +140,17 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
     return np.stack([value.lower, value.upper]) if isinstance(value, Box) else value
 
 
-@dataclass(frozen=True, kw_only=True)
-class DhRow:
-    """Row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
+def dh_chain(rows: Array) -> tuple[Array, Array, Array]:
+    """``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4) of a standard Denavit-Hartenberg table.
 
-    d: float
-    """[m]"""
-    a: float
-    """[m]"""
-    alpha: float
-    """[rad]"""
-    offset: float = 0.0
-    """[rad]"""
-
-
-def dh_chain(rows: Sequence[DhRow]) -> tuple[Array, Array, Array]:
-    """``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4) of a DH table."""
+    ``rows`` (n, 4): d [m], a [m], alpha [rad], offset [rad] of Rz(q + offset) Tz(d) Tx(a) Rx(alpha).
+    """
     offsets, before = [], np.eye(4)
-    for row in rows:
-        c, s = np.cos(row.offset), np.sin(row.offset)
+    for d, a, alpha, offset in rows:
+        c, s = np.cos(offset), np.sin(offset)
         offsets.append(before @ np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
-        c, s = np.cos(row.alpha), np.sin(row.alpha)
-        before = np.array([[1, 0, 0, row.a], [0, c, -s, 0], [0, s, c, row.d], [0, 0, 0, 1.0]])
+        c, s = np.cos(alpha), np.sin(alpha)
+        before = np.array([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, d], [0, 0, 0, 1.0]])
     return np.array(offsets), np.tile([0.0, 0.0, 1.0], (len(rows), 1)), before
 
 

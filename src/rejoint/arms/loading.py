@@ -17,13 +17,12 @@ import msgspec
 import numpy as np
 import tomlkit
 
-from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain, mycobot280, so101
+from rejoint.arms.arm import Arm, Array, Box, dh_chain, mycobot280, so101
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import UNKNOWN, Loaded, finish
 from rejoint.arms.inertia import inertia_matrix, inertia_values
-from rejoint.arms.modelfile import cut, read_tree, xacro_error
+from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
-from rejoint.arms.workspace import posture_grid
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
 from rejoint.system.tomltable import Number, Positive, Table, Text, Triple, read_toml
@@ -106,18 +105,15 @@ class _ArmFile(Table):
 
 
 def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
-    """Write an arm, accurate to 1e-12; ``notes`` become comments."""
-    own = {"rest_deg": np.degrees(arm.rest).tolist(), "targets": _bounds(arm.targets)}
-    _write(path, [f"# {note}" for note in notes], _table(arm) | own)
-
-
-def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
-    """Write an arm without rest posture; returns its line (from 1)."""
-    zeros = ", ".join(["0"] * arm.joints)
-    line = f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit"
-    lines = [*(f"# {note}" for note in notes), line]
-    _write(path, lines, _table(arm))
-    return "\n".join(lines).count("\n") + 1
+    """Write an arm, accurate to 1e-12, below ``notes`` as comments; without targets a last one asks for a rest."""
+    lines, own = [f"# {note}" for note in notes], {}
+    if np.isnan(arm.targets.lower).any():
+        zeros = ", ".join(["0"] * arm.joints)
+        lines.append(f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit")
+    else:
+        own = {"rest_deg": np.degrees(arm.rest).tolist(), "targets": _bounds(arm.targets)}
+    text = "\n".join([*lines, tomlkit.dumps(_table(arm) | own)])
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_draft(path: Path) -> Loaded:
@@ -147,11 +143,6 @@ def read_draft(path: Path) -> Loaded:
         keep_out=tuple(bounds.box() for bounds in found.keep_out),
     )
     return Loaded(arm=arm)
-
-
-def _write(path: Path, lines: Sequence[str], table: dict[str, Any]) -> None:
-    text = "\n".join([*lines, tomlkit.dumps(table)])
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _table(arm: Arm) -> dict[str, Any]:
@@ -192,12 +183,10 @@ def _frame(pose: Array) -> dict[str, list[float]]:
 
 def _chain(joints: list[_JointTable]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and the tip's parent frame (4, 4)."""
-    rows = [joint.dh for joint in joints if joint.dh is not None]
+    rows = [(dh.d_m, dh.a_m, dh.alpha_deg, dh.offset_deg) for joint in joints if (dh := joint.dh)]
     if rows:
-        turned = [(float(np.radians(row.alpha_deg)), float(np.radians(row.offset_deg))) for row in rows]
-        return dh_chain(
-            [DhRow(d=row.d_m, a=row.a_m, alpha=a, offset=o) for row, (a, o) in zip(rows, turned, strict=True)]
-        )
+        table = np.array(rows)
+        return dh_chain(np.hstack([table[:, :2], np.radians(table[:, 2:])]))
     axes = np.array([joint.axis or (0.0, 0.0, 1.0) for joint in joints])
     return np.array([joint.pose for joint in joints]), axes / np.linalg.norm(axes, axis=1)[:, None], np.eye(4)
 
@@ -214,11 +203,6 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
     offset = moved.offset.copy()
     offset[:, :3, :3] @= turned(arm.axis * displacement.offset[:, None])
     return replace(moved, offset=offset)
-
-
-def at_targets(arm: Arm) -> Array:
-    """Postures (27, n) [rad] over the target region."""
-    return posture_grid(arm, 3).q
 
 
 def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
@@ -266,7 +250,8 @@ def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:
 
 CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so101}
 
-SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf")
+SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf", ".xacro")
+"""The last one gets the advice to make a URDF"""
 
 
 def load_arm(
@@ -327,16 +312,14 @@ def read_arm(
     >>> print(*loaded.notes, sep="\n")
     """
     path, source = Path(source), str(source)
-    is_file = path.suffix.lower() in SUFFIXES
-    if (base or tip or hold) and (not is_file or path.suffix.lower() == ".toml"):
+    suffix = path.suffix.lower()
+    if (base or tip or hold) and suffix not in SUFFIXES[1:]:
         raise InputError(f"base, tip and hold choose a chain of a URDF or MJCF file; {source} is one already")
     if source.lower() in CATALOGUE:
         return Loaded(arm=CATALOGUE[source.lower()]())
-    if path.suffix.lower() == ".xacro":
-        raise xacro_error(path)
-    if not is_file:
+    if suffix not in SUFFIXES:
         raise InputError(
             f"no arm is called {source!r}; known arms: {', '.join(sorted(CATALOGUE))}, "
-            f"or give a file that ends in {', '.join(SUFFIXES)}"
+            f"or give a file that ends in {', '.join(SUFFIXES[:-1])}"
         )
-    return finish(read_draft(path) if path.suffix.lower() == ".toml" else cut(read_tree(path, hold), base, tip))
+    return finish(read_draft(path) if suffix == ".toml" else cut(read_tree(path, hold), base, tip))

@@ -230,8 +230,7 @@ def parse(path: Path) -> ET.Element:
         raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    if any(tag.startswith("xacro_") for tag in {element.tag for element in root.iter()} - {"xacro_property"}):
-        raise xacro_error(path)
+    xacro = any(tag.startswith("xacro_") for tag in {element.tag for element in root.iter()} - {"xacro_property"})
     if root.tag == "robot":
         for parent in (root, *root):
             kept = tuple(_PARTS) if parent is root else _PARTS.get(parent.tag, ())
@@ -241,20 +240,16 @@ def parse(path: Path) -> ET.Element:
             for inertial in link:
                 if inertial.find("inertia") is None:  # MuJoCo wants one; a ball's is taken for zeros
                     ET.SubElement(inertial, "inertia", _NO_INERTIA)
-        if _EXPRESSION.search(ET.tostring(root, encoding="unicode")):
-            raise xacro_error(path)
+        xacro = xacro or bool(_EXPRESSION.search(ET.tostring(root, encoding="unicode")))
+    if xacro:
+        name = path.name.split(".")[0]
+        made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
+        raise FileError(
+            path,
+            "it is a xacro file, from which a URDF is made",
+            f"make that and give it: xacro {path.name} > {made} (xacro comes with ROS, or with: pip install xacro)",
+        )
     return root
-
-
-def xacro_error(path: Path) -> FileError:
-    """FileError for xacro, with the command that makes a URDF."""
-    name = path.name.split(".")[0]
-    made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
-    return FileError(
-        path,
-        "it is a xacro file, from which a URDF is made",
-        f"make that and give it: xacro {path.name} > {made} (xacro comes with ROS, or with: pip install xacro)",
-    )
 
 
 def _speeds(root: ET.Element) -> dict[str, float]:

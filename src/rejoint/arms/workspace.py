@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, Box, mycobot280
+from rejoint.arms.arm import Arm, Array, Box, frozen, mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import Solution, solve_position
 from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position
@@ -68,9 +68,7 @@ def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
     """Joint frames (n,) that change height, and are often ``above`` [m]."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
     height = frames(arm, postures).position[..., 2]
-    rising: NDArray[np.bool_] = (np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING)
-    rising.setflags(write=False)
-    return rising
+    return frozen((np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING))
 
 
 def on_a_surface(arm: Arm, seed: int = 0) -> bool:
@@ -226,9 +224,7 @@ def in_metres(places: Array) -> bool:
 @lru_cache(maxsize=32)
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     """Largest gravity torque (n,) [N m] over a grid of targets."""
-    load: Array = np.abs(gravity_torque(arm, posture_grid(arm, per_edge).q)).max(axis=0)
-    load.setflags(write=False)
-    return load
+    return frozen(np.abs(gravity_torque(arm, posture_grid(arm, per_edge).q)).max(axis=0))
 
 
 def posture_grid(arm: Arm, per_edge: int) -> Solution:
@@ -240,18 +236,14 @@ def posture_grid(arm: Arm, per_edge: int) -> Solution:
 def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
     """Joints (n,) without weight at any target."""
     load = heaviest_load(arm)
-    mask: NDArray[np.bool_] = load < UNLOADED * load.max()
-    mask.setflags(write=False)
-    return mask
+    return frozen(load < UNLOADED * load.max())
 
 
 @lru_cache(maxsize=32)
 def moves_tool(arm: Arm) -> NDArray[np.bool_]:
     """Joints (n,) that move the TCP at targets."""
     lever = np.linalg.norm(position_kinematics(arm, posture_grid(arm, 2).q)[1], axis=-2).max(axis=0)
-    mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
-    mask.setflags(write=False)
-    return mask
+    return frozen(lever > LEAST_LEVER * reach(arm))
 
 
 @lru_cache(maxsize=32)

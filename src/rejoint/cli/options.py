@@ -16,7 +16,7 @@ import typer
 from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
-from rejoint.arms.loading import read_arm, write_unfinished
+from rejoint.arms.loading import read_arm, write_arm_toml
 from rejoint.cli import show, texts
 from rejoint.cli.console import Terminal, live_view
 from rejoint.control.recording import Observer, Observers
@@ -95,7 +95,8 @@ class Call(Terminal):
             path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
             if path.exists():
                 raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
-            line = write_unfinished(path, error.arm, error.notes)
+            write_arm_toml(path, error.arm, error.notes)
+            line = len(error.notes) + 1
             raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
         for note in loaded.notes:
             self.say(f"arm {loaded.arm.name}: {note}")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, gravity_torque, load_arm, mycobot280, tcp_position
-from rejoint.arms.loading import at_targets
+from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, preload
 from rejoint.diagnosis.calibration.fit import astray, fit
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -37,7 +37,7 @@ def calibration(sigma=1e-9, arm=ARM, **values):
 
 
 def test_a_mean_error_lies_in_its_interval_and_grows_with_what_is_open():
-    position, sharp, open_ = at_targets(ARM), calibration(offset=np.full(6, 0.01)), calibration(1e-3)
+    position, sharp, open_ = posture_grid(ARM, 3).q, calibration(offset=np.full(6, 0.01)), calibration(1e-3)
     mean, low, high = open_.distance(position)
     assert ((low < mean) & (mean < high)).all()
     away = np.linalg.norm(sharp.tool(position) - tcp_position(ARM, position), axis=-1)
@@ -69,7 +69,7 @@ def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():
 def test_a_wedge_presses_a_base_joint(name):
     arm = load_arm(name)
     own = calibration(1e-4, arm, play=[0.03] + [0.0] * (arm.joints - 1))
-    what = preload(own, at_targets(arm))
+    what = preload(own, posture_grid(arm, 3).q)
     assert what.joints == arm.joint_names[:1]
     assert what.wedge < 0.5 * what.chance
 
@@ -83,7 +83,7 @@ def test_the_side_to_raise_is_across_the_arm_and_not_along_it():
 def test_where_the_base_leans_already_no_joint_floats():
     lean = np.array([[1, 0, 0], [0, np.cos(WEDGE), -np.sin(WEDGE)], [0, np.sin(WEDGE), np.cos(WEDGE)]])
     own = calibration(1e-4, play=[0.03] + [0.0] * 5, gravity=lean @ [0, 0, -9.81])
-    assert preload(own, at_targets(ARM)).joints == ()
+    assert preload(own, posture_grid(ARM, 3).q).joints == ()
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])

@@ -6,8 +6,8 @@ import numpy as np
 
 from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.loading import at_targets
 from rejoint.arms.rotations import rotation_about
+from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
@@ -59,7 +59,7 @@ def lies(gravity):
 
 
 def test_the_recommended_wedge_presses_the_base_joints_of_emulated_arms_to_one_flank():
-    what = preload(FLOATING, at_targets(ARM))
+    what = preload(FLOATING, posture_grid(ARM, 3).q)
     turn = rotation_about(np.array([*RAISED[what.side], 0.0]), -WEDGE)
     pressed, free = lies(turn @ GRAVITY), lies(GRAVITY)
     assert np.abs(pressed).min() > 0.95

@@ -9,7 +9,7 @@ from report_samples import make_calibration, shown
 
 from readpage import Page
 from rejoint.arms import load_arm, tcp_position
-from rejoint.arms.loading import at_targets
+from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
 from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.logs.runfolder import RunFolder
@@ -67,7 +67,7 @@ def test_the_data_sheet_holds_each_number_with_its_count_or_says_not_known(run_f
 def test_a_unit_s_urdf_is_what_its_calibration_says(run_folder, arm):
     path, _ = export_run(run_folder.path, "urdf")
     unit, found = load_arm(path), read_calibration(run_folder.calibration, arm)
-    postures = at_targets(arm)
+    postures = posture_grid(arm, 3).q
     rigid = found.displacement.rigid(arm, postures)
     np.testing.assert_allclose(tcp_position(unit, postures), rigid.tool(arm, postures), atol=1e-9)
 

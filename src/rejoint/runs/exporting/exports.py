@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from rejoint.arms import Arm, Displacement
-from rejoint.arms.loading import at_targets, unit_arm, write_urdf
-from rejoint.arms.workspace import torque_size
+from rejoint.arms.loading import unit_arm, write_urdf
+from rejoint.arms.workspace import posture_grid, torque_size
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, FeedforwardController
@@ -76,7 +76,7 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
             "correcting by it does not clearly help, so there is nothing to export",
             "measure more points",
         )
-    return found, found.displacement.rigid(run.arm, at_targets(run.arm))
+    return found, found.displacement.rigid(run.arm, posture_grid(run.arm, 3).q)
 
 
 def _unit(run: Run) -> Arm:

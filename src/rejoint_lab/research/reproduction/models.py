@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
-from rejoint.arms.arm import DhRow, dh_chain
+from rejoint.arms.arm import dh_chain
 from rejoint.control.controllers.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import strokes_of, ways
@@ -21,22 +21,27 @@ EDGE = 9
 CLOSE = 1e-3
 """[m] convergence of damped least squares"""
 
-DH_TABLE = (
-    DhRow(d=0.13122, a=0.0, alpha=np.pi / 2),
-    DhRow(d=0.0, a=-0.1104, alpha=0.0, offset=-np.pi / 2),
-    DhRow(d=0.0, a=-0.096, alpha=0.0),
-    DhRow(d=0.0634, a=0.0, alpha=np.pi / 2, offset=-np.pi / 2),
-    DhRow(d=0.07505, a=0.0, alpha=-np.pi / 2, offset=np.pi / 2),
-    DhRow(d=0.0456, a=0.0, alpha=0.0),
+DH_TABLE = np.array(
+    [
+        (0.13122, 0.0, np.pi / 2, 0.0),
+        (0.0, -0.1104, 0.0, -np.pi / 2),
+        (0.0, -0.096, 0.0, 0.0),
+        (0.0634, 0.0, np.pi / 2, -np.pi / 2),
+        (0.07505, 0.0, -np.pi / 2, np.pi / 2),
+        (0.0456, 0.0, 0.0, 0.0),
+    ]
 )
+"""d [m], a [m], alpha [rad], offset [rad] of `dh_chain`"""
 
-PAPER_DH_TABLE = (
-    DhRow(d=0.1312, a=0.0, alpha=-np.pi / 2),
-    DhRow(d=0.0, a=0.1104, alpha=0.0),
-    DhRow(d=0.0, a=0.096, alpha=0.0),
-    DhRow(d=0.0634, a=0.0, alpha=np.pi / 2),
-    DhRow(d=0.0741, a=0.0, alpha=-np.pi / 2),
-    DhRow(d=0.0456, a=0.0, alpha=0.0),
+PAPER_DH_TABLE = np.array(
+    [
+        (0.1312, 0.0, -np.pi / 2, 0.0),
+        (0.0, 0.1104, 0.0, 0.0),
+        (0.0, 0.096, 0.0, 0.0),
+        (0.0634, 0.0, np.pi / 2, 0.0),
+        (0.0741, 0.0, -np.pi / 2, 0.0),
+        (0.0456, 0.0, 0.0, 0.0),
+    ]
 )
 """Table 1 of Park et al. 2024"""
 
@@ -47,13 +52,12 @@ PAPER_ANGLE_SHIFT = np.radians([180.0, -90.0, 0.0, 90.0, 90.0, 0.0])
 def measure_kinematics(bench: Bench) -> Found:
     """Compare both tables."""
     vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
-    rows = list(PAPER_DH_TABLE)
-    for i in (0, 4):
-        rows[i] = replace(rows[i], d=DH_TABLE[i].d)
+    rows = PAPER_DH_TABLE.copy()
+    rows[[0, 4], 0] = DH_TABLE[[0, 4], 0]
     postures = np.random.default_rng(bench.seed).uniform(vendor.lower, vendor.upper, (POSTURES, vendor.joints))
     apart, equal = (
         1e3 * np.linalg.norm(_flanges(other, postures + PAPER_ANGLE_SHIFT) - _flanges(vendor, postures), axis=1).max()
-        for other in (paper, paper_arm(tuple(rows)))
+        for other in (paper, paper_arm(rows))
     )
     points = paper.targets.grid(EDGE)
     names = ("offset °", "d mm", "a mm", "α °")
@@ -72,7 +76,7 @@ def measure_kinematics(bench: Bench) -> Found:
     }
 
 
-def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
+def paper_arm(rows: Array) -> Arm:
     """Build the myCobot 280 from a table of the paper."""
     vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
     shifted = {name: getattr(vendor, name) + PAPER_ANGLE_SHIFT for name in ("lower", "upper", "rest")}
@@ -94,8 +98,9 @@ def _steps_to(arm: Arm, seed: int) -> float:
     return float(np.median(needed))
 
 
-def _cells(row: DhRow) -> tuple[str, ...]:
-    return f"{np.degrees(row.offset):g}", f"{1e3 * row.d:.5g}", f"{1e3 * row.a:.5g}", f"{np.degrees(row.alpha):g}"
+def _cells(row: Array) -> tuple[str, ...]:
+    d, a, alpha, offset = row
+    return f"{np.degrees(offset):g}", f"{1e3 * d:.5g}", f"{1e3 * a:.5g}", f"{np.degrees(alpha):g}"
 
 
 PAIRS = ((1e4, 1e3), (1e3, 50.0), (200.0, 10.0))
