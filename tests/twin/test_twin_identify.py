@@ -6,7 +6,7 @@ import pytest
 from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import identify
 from rejoint.twin.judgement import prediction_error
-from rejoint.twin.parameters import Layout, pack, prior
+from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
 from twinmodel import predict
 
@@ -27,7 +27,7 @@ def test_fit_finds_the_truth(twin, truth):
     np.testing.assert_allclose(found.stiffness[loaded], truth.stiffness[loaded], rtol=0.15)  # by the starts
     np.testing.assert_allclose(found.coulomb[loaded], truth.coulomb[loaded], rtol=0.15)
     np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.15)
-    np.testing.assert_allclose(found.offset, truth.offset, atol=np.radians(0.3))
+    np.testing.assert_allclose(found.offset, truth.offset, atol=np.radians(0.4))
     assert found.delay == pytest.approx(float(truth.delay), abs=0.002)
     assert found.ramp_speed == pytest.approx(float(truth.ramp_speed), rel=0.05)
 
@@ -66,8 +66,9 @@ def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, l
     x, up = pack(truth), np.ones(Layout(arm.joints).size)
     base = problem.residuals(x[None])[0]
     jacobian = problem.jacobian(base, problem.residuals(problem.perturbations(x, up)), up)
-    for joint, parameter in ((0, 0), (1, 0), (2, 2), (4, 1), (3, 5)):  # two stiffnesses, friction, damping, offset
-        alone = x.copy()
+    tried = ((0, "stiffness"), (1, "stiffness"), (2, "coulomb"), (4, "damping"), (3, "offset"))
+    for joint, name in tried:
+        alone, parameter = x.copy(), number(name)
         element = parameter * arm.joints + joint
         alone[element] += problem.steps[element]
         slope = (problem.residuals(alone[None])[0] - base)[:, joint] / problem.steps[element]

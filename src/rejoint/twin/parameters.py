@@ -133,6 +133,9 @@ REFERENCE_REACH = 0.5216700000000001
 REFERENCE_SPEED = float(np.radians(150.0))
 """[rad/s] its joint speed"""
 
+NO_LOAD = 2.0
+"""No-load speed of a motor over its joint's largest; chosen: a DC motor gives most power at half its no-load speed"""
+
 STICTION = 2.0
 """Static over kinetic friction; chosen: dry gears"""
 
@@ -294,6 +297,14 @@ def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
         if p.per_joint and p.alike is not None:
             correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
     return correlation
+
+
+def back_emf(arm: Arm, twin: TwinParameters) -> Array:
+    """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
+
+    A servo's firmware limits duty, derivative gain included; back-EMF takes torque after that.
+    """
+    return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
 
 
 @lru_cache(maxsize=32)

@@ -1,9 +1,9 @@
 """An arm whose tip may touch a table: the plane, its fit to motion in contact, and its simulation by MuJoCo.
 
-MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q),
-+-limit) - damping qdot - dry friction, without contacts of links and joint stops. Friction constraints are nearly rigid
-(MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense: the sparse Cholesky of MuJoCo 4.0.0 has a fault. The
-solver is projected Gauss-Seidel: Newton's method stops too early (measured).
+MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q) -
+(damping - b) qdot, +-limit) - b qdot - dry friction with `back_emf` b, without contacts of links and joint stops.
+Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense: the sparse
+Cholesky of MuJoCo 4.0.0 has a fault. The solver is projected Gauss-Seidel: Newton's method stops too early (measured).
 
 Only the TCP touches the table, with a soft sphere.
 """
@@ -21,7 +21,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.twin.chain.friction import dry_friction, friction_terms
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import influence
-from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.parameters import TwinParameters, back_emf
 from rejoint.twin.replay import Replay
 from rejoint.twin.twin import TablePlane
 
@@ -69,13 +69,14 @@ class TableBatch:
             np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN)),
             np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS)),
         )
-        gain[..., 0] = twins.stiffness
+        gain[..., 0], beside = twins.stiffness, back_emf(arm, twins)
         bias[..., 0], bias[..., 1] = twins.stiffness * twins.offset, -twins.stiffness
+        bias[..., 2] = beside - twins.damping
         values = {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,
             "actuator_forcerange": np.stack([-twins.torque_limit, twins.torque_limit], axis=-1),
-            "dof_damping": twins.damping,
+            "dof_damping": beside,
             "dof_frictionloss": twins.coulomb,
             "dof_armature": twins.armature,
             "dof_solref": friction_solref(steps)[:, None],

@@ -14,6 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.twin.chain.friction import STRIBECK_SPEED
+from rejoint.twin.parameters import back_emf
 from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
 
@@ -26,6 +27,7 @@ BRISTLES = 1000.0
 def mjcf_text(arm: Arm, twin: Twin) -> str:
     """MuJoCo model of ``arm`` with the servos of its twin; its comment names what is missing."""
     spec, p, dry = twin_spec(arm), twin.parameters, twin.parameters.coulomb
+    beside = back_emf(arm, p)
     option = spec.option
     option.timestep, option.disableflags = STEP, 0
     # the implicit integrators take bristles for viscous, which is as much inertia again (measured)
@@ -38,9 +40,14 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
     for i, (joint, servo) in enumerate(zip(spec.joints, spec.actuators, strict=True)):
         stiffness, limit = float(p.stiffness[i]), float(p.torque_limit[i])
         joint.limited, joint.range = True, (arm.lower[i], arm.upper[i])
-        joint.damping = p.damping[i], 0.0, 0.0
+        joint.damping = beside[i], 0.0, 0.0
         joint.frictionloss = 0.0
-        servo.set_to_pid(kp=stiffness, slewmax=float(p.ramp_speed), ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS))
+        servo.set_to_pid(
+            kp=stiffness,
+            kv=float(p.damping[i] - beside[i]),
+            slewmax=float(p.ramp_speed),
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
+        )
         servo.biasprm[0], servo.forcerange = stiffness * p.offset[i], (-limit, limit)
         if delay:
             servo.delay, servo.nsample = delay, math.ceil(delay / STEP) + 1

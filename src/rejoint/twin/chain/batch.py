@@ -15,12 +15,12 @@ from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOM
 from rejoint.twin.chain.friction import DRY, friction_terms
 from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.parameters import TwinParameters, nominal_parameters
+from rejoint.twin.parameters import TwinParameters, back_emf, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
-"""Rows of parameters for `rejoint.twin.chain.step`"""
+"""Rows of parameters for `rejoint.twin.chain.step`, before the share of the damping within the limit"""
 
 
 class ChainBatch:
@@ -33,7 +33,7 @@ class ChainBatch:
         self.timestep = np.full(nsim, float(timestep))
         """(nsim,) [s]"""
         self._links = chain_links(arm)
-        self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS), *shape))
+        self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS) + 1, *shape))
         self._terms = np.zeros((len(DRY) + 1, *shape))
         self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
         self._gear = np.zeros((5, *shape))
@@ -57,8 +57,10 @@ class ChainBatch:
         ``gravity_scale``: a number or (m,). ``stiction``: static over kinetic friction, a number or (m, n).
         """
         chosen = slice(None) if ids is None else ids
-        for row, name in zip(self._parameters, ROWS, strict=True):
-            row[chosen] = getattr(parameters, name)
+        values = [getattr(parameters, name) for name in ROWS]
+        values.append(parameters.damping - back_emf(self.arm, parameters))
+        for row, value in zip(self._parameters, values, strict=True):
+            row[chosen] = value
         for row, term in zip(self._terms, friction_terms(parameters, stiction), strict=True):
             row[chosen] = term
         self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)

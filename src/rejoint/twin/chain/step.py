@@ -36,8 +36,8 @@ SOFTNESS = 1e-6
 """Softness of friction, relative to a free joint"""
 KEPT = 1.0 - 1.0 / 0.9999
 """Share of speed that a stopped joint keeps"""
-STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
-"""Rows of the parameters of servos"""
+STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, GAIN, FRICTION = range(7)
+"""Rows of the parameters of servos; ``GAIN``: the part of ``DAMPING`` within the limit"""
 
 
 _dry_friction = njit(inline="always")(friction.dry_friction)
@@ -47,7 +47,7 @@ _dry_friction = njit(inline="always")(friction.dry_friction)
 def step_block(lanes, links, timestep, servo, dry, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
-    ``servo`` (6, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes
+    ``servo`` (7, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes
     ``state``: position, speed, impulse (n, lanes).
     ``work``: `workspace` with minus gravity in its first row, the base's.
     """
@@ -63,16 +63,19 @@ def step_block(lanes, links, timestep, servo, dry, reference, state, work):
         coupling(lanes, links[j, CARRIED], j, kept, reach, inertia)
         for l in range(lanes):
             h = timestep[l]
-            inertia[j, j, l] += servo[ARMATURE, j, l] + h * servo[DAMPING, j, l]
+            gain, beside = servo[GAIN, j, l], servo[DAMPING, j, l] - servo[GAIN, j, l]
             torque = servo[STIFFNESS, j, l] * (reference[j, l] + servo[OFFSET, j, l] - position[j, l])
+            torque -= gain * speed[j, l]
             limit = servo[LIMIT, j, l]
+            gain = gain if abs(torque) < limit else 0.0
+            inertia[j, j, l] += servo[ARMATURE, j, l] + h * (beside + gain)
             torque = limit if torque > limit else torque
             torque = -limit if torque < -limit else torque
             # The impulse of everything but friction, and with that of the step before as a first guess.
             scratch[l] = 0.5 * abs(
                 torque + kept[j + 1, TORQUE + l]
             )  # the mean of what drives gears and what they drive
-            free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
+            free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - beside * speed[j, l]) + impulse[j, l]
         for l in range(lanes):  # a loop of its own: that above has no exponential function, and is vectorised
             servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], scratch[l])
     invert(lanes, joints, inertia, inverse, column, scratch)
@@ -223,6 +226,7 @@ def _compiled(sources):
                             alone = flank == 0.0  # the joint, without its motor
                             servo[ARMATURE, j, lane] = 0.0 if alone else motor[ARMATURE]
                             servo[DAMPING, j, lane] = motor[DAMPING] * (grease if alone else 1.0)
+                            servo[GAIN, j, lane] = 0.0 if alone else motor[GAIN]
                             for t in range(len(terms)):
                                 dry[t, j, lane] = 0.0 if alone else terms[t, i, j]
                 step_block(lanes, links, h, servo, dry, reference, (position, speed, push), work)
