@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,10 +17,6 @@ from rejoint.runs.run import Run, dated, start_journal
 from rejoint.system.errors import FileError, RejointError
 from rejoint.system.files import require_space
 
-EVERY = 0.02
-"""[s] between readings of an arm that is not driven (chosen)"""
-
-
 LogKind: TypeAlias = tuple[Robot, str, str]
 """Robot, name of the file before its date, and label of a log"""
 
@@ -31,6 +26,11 @@ class RunRecorder:
 
     FileError without disk space before the arm moves; later ``say`` reports once that the log ends.
     """
+
+    log: RunLog | None = None
+    """newest one that has ended"""
+    error: RejointError | None = None
+    """why a reading failed"""
 
     def __init__(self, run: Run | None, say: Callable[[str], object]) -> None:
         self._run, self._say = run, say
@@ -72,15 +72,14 @@ class RunRecorder:
                 self._say(f"{error}; until then the arm goes on without a log of its motion")
                 self._told = True
 
-    def end(self, *, keep: bool = True, extra: Mapping[str, str] | None = None) -> RunLog | None:
-        """Write and return what was seen; FileError where that fails."""
+    def end(self, *, keep: bool = True, extra: Mapping[str, str] | None = None) -> None:
+        """Write what was seen; FileError where that fails."""
         journal, cycles, kind = self._ended()
-        log = _log(kind, cycles, extra=extra) if kind is not None and cycles and keep else None
-        if journal is not None and log is not None:
-            journal.finish(log)
+        self.log = _log(kind, cycles, extra=extra) if kind is not None and cycles and keep else None
+        if journal is not None and self.log is not None:
+            journal.finish(self.log)
         elif journal is not None:
             journal.discard()
-        return log
 
     def rescue(self, error: BaseException) -> None:
         """Write what was seen until ``error``; its note says where."""
@@ -120,48 +119,3 @@ def _log(kind: LogKind, cycles: list[Cycle], end: str = "", extra: Mapping[str, 
     if sent.any():
         found = replace(found, command=np.where(sent, found.command, found.position))
     return found.log(0, label + end, extra)
-
-
-class StateRecord:
-    """What an arm does; see `ArmSession.record`.
-
-    Between motions of the session ``look`` reads the arm.
-    """
-
-    log: RunLog | None = None
-    """after the end"""
-
-    def __init__(self, robot: Robot, recorder: RunRecorder, name: str, look: Callable[[], object]) -> None:
-        self._recorder, self._look = recorder, look
-        self._over = threading.Event()
-        self._error: RejointError | None = None
-        recorder.begin(robot, name, name)
-        self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
-
-    def see(self, cycle: Cycle) -> None:
-        """Take a cycle."""
-        if not self._over.is_set():
-            self._recorder.see(cycle)
-
-    def lasts(self, seconds: float) -> bool:
-        """Whether it is this long, or ended by an error."""
-        return self._error is not None or self._recorder.seconds >= seconds
-
-    def _watch(self) -> None:
-        try:
-            while not self._over.wait(EVERY):
-                self._look()
-        except RejointError as error:
-            self._error = error
-
-    def __enter__(self) -> Self:
-        self._look()
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        self.log = self._recorder.end()
-        if self._error is not None and kind is None:
-            raise self._error

@@ -27,8 +27,8 @@ from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
 from rejoint.session.context import believed_motors
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
-from rejoint.session.recorder import RunRecorder, StateRecord
-from rejoint.system.errors import InputError, NotReachedError, NotReadyError
+from rejoint.session.recorder import RunRecorder
+from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
@@ -52,6 +52,8 @@ TURNS = 2.0 * np.pi
 ANGLE = "a positive angle in radians"
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
+EVERY = 0.02
+"""[s] between readings of an arm that is recorded and not driven (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 _SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
@@ -343,35 +345,52 @@ class ArmSession(ArmDriver):
             return self._state(float(newest.time[0]), newest.position[0], moving=moving)
 
     @contextmanager
-    def recording(self, name: str = "record") -> Iterator[StateRecord]:
+    def recording(self, name: str = "record") -> Iterator[RunRecorder]:
         """Record in a ``with`` block what the arm does, by any controller or program.
 
         Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
         the end if the arm could not be read.
         """
         self._require_open()
-        record = StateRecord(self.robot, RunRecorder(self.run, self.observer.message), name, lambda: self.state)
-        self.watching.append(record.see)
+        recorder, over = RunRecorder(self.run, self.observer.message), threading.Event()
+
+        def look() -> None:
+            try:
+                while not over.wait(EVERY):
+                    self.state  # noqa: B018 - all that watch receive it
+            except RejointError as error:
+                recorder.error = error
+
+        recorder.begin(self.robot, name, name)
+        self.watching.append(recorder.see)
+        looking = threading.Thread(target=look, name=name, daemon=True)
         try:
-            with record:
-                yield record
+            self.state  # noqa: B018
+            looking.start()
+            yield recorder
         finally:
-            self.watching.remove(record.see)
+            over.set()
+            if looking.ident is not None:
+                looking.join()
+            self.watching.remove(recorder.see)
+            recorder.end()
+        if recorder.error is not None:
+            raise recorder.error
 
     def record(self, duration_s: float, *, name: str = "record") -> RunLog:
         """Record for ``duration_s`` on the robot's clock, as `recording`; without a motion an emulated arm holds."""
         seconds = as_seconds("record", duration_s)
-        with noted(), self.recording(name) as record:
-            virtual, held = self.rehearsal is not None or is_virtual(self.robot.address), False
-            while not record.lasts(seconds):
+        with noted(), self.recording(name) as recorder:
+            virtual, held = self.rehearsal is not None or is_virtual(self.address), False
+            while recorder.seconds < seconds and recorder.error is None:
                 held = held or (virtual and not self.state.moving)
                 if held:  # its time passes only in motions
                     self.hold()
                 pause(_LOOK)
             if held:
                 self.stop()
-        assert record.log is not None  # noqa: S101 - for the type checker; the block is over
-        return record.log
+        assert recorder.log is not None  # noqa: S101 - for the type checker; the block is over
+        return recorder.log
 
     def wait(self, timeout_s: float | None = None) -> ArmState:
         """Wait for the end of the motion and return the state; raises what ended it.
