@@ -195,6 +195,11 @@ def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data
     return [results_of(one, *traces) for one in plain] if isinstance(plain, list | tuple) else plain
 
 
+def picked(value: object, *names: str) -> dict[str, Any]:
+    """Return some fields of a result by name."""
+    return {name: getattr(value, name) for name in names}
+
+
 def _plain(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()

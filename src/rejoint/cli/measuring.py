@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 import rejoint
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, picked
 from rejoint.cli.options import Call, takes
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
@@ -89,11 +89,9 @@ def calibrate(
     own, wear = found.calibration, found.preload
     value = {
         "run": run,
-        "used": own.used,
+        **picked(own, "used", "points", "suspects"),
         "before_mm": 1e3 * found.before,
         "after_mm": 1e3 * found.after,
-        "points": own.points,
-        "suspects": own.suspects,
         "reversal_mm": [1e3 * one for one in found.reversal],
         "calibration": job.folder.calibration,
         "preload": {
@@ -106,9 +104,7 @@ def calibrate(
         },
     }
     if found.filmed is not None:
-        value |= {name: getattr(found.filmed, name) for name in ("left_out", "residuals")} | {
-            "camera": job.folder.camera
-        }
+        value |= {**picked(found.filmed, "left_out", "residuals"), "camera": job.folder.camera}
     return value
 
 

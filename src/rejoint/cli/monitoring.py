@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 import rejoint
 from rejoint.cli import options as opt
+from rejoint.cli.console import picked
 from rejoint.cli.options import Call, Result, takes
 from rejoint.control.recording import StageObserver
 from rejoint.runs.run import RUNS
@@ -62,7 +63,7 @@ def check(
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
             )
     if call.settings.dry_run:
-        return Result({"arm": found.arm, "robot": found.robot})
+        return Result(picked(found, "arm", "robot"))
     for problem in found.unread:
         call.say(f"left out: {problem}")
     call.result(f"{found.arm}: {found.line}")
@@ -71,7 +72,7 @@ def check(
         from rejoint.runs.history import prometheus_text
 
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
-    value = {name: getattr(found, name) for name in ("arm", "robot", "line", "outlook", "measures", "folder")}
+    value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
     alarm = outlook.state == "alarm" or outlook.over
     return Result(value | {"over": outlook.over}, ALARM if alarm else DRIFTS if outlook.state == "drifting" else 0)
 
@@ -171,8 +172,7 @@ def fleet(
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
-    value = {name: getattr(result, name) for name in ("rows", "seconds", "page", "finished")}
-    return Result({"verb": verb} | value, result.code)
+    return Result({"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}, result.code)
 
 
 def _show_rows(call: Call, result: FleetResult) -> None:

@@ -13,7 +13,6 @@ from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.runlog import read_log
-from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -21,24 +20,6 @@ from rejoint.system.extras import require
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
-
-
-def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) -> object:
-    """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
-    twin = call.stage("identify", rejoint.identify, logs, run=job, plan=plan)
-    if twin.judgement is not None:
-        show_errors(call, twin.judgement)
-    path = rejoint.report(job)
-    call.result(f"Twin: {job.folder.twin}")
-    call.result(f"Report: {path}")
-    return {
-        "run": job.path,
-        "twin": job.folder.twin,
-        "report": path,
-        "fitted": twin.fitted,
-        "judgement": twin.judgement and _without_trace(twin.judgement, job.folder.judgement),
-        "notes": twin.notes,
-    }
 
 
 @takes("arm", "part")
@@ -55,13 +36,9 @@ def replay(
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     for remark in forced_remarks(replayed.logs):
         call.say(f"  ! {remark}")
-    show_errors(call, replayed.judgement)
+    value = show_errors(call, replayed.judgement, out / "replay.json")
     call.result(f"Page: {replayed.page}")
-    return _without_trace(replayed.judgement, out / "replay.json") | {"page": replayed.page}
-
-
-def _without_trace(judgement: Judgement, file: Path) -> dict[str, Any]:
-    return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
+    return value | {"page": replayed.page}
 
 
 def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
@@ -87,8 +64,8 @@ def by_motion(given: list[str] | None) -> dict[str, str]:
     return found
 
 
-def show_errors(call: Call, judgement: Judgement) -> None:
-    """Print the errors of every motion, and which prediction to trust."""
+def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
+    """Print the errors of every motion, and which prediction to trust; return them without traces, which ``file`` has."""
     from rejoint.pages.report.tables import answer
 
     names = list(judgement.mean)
@@ -102,6 +79,7 @@ def show_errors(call: Call, judgement: Judgement) -> None:
     call.table(title, headers, rows, len(rows) - 1)
     for line in answer(judgement):
         call.result(line)
+    return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def _cell(errors: Errors) -> str:

@@ -102,12 +102,16 @@ class Call(Terminal):
             self.say(f"arm {loaded.arm.name}: {note}")
         return loaded.arm
 
-    def run_of_logs(self, logs: Path, path: Path | None, seed: int) -> OpenRun:
-        """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
-        robot = f"{LOGS}{logs}"
+    def job(self, robot: str, path: Path | None, seed: int) -> OpenRun:
+        """Prepare the run of a robot or of logs.
+
+        It is the one at ``path``, with its own arm unless another is named; else the newest interrupted one, or a new
+        one.
+        """
         if path is not None and RunFolder(path).info.exists() and not any(self.pick):
-            return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
-        chosen = self.arm()
+            chosen = OpenRun.open(path).arm
+        else:
+            chosen = self.arm(None if robot.startswith(LOGS) else robot)
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
 
     def stage(self, name: str, work: Callable[..., T], *given: object, bar: bool = True, **options: object) -> T:

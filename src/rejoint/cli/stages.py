@@ -7,7 +7,7 @@ import os
 from contextlib import ExitStack
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,14 +15,14 @@ import rejoint
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, live_view, results_of
+from rejoint.cli.console import Terminal, live_view, picked, results_of
 from rejoint.cli.options import Call, ConsoleObserver, Result, takes
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
-from rejoint.runs.run import Run, newest_or_new
+from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
-from rejoint.session.inputs import KeptSettings, Settings
+from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, Settings
 from rejoint.system.errors import InputError, NotReachedError, UnsavedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command
@@ -46,7 +46,7 @@ TITLES = {
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
 def repair(
     call: Call,
-    robot: str = "emulated:worn",
+    robot: str = FIRST_ROBOT,
     run: Path | None = None,
     preset: str = "default",
     targets: Path | None = None,
@@ -62,15 +62,13 @@ def repair(
     require("rejoint repair", "train", "report")
     from rejoint.cli.measuring import gauge_by_word
 
-    chosen = call.arm(robot)
     if call.settings.dry_run:
+        chosen = call.arm(robot)
         with call.watched("repair") as observer:
             rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
         return {"robot": robot}
-    path = run or newest_or_new(robot, chosen, seed)
-    start = "Going on with" if path.exists() else "Starting"
-    job = Run.plan(path, robot, chosen, seed)
-    call.say(f"{start} the repair of {robot} in {path}")
+    job = call.job(robot, run, seed)
+    call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     gauge = gauge_by_word(call, robot, measure, seed)
     plan = rejoint.RepairPlan(
         preset=preset,
@@ -90,20 +88,14 @@ def repair(
         call.say("A quick try: little of everything was done, so none of this is a result.")
     from rejoint.pages.report.contents import before_after, read_contents
 
-    errors = before_after(read_contents(path))
+    errors = before_after(read_contents(job.path))
     spent = read_effort(job.folder)
     show.effort(call, spent)
     if errors is not None and errors.sentence:
         call.result(errors.sentence)
     call.result(str(page))
-    return {
-        "run": path,
-        "recommended": found.recommendation,
-        "policy": job.folder.policy,
-        "report": page,
-        "errors": errors,
-        "effort": spent,
-    }
+    value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
+    return value | {"report": page, "errors": errors, "effort": spent}
 
 
 def rehearse(
@@ -177,29 +169,20 @@ def diagnose(
     quick: bool = False,
 ) -> object:
     """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone."""
-    if logs is not None:
-        if robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given():
-            raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
-        job = call.run_of_logs(logs, run, seed)
-        found = call.stage("diagnose", rejoint.diagnose, logs, run=job, healthy=healthy)
-        call.next(command("identify", "--logs", logs, "--run", job.path))
-        return {"run": job.path, "diagnosis": found.diagnosis}
-    robot = robot or "emulated:worn"
-    chosen = call.arm(robot)
-    path = run or newest_or_new(robot, chosen, seed)
-    job = Run.plan(path, robot, chosen, seed)
-    found = call.stage(
-        "diagnose", rejoint.diagnose, robot, run=job, healthy=healthy, quick=quick, settings=call.settings
-    )
+    if logs is not None and (robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given()):
+        raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
+    robot = robot or FIRST_ROBOT
+    job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
+    about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
+    found = call.stage("diagnose", rejoint.diagnose, logs or robot, run=job, **about).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
-    call.next(command("identify", path))
-    open_loop = found.diagnosis.open_loop
+    call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
     return {
-        "run": path,
-        "diagnosis": found.diagnosis,
-        "true_error": open_loop and open_loop.true_error,
-        "effort": read_effort(RunFolder(path)),
+        "run": job.path,
+        "diagnosis": found,
+        "true_error": found.open_loop and found.open_loop.true_error,
+        "effort": read_effort(job.folder),
     }
 
 
@@ -218,24 +201,29 @@ def identify(
 ) -> object:
     """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report."""
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
-    if logs is not None and run is None:
-        job = call.run_of_logs(logs, folder, seed or 0)
-        plan = rejoint.LogPlan(
-            beside=offline.read_sets(published, job.arm),
-            hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
-            gain=offline.by_motion(gain),
-            torque_off=offline.by_motion(torque_off),
-        )
-        return offline.identify_from_logs(call, job, logs, plan)
-    if run is None or logs is not None or folder is not None or published or hold_out or gain or torque_off:
+    if (run is None) == (logs is None) or (run is not None and any((folder, published, hold_out, gain, torque_off))):
         raise InputError(
             "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "
             "--gain and --torque-off"
         )
-    job = Run.open(run)
-    twin = call.stage("identify", rejoint.identify, run=job, seed=seed, quick=quick)
-    call.next(command("train", run))
-    return {"run": run, "twin": job.folder.twin, "held_out": twin.held_out, "notes": twin.notes}
+    job = Run.open(run) if run is not None else call.job(f"{LOGS}{logs}", folder, seed or 0)
+    plan = rejoint.LogPlan(
+        beside=offline.read_sets(published, job.arm),
+        hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
+        gain=offline.by_motion(gain),
+        torque_off=offline.by_motion(torque_off),
+    )
+    twin = call.stage("identify", rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
+    value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
+    if logs is None:
+        call.next(command("train", run))
+        return value
+    if twin.judgement is not None:
+        value["judgement"] = offline.show_errors(call, twin.judgement, job.folder.judgement)
+    page = rejoint.report(job)
+    call.result(f"Twin: {job.folder.twin}")
+    call.result(f"Report: {page}")
+    return value | {"report": page, "fitted": twin.fitted}
 
 
 @takes()
@@ -321,13 +309,9 @@ def deploy(
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
-        "controller": done.controller,
         "error_mm": [visit.error and 1e3 * visit.error for visit in done.visits],
-        "missed": done.missed,
         **({"turned_deg": turned} if any(visit.orientation for visit in done.visits) else {}),
-        "visits": done.visits,
-        "period": done.period,
-        "gaps": done.gaps,
+        **picked(done, "controller", "missed", "visits", "period", "gaps"),
     }
     return Result(value, MISSED if done.missed else 0)
 
@@ -376,13 +360,9 @@ def follow(
         job = Run.open(run)
         with locked(job.folder):
             call.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
-    passes = [{name: getattr(one, name) for name in ("encoder", "true_error", "turned")} for one in done.passes]
-    value = {
-        "run": run,
-        **{name: getattr(done, name) for name in ("path", "controller", "followed", "period", "gaps")},
-        "passes": passes,
-    }
-    return Result(value, 0 if done.followed else MISSED)
+    passes = [picked(one, "encoder", "true_error", "turned") for one in done.passes]
+    value = picked(done, "path", "controller", "followed", "period", "gaps")
+    return Result({"run": run, **value, "passes": passes}, 0 if done.followed else MISSED)
 
 
 @takes()
