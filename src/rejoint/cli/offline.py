@@ -65,7 +65,7 @@ def by_motion(given: list[str] | None) -> dict[str, str]:
 
 
 def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
-    """Print the errors of every motion, and which prediction to trust; return them without traces, which ``file`` has."""
+    """Print the errors of every motion, and what to trust; return them without the traces that are in ``file``."""
     from rejoint.pages.report.tables import answer
 
     names = list(judgement.mean)

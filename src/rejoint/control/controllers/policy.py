@@ -28,7 +28,7 @@ from rejoint.control.controllers.residual import Commander
 from rejoint.control.controllers.runtime import ort
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import ContractError, FileError, InputError
-from rejoint.system.files import MEGABYTE, read_bounded, write_whole
+from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
 
 LARGEST_FILE = 16 * MEGABYTE
 """[bytes] (chosen: two hundred times what ours have)"""
@@ -95,11 +95,9 @@ class Policy:
     @classmethod
     def load(cls, path: Path | str) -> Policy:
         """Read a policy file; FileError."""
-        data = _read(Path(path))
-        try:
+        with reading(Path(path), _DAMAGED, "train the policy again"):
+            data = read_bounded(Path(path), LARGEST_FILE, "check the path")
             metadata = read_metadata(data)
-        except ValueError as error:
-            raise FileError(path, f"{_DAMAGED} ({error})", "train the policy again") from error
         text = metadata.get(METADATA_KEY)
         if text is None:
             known = "take a file written by `rejoint train`"
@@ -144,15 +142,6 @@ def load_policy(path: Path, arm: Arm) -> PolicyController:
 
 def _act(session: ort.InferenceSession, observation: Observation) -> Array:
     return session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_bounded(path, LARGEST_FILE, "check the path")
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "train a policy first") from error
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
 
 
 def _open(source: str, data: bytes) -> ort.InferenceSession:
