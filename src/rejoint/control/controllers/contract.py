@@ -42,6 +42,7 @@ LARGEST_CONSTANT = 1e6
 
 _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
+_LIMIT_TOLERANCE = 1e-6  # [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,18 +134,20 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
     """Raise ContractError unless the policy suits this arm; payload and tool do not count."""
     arm = bare(arm)
     remedy = "train a policy for this arm"
-    expected: dict[str, tuple[object, object]] = {
-        "arm": (contract.arm, arm.name),
-        "joint order": (contract.joint_names, arm.joint_names),
-        "observation layout": (_parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),
-        "joint range [deg]": (
-            [*map(_degrees, (contract.lower, contract.upper))],
-            [*map(_degrees, (arm.lower, arm.upper))],
-        ),
-    }
-    for what, (found, wanted) in expected.items():
+    expected: tuple[tuple[str, object, object], ...] = (
+        ("arm", contract.arm, arm.name),
+        ("joint order", contract.joint_names, arm.joint_names),
+        ("observation layout", _parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),
+    )
+    for what, found, wanted in expected:
         if found != wanted:
             raise ContractError(f"the policy's {what} is {shown(found)}, expected {shown(wanted)}; {remedy}")
+    for what, limits, wanted_limits in (("lower", contract.lower, arm.lower), ("upper", contract.upper, arm.upper)):
+        if len(limits) != arm.joints or not np.abs(np.array(limits) - wanted_limits).max() <= _LIMIT_TOLERANCE:
+            raise ContractError(
+                f"the policy's {what} joint limits are {_degrees(limits)} deg, "
+                f"expected {_degrees(wanted_limits)} deg; {remedy}"
+            )
     strange = [name for name, value in _constants(contract.law) if not 0.0 <= value <= LARGEST_CONSTANT]
     if strange:
         raise ContractError(
@@ -185,8 +188,8 @@ def _parts(slots: tuple[Slot, ...]) -> list[tuple[str, int]]:
     return [(slot.name, slot.size) for slot in slots]
 
 
-def _degrees(angles: Sequence[float] | Array) -> list[float]:
-    return [round(float(np.degrees(angle)), 4) for angle in angles]
+def _degrees(*limits: Sequence[float] | Array) -> list[list[float]]:
+    return [[round(float(np.degrees(angle)), 4) for angle in angles] for angles in limits]
 
 
 def shown(value: object) -> str:
