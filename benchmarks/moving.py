@@ -16,7 +16,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
-from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, PathReference, Stream, standard_path
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, PathReference, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder import RunFolder
@@ -58,12 +58,11 @@ def show(
     title: str, profiles: Sequence[str], twins: Sequence[TwinParameters], period=(0.02, 0.03), rate=None, *, fold=True
 ) -> None:
     paths = [path for _ in profiles for path in PATHS]
-    ahead = [Ahead(path=path) for path in paths]
-    guides: list[Ahead | Stream] = ahead if rate is None else [played(path, rate) for path in paths]
+    guides = paths if rate is None else [played(path, rate) for path in paths]
     begun = perf_counter()
     recording = drive(profiles, twins, period, guides, fold=fold)
     took = perf_counter() - begun
-    found = [judge(ARM, recording, guide, b).encoder for b, guide in enumerate(ahead)]
+    found = [judge(ARM, recording, path, b).encoder for b, path in enumerate(paths)]
     rms = 1e3 * np.array([one.rms if rate is None else one.rms_after for one in found]).reshape(len(profiles), -1)
     lag = 1e3 * np.mean([one.lag for one in found])
     cells = "  ".join(f"{value:5.2f}" for value in rms.mean(axis=0))

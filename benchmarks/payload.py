@@ -29,7 +29,7 @@ from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures, home_of
-from rejoint.control.moving.reference import LEAD_IN, Ahead, PathReference, standard_path
+from rejoint.control.moving.reference import LEAD_IN, PathReference, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.robot import Controller
 from rejoint.control.start import begin, move
@@ -129,10 +129,9 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     """Root mean square error [m] along a path that is known ahead."""
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
-    guide = Ahead(path=path)
     servos = servos_of(twin)
     home = home_of(robot.arm, servos)
     sent = move(robot, PathPostures(robot.arm, path.place[:1], home=home).last[0], sent=sent, settle=0.5).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
-    recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [guide], home), schedule)
-    return judge(arm, recording, guide).encoder.rms
+    recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [path], home), schedule)
+    return judge(arm, recording, path).encoder.rms

@@ -23,7 +23,6 @@ from rejoint.control.moving.drive import judge as judge_pass
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import (
     LEAD_IN,
-    Ahead,
     Guide,
     Path,
     PathReference,
@@ -303,13 +302,12 @@ class PathDrive:
             raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
         self.guide = followable(path, arm, session.seed, duration)
         self.duration = duration or 0.0
-        if isinstance(self.guide, Ahead):
-            known = self.guide.path
+        if isinstance(known := self.guide, Path):
             self.duration = LEAD_IN + known.duration
             places, turns = known.poses(known.time[:: max(1, len(known.time) // LOOKED_AT)])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
             correction_of(session.calibration, arm, places)
-        self.posed = self.guide.poses(0.0, np.zeros(1))[1] is not None
+        self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
         self.controller = settings.controller or TRACKER
         if settings.controller is None and session.twin is None:
             self.controller = session.driver(posed=self.posed)[0]
@@ -333,25 +331,24 @@ class PathDrive:
         name, make, home = self._follower(session.twin_now)
         if session.settings.controller is not None or name == TRACKER:
             session.announce(name, "for paths, by the twin" if session.settings.controller is None else "as asked for")
-        path = guide.path.name if isinstance(guide, Ahead) else "stream"
-        label = f"follow/{name}/{path}"
+        label = f"follow/{name}/{guide.name}"
         session.recorder.begin(session.robot, "follow", label)
         session.begin()
         if session.correction is not None:
             guide = corrected(arm, guide, session.correction, home)
         aimed, passes, lesson = guide, list[Pass](), None
         for number in range(self.repeat):
-            session.go(PathPostures(arm, *guide.poses(0.0, np.zeros(1)), home).last[0], motion.give_up)
+            session.go(PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0], motion.give_up)
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             last = self._carry(motion, make(), PathReference(arm, [aimed], home), number)
             passes.append(replace(judge_pass(arm, last, guide, model=session.calibration), log=last.log(0, label)))
-            if isinstance(guide, Ahead) and isinstance(aimed, Ahead):
+            if isinstance(guide, Path) and isinstance(aimed, Path):
                 lesson = lesson or Repetition(guide.aimed)
                 aimed = replace(guide, aim=lesson.learn(aimed.aimed, *missed(arm, last, guide)))
         period = last.usual_period()
         session.followed = Followed(
-            path=path,
+            path=guide.name,
             controller=name,
             within=self.within,
             passes=tuple(passes),
@@ -384,7 +381,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
                 "follow: this stream was followed already, up to its last target; put targets into another"
             )
         given.axis = tool_axis(arm)
-        places, turns = given.poses(0.0, np.zeros(1))
+        places, turns = given.ahead(0.0, np.zeros(1))
         require_reachable(arm, places[None], turns and turns[None])
         return given
     if duration is not None:
@@ -399,7 +396,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
             raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
         path = Path(time=points[:, 0], place=points[:, 1:])
     path.require_followable(arm)
-    return Ahead(path=path)
+    return path
 
 
 def servos_of(twin: Twin) -> Servos:

@@ -8,7 +8,6 @@ from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
 from rejoint.control.moving.reference import (
     EXTRAPOLATED,
     LAG,
-    Ahead,
     Path,
     PathReference,
     Stream,
@@ -32,10 +31,9 @@ def going(times):
 
 
 def test_a_path_is_known_ahead():
-    guide = Ahead(path=CIRCLE)
     later = np.array([0.0, 0.5, 3.0])
-    assert np.array_equal(guide.poses(4.0, later)[0], CIRCLE.at(2.0 + later))
-    assert np.array_equal(guide.place(1.0), CIRCLE.place[0])
+    assert np.array_equal(CIRCLE.ahead(4.0, later)[0], CIRCLE.at(2.0 + later))
+    assert np.array_equal(CIRCLE.target(1.0), CIRCLE.place[0])
 
 
 def test_a_stream_knows_nothing_of_what_has_not_come():
@@ -45,7 +43,7 @@ def test_a_stream_knows_nothing_of_what_has_not_come():
         if time <= 5.0:
             short.put(target, time)
     later = np.linspace(0.0, 1.0, 7)
-    assert np.array_equal(stream.poses(5.0, later)[0], short.poses(5.0, later)[0])
+    assert np.array_equal(stream.ahead(5.0, later)[0], short.ahead(5.0, later)[0])
 
 
 def test_a_stream_with_jitter_is_interpolated_behind_its_last_target():
@@ -54,13 +52,13 @@ def test_a_stream_with_jitter_is_interpolated_behind_its_last_target():
     now = stream.time[-1]
     later = np.linspace(-0.5, LAG, 20)
     expected = np.array([0.18, 0.0, 0.2]) + (now + later - LAG)[:, None] * VELOCITY
-    assert np.allclose(stream.poses(now, later)[0], expected, atol=1e-12)
+    assert np.allclose(stream.ahead(now, later)[0], expected, atol=1e-12)
 
 
 def test_a_gap_is_bridged_for_a_fifth_of_a_second_and_then_held():
     stream = going(np.arange(0.0, 1.01, 0.1))
     last = stream.time[-1]
-    ahead = stream.poses(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))[0]
+    ahead = stream.ahead(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))[0]
     assert np.allclose(ahead[0], stream.rows[-1] + 0.1 * VELOCITY)
     assert np.allclose(ahead[1:], stream.rows[-1] + EXTRAPOLATED * VELOCITY)
 
@@ -72,7 +70,7 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
         sign = 1.0 if k % 2 else -1.0  # both mean the same
         stream.put(Pose(place_m=[0.18, 0.0, 0.2], quaternion=sign * turn, weight_m=0.03), 0.1 * k)
     later = np.array([-0.5, -0.05, LAG, LAG + 0.1, LAG + EXTRAPOLATED, LAG + 2.0])
-    places, turns = stream.poses(1.0, later)
+    places, turns = stream.ahead(1.0, later)
     expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
     for k, angle in enumerate(expected):
         assert turns[k].angle(rotation_about(axis, angle)) < np.radians(0.02)
@@ -84,7 +82,7 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
 def test_what_is_no_target_or_comes_late_is_refused():
     stream = Stream()
     with pytest.raises(InputError, match="nothing has come yet"):
-        stream.place(0.0)
+        stream.target(0.0)
     with pytest.raises(InputError, match="expected a point"):
         stream.put([0.1, np.nan, 0.2], 0.0)
     with pytest.raises(InputError, match=r"in metres, got \[180.0, 0.0, 200.0\]"):
@@ -92,12 +90,12 @@ def test_what_is_no_target_or_comes_late_is_refused():
     stream.put([0.18, 0.0, 0.2], 1.0)
     with pytest.raises(InputError, match="came after"):
         stream.put([0.18, 0.0, 0.2], 0.5)
-    assert np.array_equal(stream.poses(1.0, np.array([0.0, 1.0]))[0], np.tile([0.18, 0.0, 0.2], (2, 1)))
+    assert np.array_equal(stream.ahead(1.0, np.array([0.0, 1.0]))[0], np.tile([0.18, 0.0, 0.2], (2, 1)))
 
 
 def test_courses_keep_arms_apart():
     other = standard_path("random-0.2hz", ARM)
-    both = PathReference(ARM, [Ahead(path=CIRCLE), Ahead(path=other)])
+    both = PathReference(ARM, [CIRCLE, other])
     now, later = np.array([3.0, 4.0]), np.array([[0.0, 0.1], [0.2, 0.3]])
     aims = both.poses(now, later)[0]
     assert aims.shape == (2, 2, 3)
@@ -111,4 +109,4 @@ def test_courses_keep_arms_apart():
 
 def test_only_what_is_known_ahead_waits_for_its_arm():
     straight = Path(time=np.array([0.0, 2.0]), place=np.array([[0.2, 0.0, 0.2], [0.2, 0.1, 0.2]]))
-    assert PathReference(ARM, [Ahead(path=straight), played(straight, 30.0)]).waits.tolist() == [True, False]
+    assert PathReference(ARM, [straight, played(straight, 30.0)]).waits.tolist() == [True, False]

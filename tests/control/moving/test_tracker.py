@@ -10,7 +10,7 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Repetition, along, judge
 from rejoint.control.moving.posture import PathPostures, Servos, command_for, home_of
-from rejoint.control.moving.reference import Ahead, PathReference, standard_path
+from rejoint.control.moving.reference import PathReference, standard_path
 from rejoint.control.moving.tracker import PushObserver, Tracker
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -34,9 +34,9 @@ def worn_servos(count=1):
 
 
 def drive(controller, guides, seed=0, **wire):
-    start = PathPostures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
+    start = PathPostures(ARM, np.stack([guide.place[0] for guide in guides])).last
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start, **wire)
-    dwell = 2.0 + max(guide.path.duration for guide in guides)
+    dwell = 2.0 + max(guide.duration for guide in guides)
     home = home_of(ARM, worn_servos(len(guides))) if isinstance(controller, Tracker) else None
     return run(robot, controller, PathReference(ARM, guides, home), Schedule(dwell=dwell, sent=start))
 
@@ -63,7 +63,7 @@ def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():
 
 
 def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
-    guides = [Ahead(path=standard_path("circle-8s", ARM)), Ahead(path=standard_path("random-0.5hz", ARM))]
+    guides = [standard_path("circle-8s", ARM), standard_path("random-0.5hz", ARM)]
     tracked, sent = drive(Tracker(ARM, worn_servos(2)), guides), drive(DefaultController(ARM), guides)
     for b, guide in enumerate(guides):
         assert judge(ARM, tracked, guide, b).encoder.rms < 1.5e-3
@@ -76,7 +76,7 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
     ids=["it grows slower, and the arm does not swing", "gains give way where a cycle is long"],
 )
 def test_an_arm_on_a_slow_wire_still_follows(usual, period, most):
-    guide = Ahead(path=standard_path("circle-8s", ARM))
+    guide = standard_path("circle-8s", ARM)
     slower = drive(Tracker(ARM, worn_servos(), period=usual), [guide], period=period)
     assert judge(ARM, slower, guide, 0).encoder.rms < most
 

@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.correction import Modelled, ToolModel, TrueError, checked, rms, true_error
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.reference import Ahead, Guide, Path, Poses, Route, Stream, interpolated
+from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, interpolated
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
 
@@ -62,7 +62,7 @@ class Followed:
 
 def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None = None) -> Guide:
     """Guide of an arm near ``home`` (n,) [rad] by whose corrected targets the tool goes where ``guide`` says."""
-    start = guide.poses(0.0, np.zeros(1))
+    start = guide.ahead(0.0, np.zeros(1))
     postures = PathPostures(arm, *start, home)
     if isinstance(guide, Stream):
 
@@ -73,15 +73,15 @@ def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None =
 
         guide.corrected = correct
         return guide
-    time = guide.path.grid
-    places, wanted = aims, turns = guide.path.poses(time)
+    time = guide.grid
+    places, wanted = aims, turns = guide.poses(time)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
         came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
         aims = checked(places, places - correction.shift(way, came))
         turns = wanted and correction.untwisted(wanted, way, came)
         postures.last = way[:1]
-    return replace(guide, aim=Path(time=time, place=aims, turn=turns, name=guide.path.name))
+    return replace(guide, aim=Path(time=time, place=aims, turn=turns, name=guide.name))
 
 
 def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolModel | None = None) -> Pass:
@@ -106,7 +106,7 @@ def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Rows, Array
     return rows, time[rows]
 
 
-def missed(arm: Arm, recording: Recording, guide: Ahead, b: int = 0) -> tuple[Array, Array]:
+def missed(arm: Arm, recording: Recording, guide: Path, b: int = 0) -> tuple[Array, Array]:
     """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` on the way of ``guide``."""
     rows, time = rows_on(recording, guide.route(), b)
     return time, guide.aimed.at(time) - tcp_position(arm, recording.position[rows, b])

@@ -59,6 +59,23 @@ Poses: TypeAlias = "tuple[Array, Orientation | None]"
 """Places (..., 3) [m] and orientations (...); None: any"""
 
 
+LEAD_IN = 2.0
+"""[s] at rest before a path"""
+
+
+class Route(NamedTuple):
+    """What an arm was to do, when it is over."""
+
+    begin: float
+    """[s] on the clock of the run"""
+    time: Array
+    """(K,) [s] from then on"""
+    place: Array
+    """(K, 3) [m]"""
+    aim: Array
+    """(K, 3) [m] the same, corrected"""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
     """Places over time, as a cubic spline."""
@@ -70,6 +87,8 @@ class Path:
     name: str = "path"
     turn: Orientation | None = None
     """(T,) of one kind and one weight; None: any"""
+    aim: Path | None = None
+    """corrected path with the same times; None: this one"""
     _values: CubicSpline = field(init=False, repr=False)  # of places, then of directions (3,) or quaternions (4,)
 
     def __post_init__(self) -> None:
@@ -114,6 +133,25 @@ class Path:
     def at(self, time: Array | float) -> Array:
         """Places (..., 3) [m] at ``time`` (...) [s]."""
         return self.poses(time)[0]
+
+    # --- as a guide of an arm, which first rests for `LEAD_IN` at the start --------------------
+
+    @property
+    def aimed(self) -> Path:
+        """The corrected path."""
+        return self.aim or self
+
+    def target(self, now: float) -> Array:
+        """Target (3,) [m] at ``now`` [s] on the clock of the run."""
+        return self.at(now - LEAD_IN)
+
+    def ahead(self, now: float, later: Array) -> Poses:
+        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
+        return self.aimed.poses(now - LEAD_IN + later)
+
+    def route(self) -> Route:
+        """Return all targets."""
+        return Route(LEAD_IN, self.grid, self.at(self.grid), self.aimed.at(self.grid))
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError unless ``arm`` can follow."""
@@ -247,8 +285,6 @@ def interpolated(time: Array, at: Array, places: Array) -> Array:
     return np.stack([np.interp(time, at, column) for column in places.T], axis=-1)
 
 
-LEAD_IN = 2.0
-"""[s] at rest before a path"""
 LAG = 0.08
 """[s] behind a stream"""
 EXTRAPOLATED = 0.2
@@ -256,46 +292,6 @@ EXTRAPOLATED = 0.2
 _MOST_TURN = float(np.radians(120.0))
 """[rad] between targets of a stream"""
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
-
-
-class Route(NamedTuple):
-    """What an arm was to do, when it is over."""
-
-    begin: float
-    """[s] on the clock of the run"""
-    time: Array
-    """(K,) [s] from then on"""
-    place: Array
-    """(K, 3) [m]"""
-    aim: Array
-    """(K, 3) [m] the same, corrected"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ahead:
-    """A planned path, after a rest at its start."""
-
-    path: Path
-    aim: Path | None = None
-    """corrected path with the same times"""
-
-    @property
-    def aimed(self) -> Path:
-        """The corrected path."""
-        return self.aim or self.path
-
-    def place(self, now: float) -> Array:
-        """Target (3,) [m] at ``now`` [s]."""
-        return self.path.at(now - LEAD_IN)
-
-    def poses(self, now: float, later: Array) -> Poses:
-        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
-        return self.aimed.poses(now - LEAD_IN + later)
-
-    def route(self) -> Route:
-        """Return all targets."""
-        time = self.path.grid
-        return Route(LEAD_IN, time, self.path.at(time), self.aimed.at(time))
 
 
 Corrected = Callable[[Array, Orientation | None], Poses]
@@ -313,6 +309,7 @@ class Stream:
     lag: float = LAG
     """[s]"""
     corrected: Corrected | None = None
+    name: str = "stream"
     time: list[float] = field(default_factory=list)
     """[s] arrivals on the clock of the run"""
     rows: list[Array] = field(default_factory=list)
@@ -353,18 +350,18 @@ class Stream:
         """Whether an arm followed it."""
         return self._now > 0.0
 
-    def place(self, now: float) -> Array:
+    def target(self, now: float) -> Array:
         """Target (3,) [m] in force."""
         self._now = now
         return self._between(np.array([now]), now)[0, :3]
 
-    def poses(self, now: float, later: Array) -> Poses:
-        """See `Ahead`."""
+    def ahead(self, now: float, later: Array) -> Poses:
+        """See `Path`."""
         self._now = now
         return self._aims(self._between(now + later - self.lag, now))
 
     def route(self) -> Route:
-        """See `Ahead`."""
+        """See `Path`."""
         rows, time = np.array(self.rows), np.array(self.time)
         return Route(self.time[0], time - time[0], rows[:, :3], self._aims(rows)[0])
 
@@ -410,8 +407,8 @@ class Stream:
         return interpolated(time, times, known) + beyond * velocity
 
 
-Guide: TypeAlias = Ahead | Stream
-"""Target of one arm over time: `place`, `poses` in ``later`` (k,) [s] than ``now``, and the `route` when it is over"""
+Guide: TypeAlias = Path | Stream
+"""Target of one arm over time: `target`, `ahead` in ``later`` (k,) [s] than ``now``, and the `route` when it is over"""
 
 
 class PathReference(Reference):
@@ -420,7 +417,7 @@ class PathReference(Reference):
     def __init__(self, arm: Arm, guides: Sequence[Guide], home: Array | None = None) -> None:
         """``home`` (n,) or (B, n) [rad]: postures stay near to it; None: rest."""
         self._arm, self._guides, self._home, self.count = arm, guides, home, len(guides)
-        self.waits = np.array([isinstance(guide, Ahead) for guide in guides])
+        self.waits = np.array([isinstance(guide, Path) for guide in guides])
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:  # noqa: ARG002 - all at once
         """See `Reference`."""
@@ -431,7 +428,7 @@ class PathReference(Reference):
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
         """See `Reference`."""
-        place = np.stack([guide.place(float(now)) for guide, now in zip(self._guides, since, strict=True)])
+        place = np.stack([guide.target(float(now)) for guide, now in zip(self._guides, since, strict=True)])
         aims, turns = self.poses(since, np.zeros((1, self.count)))
         return Setpoint(
             goal=self._now.at(aims, turns)[0],
@@ -445,6 +442,6 @@ class PathReference(Reference):
     def poses(self, now: Array, later: Array) -> Poses:
         """Corrected targets (k, B, 3) [m] and orientations (k, B), ``later`` (k, B) [s] than ``now`` (B,)."""
         columns = zip(self._guides, now, later.T, strict=True)
-        places, turns = zip(*(guide.poses(float(time), column) for guide, time, column in columns), strict=True)
+        places, turns = zip(*(guide.ahead(float(time), column) for guide, time, column in columns), strict=True)
         known = [turn for turn in turns if turn is not None]
         return np.stack(places, axis=1), stacked(known, axis=1) if len(known) == self.count else None

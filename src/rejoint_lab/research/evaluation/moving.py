@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path as FilePath
 
@@ -19,7 +19,6 @@ from rejoint.control.moving.reference import (
     LAG,
     LEAD_IN,
     STANDARD,
-    Ahead,
     Guide,
     Path,
     PathReference,
@@ -81,7 +80,7 @@ def _follow(
     pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins(), seeds, strict=True) for name in STANDARD]
     servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
     paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
-    ahead, home = [Ahead(path=path) for path in paths], home_of(arm, servos)
+    home = home_of(arm, servos)
     worn, columns = [load_wear(f"worn?seed={seed}", arm) for _, seed, _ in pairs], list[list[list[float]]]()
 
     def drive(
@@ -95,20 +94,20 @@ def _follow(
         controller = Tracker(arm, servos) if tracks else DefaultController(arm)
         recording = run(robot, controller, PathReference(arm, guides, near), plan)
         if case in CASES:
-            errors = [judge(arm, recording, Ahead(path=path), b).encoder for b, path in enumerate(paths)]
+            errors = [judge(arm, recording, path, b).encoder for b, path in enumerate(paths)]
             ends = zip(errors, recording.tripped, strict=True)
             columns.append([[*asdict(one).values(), float(end > 0)] for one, end in ends])
         return recording
 
-    drive(HEALTHY, [load_wear("healthy", arm)] * len(worn), ahead, tracks=False)
-    drive(SENT, worn, ahead, tracks=False)
-    known, lessons = ahead, [Repetition(path) for path in paths]
+    drive(HEALTHY, [load_wear("healthy", arm)] * len(worn), paths, tracks=False)
+    drive(SENT, worn, paths, tracks=False)
+    known, lessons = paths, [Repetition(path) for path in paths]
     for time in range(REPETITIONS):
         case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, f"time {time + 1}")
         recording = drive(case, worn, known, noise=time)
         known = [
-            Ahead(path=one.path, aim=lesson.learn(one.aimed, *missed(arm, recording, Ahead(path=one.path), b)))
-            for b, (one, lesson) in enumerate(zip(known, lessons, strict=True))
+            replace(path, aim=lesson.learn(one.aimed, *missed(arm, recording, path, b)))
+            for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
         ]
     drive(STREAM, worn, [played(path, RATE) for path in paths])
     names = (*(f.name for f in fields(Along)), "stopped")
