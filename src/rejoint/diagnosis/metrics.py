@@ -243,6 +243,9 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     load = np.abs(motion.gravity)
     light = load <= np.quantile(load, _LIGHT)  # at its torque limit a joint yields more than its law says
     fit = fit_trimmed(motion.design, motion.error[0], motion.cluster, light)
+    beyond = (motion.error[0] - motion.design @ fit.coefficients) * np.sign(motion.gravity)
+    if np.median(beyond) < 0.0:  # but never less
+        fit = fit_trimmed(motion.design, motion.error[0], motion.cluster)
     follows = 1.0 if data.arm.name in CATALOGUE else _follows(data, motion, joint)
     return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows)
 

@@ -349,6 +349,8 @@ def identify_logs(
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
         note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
+        belief = decide_compensation(unknown_prior(arm), arm, every, excluded)
+        structure = replace(structure, prior=without(belief, structure.frozen))
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
     on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
@@ -411,7 +413,7 @@ def settle(
     fast = fastest(windows, logs, settings.fast_seconds)
     every = merged(thin(windows, logs, settings.fit_seconds), fast)
     problem = _problem(arm, logs, every, structure, settings, stride=1.0)
-    return problem, fit(problem, start, REFINEMENT, SCALES)
+    return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
 
 
 def _problem(
