@@ -136,47 +136,33 @@ def check(
     >>> found = rejoint.check("emulated:healthy?hours=6", notes=notes, tolerance_mm=6.0)
     >>> print(found.line)
     """
-    said = notes or CheckNotes()
-    used_h, when = said.used_h, said.when
+    from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
+    from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
+
+    said, chosen, home = notes or CheckNotes(), settings or Settings(), Path(history)
+    when = said.when
     if when is not None and when.tzinfo is not None:
         when = when.astimezone(UTC).replace(tzinfo=None)
     if tolerance_mm is not None:
         as_positive("check", tolerance_mm, "a tolerance in millimetres")
     if name is not None and not any(map(str.isalnum, name)):  # a variable of a script that is not set, say
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
-    address, chosen = address_of(robot), arm_of(robot, arm)
+    address, built = address_of(robot), arm_of(robot, arm)
     head = HistoryRow(
         time=utc_now() if when is None else when,
         kind="check",
-        arm=name_of(address, chosen.name) if name is None else plain_name(name),
+        arm=name_of(address, built.name) if name is None else plain_name(name),
         robot=address,
-        model=chosen.name,
-        setup=setup_of(chosen),
+        model=built.name,
+        setup=setup_of(built),
         tolerance_mm=tolerance_mm,
-        used_h=hours_of(address) if used_h is None else used_h,
+        used_h=hours_of(address) if said.used_h is None else said.used_h,
     )
-    with pacing(observer) as update:
-        return _once(robot, chosen, head, Path(history), said, settings or Settings(), observer, update)
-
-
-def _once(
-    robot: RobotLike,
-    arm: Arm,
-    head: HistoryRow,
-    home: Path,
-    notes: CheckNotes,
-    settings: Settings,
-    observer: Observer | None,
-    on_progress: Progress,
-) -> Checked:
-    from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
-    from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
-
     rows, unread = find_rows(home, head.arm)
     if any(row.kind == "repair" for row in rows):  # whose it was is told by the checks of all arms
         rows, unread = find_rows(home)
-    past = past_of(rows, head.arm, name_of(head.robot, arm.name))
-    begins = MOVED if notes.moved else SET_UP if past.setup not in ("", head.setup) else ""
+    past = past_of(rows, head.arm, name_of(address, built.name))
+    begins = MOVED if said.moved else SET_UP if past.setup not in ("", head.setup) else ""
     visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
     if mine and mine[-1].time >= head.time:
@@ -185,27 +171,29 @@ def _once(
             f"date than that, got {head.time:%Y-%m-%d %H:%M} (UTC): set the clock right; if it was wrong then, delete "
             f"that check in {home / CHECKS / head.arm}"
         )
-    tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
+    tolerance = mine[-1].tolerance_mm if tolerance_mm is None and mine else tolerance_mm
     for killed in sorted((home / CHECKS / head.arm).glob("*")):
         for path in recover(killed):
             _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
-    chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
-    with ExitStack() as stack:
-        if settings.dry_run:  # what it finds in a simulation is no check of the arm
+    if chosen.seed is None:
+        chosen = replace(chosen, seed=len(mine))
+    with pacing(observer) as update, ExitStack() as stack:
+        if chosen.dry_run:  # what it finds in a simulation is no check of the arm
             home = Path(stack.enter_context(TemporaryDirectory(prefix="rejoint-dry-run-")))
         folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
-        with noted(), ArmSession(robot, arm=arm, settings=chosen, observer=observer) as session:
-            log, warm = _drive(session.robot, folder, on_progress)
-        require_followed(arm, log)
-        measures = measure_check(arm, log, warm)
-        now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
-        found = outlook([*visits, now], tolerance, left_mm=left)
-        line = say(found, head.robot, _described(head.robot, arm))
+        with noted(), ArmSession(robot, arm=built, settings=chosen, observer=observer) as session:
+            log, warm = _drive(session.robot, folder, update)
+        require_followed(built, log)
+        measures = measure_check(built, log, warm)
+        found = outlook(
+            [*visits, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance, left_mm=left
+        )
+        line = say(found, address, _described(address, built))
         if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
             then = mine[-1].model if mine else "another"
             line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
         result = Checked(
-            arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
+            arm=head.arm, robot=address, line=line, outlook=found, measures=measures, folder=folder, unread=unread
         )
         with saving(result):
             write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))

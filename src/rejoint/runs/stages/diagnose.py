@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
-from rejoint.control.robot import Robot
 from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog, write_log
@@ -32,7 +31,6 @@ from rejoint.session.inputs import (
     source_of,
 )
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
@@ -117,65 +115,46 @@ def diagnose(
     >>> print(found.verdict)
     >>> rejoint.diagnose("logs", arm="so101").findings[0].sentence
     """
-    chosen = settled(settings, None, None)[0]
     if not is_robot(source):
-        if chosen.period is not None:
-            raise InputError("diagnosis: logs have the control period that they have; leave it out")
         with pacing(observer) as update:
             return Diagnosed(diagnosis=_from_logs(cast(LogsLike, source), arm, run, healthy, update))
-    robot = cast(RobotLike, source)
+    robot, chosen = cast(RobotLike, source), settled(settings, None, None)[0]
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    about = run_about(run, address_of(robot), built, chosen.seed)
+    about = None if chosen.dry_run else run_about(run, address_of(robot), built, chosen.seed)
     with (
         pacing(observer) as update,
         noted(),
-        ArmSession(
-            robot, run=None if chosen.dry_run else about, arm=built, settings=chosen, observer=observer
-        ) as session,
+        ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
     ):
+        from rejoint.diagnosis.diagnosis import judge
+        from rejoint.diagnosis.excitation import record
+        from rejoint.diagnosis.healthy import as_set
+
         reference = _reference(built, healthy, address_of(robot))
         with session.metered("diagnose") as driven:
+            gains = gains_in_force(driven)
             if healthy is None:
-                reference = _as_set(driven, reference)
-            found = _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
-        if session.run is not None:
-            keep(session.run, session.settings)
-        return found
+                voltage = driven.read().voltage
+                reference = as_set(driven.arm, reference, gains, None if voltage is None else voltage[0])
+            (logs,) = record(driven, seed=session.seed, on_progress=update)
+            found = replace(judge(driven.arm, logs, reference), servo_gains=None if gains is None else dict(gains))
+            result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
+            if session.run is not None:
+                with saving(result):
+                    _write(session.run, result, quick=quick)
+                keep(session.run, session.settings)
+        return result
 
 
-def _drive(
-    robot: Robot, run: Run | None, healthy: HealthyReference | None, seed: int, *, quick: bool, on_progress: Progress
-) -> Diagnosed:
-    from rejoint.diagnosis.diagnosis import judge
-    from rejoint.diagnosis.excitation import record
-
-    (logs,) = record(robot, seed=seed, on_progress=on_progress)
-    found = judge(robot.arm, logs, healthy)
-    gains = gains_in_force(robot)
-    found = replace(found, servo_gains=None if gains is None else dict(gains))
-    result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
-    if run is not None:
-        with saving(result):
-            run.begin()
-            mark_quick(run, quick=quick)
-            _write(run.folder, result)
-            summarise(run)
-    return result
-
-
-def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReference | None:
-    from rejoint.diagnosis.healthy import as_set
-
-    voltage = robot.read().voltage
-    return as_set(robot.arm, reference, gains_in_force(robot), None if voltage is None else voltage[0])
-
-
-def _write(folder: RunFolder, result: Diagnosed) -> None:
+def _write(run: Run, result: Diagnosed, *, quick: bool) -> None:
+    run.begin()
+    mark_quick(run, quick=quick)
     for name in ("targets", "excitation"):
-        set_aside(folder.log(name))
-        write_log(folder.log(name), getattr(result, name))
-    set_aside(folder.diagnosis)
-    write_json(folder.diagnosis, result.diagnosis)
+        set_aside(run.folder.log(name))
+        write_log(run.folder.log(name), getattr(result, name))
+    set_aside(run.folder.diagnosis)
+    write_json(run.folder.diagnosis, result.diagnosis)
+    summarise(run)
 
 
 def _from_logs(
@@ -205,8 +184,7 @@ def _reference(arm: Arm, healthy: RunLike | Diagnosis | None, robot: str = "") -
 
     if healthy is None:
         return healthy_reference(arm, robot)
-    if isinstance(healthy, Run):
-        healthy = healthy.path
     if not isinstance(healthy, Diagnosis):
-        healthy = read_json(RunFolder(Path(healthy)).diagnosis, Diagnosis)
+        folder = healthy.folder if isinstance(healthy, Run) else RunFolder(Path(healthy))
+        healthy = read_json(folder.diagnosis, Diagnosis)
     return reference_by(arm, healthy)

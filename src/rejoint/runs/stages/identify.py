@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 from rejoint.control.recording import Observer, pacing
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
@@ -31,7 +31,6 @@ from rejoint.session.inputs import (
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
@@ -124,30 +123,23 @@ def identify(
             require_commands(motions, "identification")
             if about is None and of_diagnosis(motions):
                 return fit(chosen, motions, update, seed=as_seed(seed), **less)
+            from rejoint.twin.identify import LogSettings, identify_logs
+
             drawn = about.seed if seed is None and about is not None else as_seed(seed)
-            twin = _from_any_motion(chosen, motions, what, drawn, update, quick=quick)
+            short: dict[str, Any] = {
+                "coarse_seconds": 20.0,
+                "fit_seconds": 20.0,
+                "fast_seconds": 5.0,
+                "contact_seconds": 20.0,
+            }
+            hold_out = None if what.hold_out is None else tuple(what.hold_out)
+            how = LogSettings(hold_out=hold_out, seed=drawn, **(short if quick else {}))
+            twin = identify_logs(chosen, motions, how, update, what.beside)
+            twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
             if about is not None:
                 _write(about.begin(), twin)
                 mark_quick(about, quick=quick)
         return twin
-
-
-def _from_any_motion(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    plan: LogPlan,
-    seed: int,
-    on_progress: Progress,
-    *,
-    quick: bool,
-) -> Twin:
-    from rejoint.twin.identify import LogSettings, identify_logs
-
-    settings = LogSettings(hold_out=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed)
-    if quick:
-        settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
-    twin = identify_logs(arm, logs, settings, on_progress, plan.beside)
-    return replace(twin, notes=(*twin.notes, *forced_remarks(logs)))
 
 
 def _motions(run: Run) -> list[RunLog]:
@@ -238,15 +230,13 @@ def replay(
     known.require(chosen)
     motions = as_logs(logs)
     require_commands(motions, "replay")
+    page = None
     with nullcontext() if out is None else locked(RunFolder(Path(out))):
         paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
         judgement = judge_paths(chosen, paths, motions)
-        page = None if out is None else _write_replay(Path(out), judgement, twin, logs)
+        if out is not None:
+            from rejoint.pages.report.page import write_replay
+
+            named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
+            page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
     return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
-
-
-def _write_replay(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> Path:
-    from rejoint.pages.report.page import write_replay
-
-    named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
-    return write_replay(out, judgement, twin=named[0], logs=named[1])
