@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from calendar import month_name
 from collections.abc import Sequence
 from datetime import datetime
 from typing import NamedTuple
@@ -142,7 +141,7 @@ def day_and_time(text: str) -> str:
         when = datetime.fromisoformat(text)
     except ValueError:
         return text
-    return f"{when.day} {month_name[when.month]} {when.year}, {when:%H:%M}"
+    return f"{when.day} {when:%B %Y, %H:%M}"
 
 
 def listed(words: Sequence[str], last: str) -> str:

@@ -265,27 +265,37 @@ class ArmProgress:
 
 
 class _Drive:
+    """Does the remaining steps of arms, and holds moving arms on Ctrl-C and SIGTERM."""
+
     def __init__(
         self, campaign: Campaign, arms: Sequence[FleetArm], executor: Executor, tell: Callable[[str], object]
     ) -> None:
         self.campaign, self.executor, self.tell = campaign, executor, tell
         self.arms = [ArmProgress(arm=arm, left=campaign.left(arm)) for arm in arms]
 
-    def until_done(self) -> None:
+    def run(self) -> None:
         """Run until nothing is left for this call."""
-        while True:
-            check()
-            for one in self.arms:
-                if one.end is None and one.running is None:
-                    self._begin(one)
-            if not any(one.running for one in self.arms):
-                return
-            for one in self.arms:
-                if not one.arm.hours.is_open(self.campaign.rules.now()):
-                    self._hold(one)
-            self._wait()
+        with noted():
+            try:
+                while self._turn():
+                    self._wait()
+            except BaseException:
+                with shielded():
+                    self._hold_all()
+                raise
 
-    def hold_all(self) -> None:
+    def _turn(self) -> bool:
+        """Begin and hold what the time asks for; returns whether anything is running."""
+        check()
+        for one in self.arms:
+            if one.end is None and one.running is None:
+                self._begin(one)
+        for one in self.arms:
+            if not one.arm.hours.is_open(self.campaign.rules.now()):
+                self._hold(one)
+        return any(one.running for one in self.arms)
+
+    def _hold_all(self) -> None:
         """Bring real arms to a hold."""
         for one in self.arms:
             self._hold(one)
@@ -345,24 +355,6 @@ class _Drive:
             one.code = PARTLY
             return
         one.end = "failed"
-
-
-def drive(
-    arms: Sequence[FleetArm], campaign: Campaign, executor: Executor, tell: Callable[[str], object]
-) -> list[ArmProgress]:
-    """Do all remaining steps; Ctrl-C and SIGTERM first bring moving arms to a hold.
-
-    Returns their progress, in the order of ``arms``.
-    """
-    call = _Drive(campaign, arms, executor, tell)
-    with noted():
-        try:
-            call.until_done()
-        except BaseException:
-            with shielded():
-                call.hold_all()
-            raise
-    return call.arms
 
 
 def refused(work: Work, rules: FleetRules) -> str:
@@ -514,8 +506,9 @@ def run_fleet(
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
         tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
         with executor(arms) as ready:
-            done = drive(arms, campaign, ready, tell)
-        rows = [_row(campaign, one) for one in done]
+            call = _Drive(campaign, arms, ready, tell)
+            call.run()
+        rows = [_row(campaign, one) for one in call.arms]
         result = FleetResult(
             verb=verb,
             rows=tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name))),
@@ -526,7 +519,7 @@ def run_fleet(
         )
         with saving(result):
             write_json(place / f"{verb}.json", replace(campaign.info, finished=result.finished))
-            for one in done:
+            for one in call.arms:
                 if one.trace:
                     write_text(place / f"bug-{one.arm.name}.txt", one.trace)
             write_page(result.page, "fleet.html", result=result, headers=HEADERS)
