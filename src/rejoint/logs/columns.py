@@ -296,20 +296,6 @@ def angles_of(frame: ColumnFrame, group: str, arm: Arm, options: ImportOptions) 
     return _GroupedColumns(frame, arm, options).values(group)[0]
 
 
-def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
-    """Whether titles, or the user's map, are a log's."""
-    mapped = {
-        part
-        for text in (options.columns or {}).values()
-        for part in (Linear.of(text, titles).column, *text.split(".."))
-    }
-    return bool(mapped & {*titles}) or any(
-        found[1] in MOTION and ("." in title or not found[2] or found[2][-1].isdigit())
-        for title in titles
-        if (found := _classified(title))
-    )
-
-
 def begun(motion: RecordedMotion, last: NDArray[np.int64]) -> RecordedMotion:
     """Rows with a ``last`` command (T,) from 0 on, at least two; FileError."""
     known = last >= 0

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.signal import fftconvolve
 
 from rejoint.arms import Arm
 from rejoint.logs.columns import FEWEST, NORMALISED_MOST, RecordedMotion, turn_bits, unit_by_steps
@@ -80,36 +79,30 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
 
 
 def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag | None:
+    """Lag by what the command's velocity leaves unexplained of the joints', at each lag."""
     width = max(round(max(_WINDOW, 4 * period) / step), 2)
     speed, asked = ((one[width:] - one[:-width]) / (width * step) for one in (moved, held))
     joints = np.sqrt(np.mean(asked**2, axis=0)) > _MOVING
-    speed, asked = speed[:, joints], asked[:, joints]
-    whole = np.stack([(speed**2).sum(axis=0), (asked**2).sum(axis=0)])
-    if not whole[0].any():
+    speed, asked, ones = speed[:, joints], asked[:, joints], np.ones((len(speed), joints.sum()))
+    if not speed.any():
         return None
     reach = min(round(SEARCHED / step), len(speed) // 2)
-    lags = np.arange(-reach, reach + 1)
-    unexplained = np.empty(len(lags))
-    for index, lag in enumerate(lags.tolist()):
-        later, sooner = speed[max(lag, 0) : len(speed) + min(lag, 0)], asked[max(-lag, 0) : len(asked) - max(lag, 0)]
-        power = np.stack([(later**2).sum(axis=0), (sooner**2).sum(axis=0)])
-        follows = np.maximum((later * sooner).sum(axis=0), 0.0) ** 2 / np.maximum(power.prod(axis=0), 1e-12)
-        # where motion is shifted out of the log, nothing is left to compare
-        follows[(power <= _OVERLAP * whole).any(axis=0)] = 0.0
-        unexplained[index] = whole[0] @ (1.0 - follows) / whole[0].sum()
-    return _chosen(step * lags.astype(float), unexplained, tolerance=max(step, 0.5 * period))
-
-
-def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
-    alike = bool(unexplained.min() < _UNLIKE)
-    unexplained = unexplained + _EXACT
+    later, sooner = np.stack([speed, speed**2, ones]), np.stack([asked, ones, asked**2])
+    sums = fftconvolve(later, sooner[:, ::-1], axes=1)[:, len(speed) - 1 - reach : len(speed) + reach]
+    power, whole = sums[1:], sums[1:, reach]
+    follows = np.maximum(sums[0], 0.0) ** 2 / np.maximum(power.prod(axis=0), 1e-12)
+    # where motion is shifted out of the log, nothing is left to compare
+    follows[(power <= _OVERLAP * whole[:, None]).any(axis=0)] = 0.0
+    unexplained = (1.0 - follows) @ whole[0] / whole[0].sum()
+    alike, unexplained = bool(unexplained.min() < _UNLIKE), unexplained + _EXACT
+    lags, tolerance = step * np.arange(-reach, reach + 1.0), max(step, 0.5 * period) + 1e-9
     best = int(np.argmin(unexplained))
-    near = np.flatnonzero((lags > PLAUSIBLE[0] - tolerance - 1e-9) & (lags < PLAUSIBLE[1] + tolerance + 1e-9))
+    near = np.flatnonzero((lags > PLAUSIBLE[0] - tolerance) & (lags < PLAUSIBLE[1] + tolerance))
     if best in near:
         return Lag(float(np.clip(lags[best], *PLAUSIBLE)), sure=True)
-    inside = int(near[np.argmin(unexplained[near])])
-    ratio = float(unexplained[inside] / unexplained[best])
-    return Lag(float(lags[best]), sure=alike and ratio > _SURE[inside not in (near[0], near[-1])])
+    inside = near[np.argmin(unexplained[near])]
+    ratio = unexplained[inside] / unexplained[best]
+    return Lag(float(lags[best]), sure=alike and bool(ratio > _SURE[inside not in (near[0], near[-1])]))
 
 
 def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
@@ -131,10 +124,8 @@ def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
     return Lag(best=best, sure=not PLAUSIBLE[0] - step < best < PLAUSIBLE[1] + step)
 
 
-FORCED = "forced"
-"""Key in ``extra`` of overridden reasons"""
-
-_BETWEEN = " | "
+FORCED, BETWEEN = "forced", " | "
+"""Key in ``extra`` of overridden reasons, and what parts them"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,15 +146,10 @@ class LogFindings:
         if problem not in self.reasons:
             self.reasons.append(problem)
 
-    @property
-    def extra(self) -> dict[str, str]:
-        """Entry of a log's ``extra``."""
-        return {FORCED: _BETWEEN.join(self.reasons)} if self.reasons else {}
-
 
 def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
-    """Reasons of `LogFindings.extra`."""
-    return tuple(extra[FORCED].split(_BETWEEN)) if extra.get(FORCED) else ()
+    """Overridden doubts of a log."""
+    return tuple(extra[FORCED].split(BETWEEN)) if FORCED in extra else ()
 
 
 def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
@@ -182,10 +168,8 @@ def states_alone(logs: Sequence[RunLog], what: str) -> bool:
     """Whether no log holds commands; InputError if some do."""
     bare = [log.label for log in logs if not log.commanded]
     if bare and len(bare) < len(logs):
-        raise InputError(
-            f"{what}: {len(bare)} of {len(logs)} logs hold no commands ({bare[0]}{', ...' * (len(bare) > 1)}); "
-            "put them into a folder of their own"
-        )
+        said = f"{what}: {len(bare)} of {len(logs)} logs hold no commands ({bare[0]}{', ...' * (len(bare) > 1)})"
+        raise InputError(f"{said}; put them into a folder of their own")
     return bool(bare)
 
 
@@ -201,13 +185,9 @@ def require_commands(logs: Sequence[RunLog], what: str) -> None:
 def copies(logs: Iterable[tuple[str, RunLog]]) -> dict[str, str]:
     """Return logs that repeat an earlier one, with its name."""
     first: dict[bytes, str] = {}
-    found: dict[str, str] = {}
-    for name, log in logs:
-        if np.ptp(log.position, axis=0).any():
-            key = sha256(np.concatenate([log.position, log.command]).tobytes()).digest()
-            if first.setdefault(key, name) != name:
-                found[name] = first[key]
-    return found
+    moving = ((name, log) for name, log in logs if np.ptp(log.position, axis=0).any())
+    keys = {name: np.concatenate([log.position, log.command]).tobytes() for name, log in moving}
+    return {name: first[key] for name, key in keys.items() if first.setdefault(key, name) != name}
 
 
 def refuse_copies(logs: Sequence[RunLog], what: str) -> None:
@@ -241,12 +221,17 @@ def clean(motion: RecordedMotion, found: LogFindings) -> RecordedMotion:
             "cut the file where the clock was set, or in a bag take the times of recording (--stamp log)",
         )
     fresh = np.concatenate([[True], steps > 0])[:rows]
-    lost = int((~fresh).sum())
+    lost, steps = int((~fresh).sum()), steps[steps > 0]
     if rows - lost < FEWEST:
         said = f"state: {rows - lost} sample(s), a log needs at least {FEWEST} with stamps of their own"
         raise FileError(motion.path, said, _TIME_REMEDY)
-    steps = steps[fresh[1:]]
     period = float(np.median(steps))
+    if not RATES[0] <= 1.0 / period <= RATES[1]:
+        said = f"state: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz"
+        raise FileError(motion.path, said, _TIME_REMEDY)
+    if period * 0.99 * SLOWEST > 1.0:
+        said = f"state: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
+        found.doubt(f"{said}: too few to show friction or lag", "record faster")
     if lost > LOST * rows:
         said = f"state: {lost} of {rows} samples have the stamp of the one before and are lost"
         found.doubt(said, "record finer stamps")
@@ -254,12 +239,6 @@ def clean(motion: RecordedMotion, found: LogFindings) -> RecordedMotion:
         first = motion.where(int(np.argmin(fresh)))
         found.notes.append(f"state: {lost} samples with a doubled stamp left out, first at {first}")
         motion = motion.take(fresh)
-    if not RATES[0] <= 1.0 / period <= RATES[1]:
-        said = f"state: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz"
-        raise FileError(motion.path, said, _TIME_REMEDY)
-    if period * 0.99 * SLOWEST > 1.0:
-        said = f"state: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
-        found.doubt(f"{said}: too few to show friction or lag", "record faster")
     if gaps := int((steps > GAP_PERIODS * period).sum()):
         worst = int(np.argmax(steps))
         found.notes.append(
@@ -276,20 +255,19 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found:
     """Check the declared unit of angles."""
     angles, unit = motion.position, motion.angle_unit
     extent = float(np.rad2deg(np.abs(angles).max()))
-    gear = max(float((np.ptp(angles, axis=0) / (arm.upper - arm.lower)).max()), 1.0)
-    motors = f"angles of the motors, before a gear of {gear:.2g} or more"
     if unit == "deg" and (bits := turn_bits(np.rad2deg(angles))):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
         found.doubt(f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY)
-    for what, values in (("state", angles), ("command", angles if motion.command is None else motion.command)):
-        far = np.abs(values)
-        if far.max() <= TWO_TURNS:
+    for what, values in {"state": angles, "command": motion.command}.items():
+        if values is None or np.abs(values).max() <= TWO_TURNS:
             continue
-        row, joint = np.unravel_index(int(np.argmax(far)), far.shape)
+        row, joint = _largest(np.abs(values))
+        gear = max(float((np.ptp(angles, axis=0) / (arm.upper - arm.lower)).max()), 1.0)
+        cause = f"degrees, or angles of the motors, before a gear of {gear:.2g} or more"
         raise FileError(
             motion.path,
-            f"{what}, {motion.where(int(row))}: {motion.columns[joint]} is {values[row, joint]:.4g} rad, "
-            f"beyond two turns; the values are {f'degrees, or {motors}' if unit == 'rad' else 'in another unit'}",
+            f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]:.4g} rad, "
+            f"beyond two turns; the values are {cause if unit == 'rad' else 'in another unit'}",
             f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}",
         )
     if unit == "deg" and extent <= 2 * np.pi:
@@ -326,15 +304,15 @@ LIMIT_MARGIN = 0.35
 def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
     """Check angles against limits and speeds of the arm."""
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position)
-    for joint, name in enumerate(arm.joint_names):
-        far, worst = float(np.mean(excess[:, joint] > LIMIT_MARGIN)), float(excess[:, joint].max())
-        beyond = f"state: {motion.columns[joint]} is beyond the limits of joint {name}"
-        if far > FAR_OUT:
+    far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
+    for joint in np.flatnonzero(worst > 0):
+        beyond = f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]}"
+        if far[joint] > FAR_OUT:
             limits = f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad)"
-            said = f"{beyond} {limits} in {100 * far:.0f} % of the samples, by up to {worst:.3g} rad"
+            said = f"{beyond} {limits} in {100 * far[joint]:.0f} % of the samples, by up to {worst[joint]:.3g} rad"
             found.doubt(said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}")
-        if worst > 0:
-            found.notes.append(f"{beyond} in {int((excess[:, joint] > 0).sum())} samples, by up to {worst:.3g} rad")
+        out = int((excess[:, joint] > 0).sum())
+        found.notes.append(f"{beyond} in {out} samples, by up to {worst[joint]:.3g} rad")
     if len(motion) >= SPEED_ROWS:
         _check_motion(motion, arm, found)
     if not np.ptp(motion.position, axis=0).any():
@@ -343,12 +321,12 @@ def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
 
 def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
     """Find single readings that jump out, steps to elsewhere, and speeds beyond the servos'."""
-    value, time, long = motion.position, motion.time, len(motion) > 4 * SPEED_ROWS
-    way, steps = np.diff(value, axis=0), np.diff(time)[:, None]
+    value, time, long = motion.position, motion.time[:, None], len(motion) > 4 * SPEED_ROWS
+    way, steps = np.diff(value, axis=0), np.diff(time, axis=0)
     out = np.abs(way[:-1] - way[1:]) / 2
     single = (out > SPIKE) & (np.abs(value[2:] - value[:-2]) < 0.5 * out)
     if single.any():
-        row, joint = _largest(out, single)
+        row, joint = _largest(out * single)
         said = (
             f"state: {int(single.sum())} single reading(s) jump out and back, the farthest by {out[row, joint]:.3g} rad"
             f" in {motion.where(row + 1)}, {motion.columns[joint]}"
@@ -357,8 +335,8 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
             found.doubt(f"{said}: as if the samples of two arms took turns", "give each arm a file of its own")
         found.notes.append(f"{said}; is the file damaged?")
     if long:
-        moved = np.abs(value[SPEED_ROWS:] - value[:-SPEED_ROWS])
-        usual = np.percentile(moved / (time[SPEED_ROWS:] - time[:-SPEED_ROWS])[:, None], 90, axis=0)
+        speed = np.abs(value[SPEED_ROWS:] - value[:-SPEED_ROWS]) / (time[SPEED_ROWS:] - time[:-SPEED_ROWS])
+        usual = np.percentile(speed, 90, axis=0)
         joint = int(np.argmax(usual / arm.max_speed))
         if usual[joint] > TOO_FAST * arm.max_speed[joint]:
             said = f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
@@ -368,7 +346,7 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
     jumped = far[1:-1] > SPIKE + 0.25 * SHARPEST * steps**2 + 3.0 * np.maximum(far[:-2], far[2:])
     jumped &= far[:-2].any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
     if jumped.any():
-        row, joint = _largest(far[1:-1], jumped)
+        row, joint = _largest(far[1:-1] * jumped)
         found.doubt(
             f"state: {int(jumped.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, farthest "
             f"{motion.columns[joint]} by {way[row + 1, joint]:.3g} rad in {steps[row, 0]:.3g} s at "
@@ -377,8 +355,9 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
         )
 
 
-def _largest(size: Array, chosen: NDArray[np.bool_]) -> tuple[int, int]:
-    row, joint = np.unravel_index(int(np.argmax(np.where(chosen, size, 0.0))), size.shape)
+def _largest(size: Array) -> tuple[int, int]:
+    """Row and joint of the largest value."""
+    row, joint = np.unravel_index(int(np.argmax(size)), size.shape)
     return int(row), int(joint)
 
 
@@ -411,8 +390,7 @@ def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
     """
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
-    error, spans = state - command, np.ptp(command, axis=0)
-    gains = np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
+    error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     _check_copies(motion, command, found)
     for joint, name in enumerate(motion.columns):
         own, best = highest[joint, joint], int(np.argmax(highest[joint]))
@@ -425,10 +403,10 @@ def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
         if own < RELATED[0] and lowest[joint, joint] < -RELATED[1]:
             said = f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f})"
             found.notes.append(f"{said}; is its axis turned around?")
-        far = np.abs(error[:, joint])
-        left = float((far - np.minimum.accumulate(far)).max())
-        if left > LEFT and not spans[joint]:
-            said = f"the command of {name} never changes, yet it moves away from it by {left:.3g} rad"
+        left = np.abs(error[:, joint])
+        left -= np.minimum.accumulate(left)
+        if left.max() > LEFT and not np.ptp(command[:, joint]):
+            said = f"the command of {name} never changes, yet it moves away from it by {left.max():.3g} rad"
             remedy = "give what was sent, or leave the columns of the commands out"
             found.doubt(f"{said}: not this command moved the arm", remedy)
         if len(motion) < FEWEST_MOVING:
@@ -443,7 +421,7 @@ def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
             if high - low < abs(apart) / 2 and gain > FOLLOWED:
                 found.doubt(said, "check unit, joint order and zero of states and commands")
             found.notes.append(f"state: {said}: a weak servo, or another zero")
-    _check_lag(find_lag(motion.time, state, command), float(np.ptp(motion.time)), found)
+    _check_lag(motion, command, found)
 
 
 def _check_copies(motion: RecordedMotion, command: Array, found: LogFindings) -> None:
@@ -464,15 +442,16 @@ def _check_copies(motion: RecordedMotion, command: Array, found: LogFindings) ->
             return
 
 
-def _check_lag(lag: Lag | None, seconds: float, found: LogFindings) -> None:
-    if lag is None and seconds >= SHORTEST:
-        found.notes.append("state: nothing moves fast enough to tell whether states and commands have one clock")
-    if lag is None or lag.plausible:
+def _check_lag(motion: RecordedMotion, command: Array, found: LogFindings) -> None:
+    lag = find_lag(motion.time, motion.position, command)
+    if lag is None:
+        if np.ptp(motion.time) >= SHORTEST:
+            found.notes.append("state: nothing moves fast enough to tell whether states and commands have one clock")
         return
-    at = f"{abs(lag.best):.2g} s {'before' if lag.best < 0 else 'after'}" + " or more" * (
-        abs(lag.best) > SEARCHED - 0.06
-    )
-    said = f"best {at} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
+    if lag.plausible:
+        return
+    side, more = "before" if lag.best < 0 else "after", " or more" * (abs(lag.best) > SEARCHED - 0.06)
+    said = f"best {abs(lag.best):.2g} s {side}{more} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
     if not lag.sure:
         shows = "this motion does not tell surely whether the clocks differ"
         found.notes.append(f"state: follows its commands {said}; {shows}")

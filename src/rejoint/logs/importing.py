@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,18 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.logs.bags import MCAP, ROSBAG
-from rejoint.logs.columns import FEWEST, RawMotion, RecordedMotion, read_motion
-from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
+from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
+from rejoint.logs.consistency import (
+    BETWEEN,
+    FORCED,
+    GAP_PERIODS,
+    LogFindings,
+    check_agreement,
+    check_states,
+    check_units,
+    clean,
+    copies,
+)
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
@@ -33,9 +42,10 @@ PAUSE = 1.0
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `DAMAGED`."""
-    notes, bad = list(motion.notes), _corrupt(motion, "state", motion.position) | ~np.isfinite(motion.time)
-    if motion.command is not None:
-        bad |= _corrupt(motion, "command", motion.command)
+    notes, bad = list(motion.notes), ~np.isfinite(motion.time)
+    for what, values in {"state": motion.position, "command": motion.command}.items():
+        if values is not None:
+            bad |= _corrupt(motion, what, values)
     good = np.flatnonzero(~bad)
     steps = np.diff(motion.time[good])
     if not len(steps) or not (steps >= 0).all():
@@ -54,8 +64,6 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     if bad.any():
         first = motion.where(int(np.argmax(bad)))
         notes.append(f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; {cut}")
-    if lost := len(good) - sum(map(len, kept)):
-        notes.append(f"{lost} lone sample(s) left out")
     for index, piece in enumerate(kept, start=1):
         name = f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name
         yield replace(motion.take(piece), name=name, notes=tuple(notes))
@@ -64,13 +72,13 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
 def _corrupt(motion: RecordedMotion, what: str, values: Array) -> NDArray[np.bool_]:
     """Return rows (T,) with a corrupt number."""
     missing = ~np.isfinite(values).all(axis=1)
-    if missing.sum() > DAMAGED * len(values):
+    if missing.mean() > DAMAGED:
         row, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
         said = f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]}, one "
         said += f"of {int(missing.sum())} rows with values that are not finite"
         raise FileError(motion.path, said, "mend the values or cut the rows")
-    huge = ~(np.abs(values) <= TWO_TURNS).all(axis=1)
-    return np.asarray(huge if huge.sum() <= DAMAGED * len(values) else missing)
+    huge = missing | (np.abs(values) > TWO_TURNS).any(axis=1)
+    return np.asarray(huge if huge.mean() <= DAMAGED else missing)
 
 
 _EPOCH = 1e8
@@ -102,6 +110,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         if not powered.all():
             found.notes.append(f"state: {int((~powered).sum())} rows without torque")
     off, unknown = options.torque_off or (), np.full((rows, 3), np.nan)
+    told = {FORCED: BETWEEN.join(found.reasons), UNPOWERED: ",".join(off)}
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -110,16 +119,15 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         time=motion.time,
         position=motion.position,
         command=np.full_like(motion.position, np.nan) if motion.command is None else motion.command,
-        extra=extra | found.extra | ({UNPOWERED: ",".join(off)} if off else {}),
+        extra=extra | {key: text for key, text in told.items() if text},
         units=dict(motion.units),
         **{"target": unknown, "true_tcp": unknown, **motion.more},
     )
     silent = [joint for joint in unpowered_joints(log) if joint not in off]
-    return log, [
-        *found.notes,
-        *(f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent),
-        *(f"imported by force, although {reason}" for reason in found.reasons),
-    ]
+    found.notes.extend(
+        f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent
+    )
+    return log, [*found.notes, *(f"imported by force, although {reason}" for reason in found.reasons)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +141,8 @@ class Imported:
     """failed logs with reasons"""
 
 
-READERS: dict[str, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
+TEXT = "table"
+READERS: dict[str, Reader] = {"sage": SAGE, TEXT: TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 FORMATS = tuple(READERS)
 """Importable formats"""
 
@@ -187,30 +196,32 @@ def import_logs(
     paths = READERS[chosen].found(source, options) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
-    beside = [file.name for file in sorted(source.glob("*.csv")) if file not in paths] if chosen == "table" else []
-    notes = (
-        {f"files without columns of a log left out: {', '.join(beside)}": [_file_name(source.name)]} if beside else {}
-    )
     logs: dict[str, RunLog] = {}
+    notes: dict[str, list[str]] = {}
     refused: list[tuple[str, FileError]] = []
-    refusing = partial(_refusing, refused)
+
+    @contextmanager
+    def refusing(name: str) -> Iterator[None]:
+        """Note a FileError and go on."""
+        try:
+            yield
+        except FileError as error:
+            refused.append((_file_name(name), error))
+
     for done, path in enumerate(paths, start=1):
-        motions: list[RawMotion] = []
         with refusing(path.stem):
-            motions += READERS[chosen].read(path, options)
-        for motion in motions:
-            parts: list[RecordedMotion] = []
-            with refusing(motion.name):
-                parts += parted(read_motion(motion, arm, options, source=path.resolve(), kind=chosen))
-            for part in parts:
-                name = _file_name(part.name)
-                with refusing(name):
-                    log, remarks = to_log(part, arm, options)
-                    if name in logs:
-                        raise FileError(source, f"a second log with the name {name}", "import it into another folder")
-                    logs[name] = log
-                    for remark in dict.fromkeys(remarks):
-                        notes.setdefault(remark, []).append(name)
+            for motion in READERS[chosen].read(path, options):
+                with refusing(motion.name):
+                    for part in parted(read_motion(motion, arm, options, source=path.resolve(), kind=chosen)):
+                        name = _file_name(part.name)
+                        with refusing(name):
+                            log, remarks = to_log(part, arm, options)
+                            if name in logs:
+                                said = f"a second log with the name {name}"
+                                raise FileError(source, said, "import it into another folder")
+                            logs[name] = log
+                            for remark in dict.fromkeys(remarks):
+                                notes.setdefault(remark, []).append(name)
         on_progress(done / len(paths), _file_name(path.stem))
     for name, original in copies(logs.items()).items():
         del logs[name]
@@ -237,8 +248,8 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         fitting = [name for name, reader in READERS.items() if reader.found(source, options)]
-        if source.is_file() and len(fitting) > 1:  # the first bytes are surer than that it is text
-            fitting.remove("table")
+        if len(fitting) > 1 and TEXT in fitting:  # first bytes and names are surer than that it is text
+            fitting.remove(TEXT)
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
@@ -246,15 +257,6 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
         held = " and ".join(fitting)
         raise FileError(source, f"holds logs of the formats {held}", "say with --format which to import")
     return fitting[0]
-
-
-@contextmanager
-def _refusing(refused: list[tuple[str, FileError]], name: str) -> Iterator[None]:
-    """Note a FileError and go on."""
-    try:
-        yield
-    except FileError as error:
-        refused.append((_file_name(name), error))
 
 
 def _file_name(motion: str) -> str:

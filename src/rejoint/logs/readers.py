@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.logs.columns import ColumnFrame, RawMotion, holds_positions
+from rejoint.logs.columns import ColumnFrame, RawMotion
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
 from rejoint.system.errors import FileError
@@ -76,31 +76,25 @@ _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
 _AGAIN = "record it again, or write its columns as text"
 
 
-def _tables(source: Path, options: ImportOptions) -> list[Path]:
+def _tables(source: Path, _: ImportOptions) -> list[Path]:
     if not source.is_dir():
-        return [source] * (source.is_file() and _titles(source) is not None)
-    held = {file: _titles(file) for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS}
-    known = options.names or ()
-    return [
-        file
-        for file, titles in held.items()
-        if titles == () or (titles and holds_positions([*titles, *known], options))
-    ]
+        return [source] * (source.is_file() and _holds_columns(source))
+    return [file for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS and _holds_columns(file)]
 
 
-def _titles(file: Path) -> tuple[str, ...] | None:
-    """Titles of a file; empty for JSON and archives, None for other files."""
-    kinds = {".npz": b"PK\x03\x04", ".json": b"{"}
-    kind = kinds.get(file.suffix.lower())
-    if kind is not None and begins_with(file, kind):
-        return ()
-    sheet = head(file)
-    return None if sheet is None else sheet.titles
+def _holds_columns(file: Path) -> bool:
+    return _columns_of(file) is not None or head(file) is not None
+
+
+def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | None:
+    """Reader of the columns of a file by its ending and first bytes; None: not of text."""
+    magic, read = _KINDS.get(file.suffix.lower(), (b"", None))
+    return read if magic and begins_with(file, magic) else None
 
 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
-    if _titles(file) == ():
-        columns, found = (_archive if file.suffix.lower() == ".npz" else _records)(file)
+    if (read := _columns_of(file)) is not None:
+        columns, found = read(file)
         return [RawMotion(file.stem, [ColumnFrame.of(file, columns, found=found)])]
     sheet = read_sheet(file, names=options.names, whole=False)
     frame = ColumnFrame(
@@ -152,6 +146,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     return columns, "a NumPy archive"
 
 
+_KINDS = {".npz": (b"PK\x03\x04", _archive), ".json": (b"{", _records)}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")
