@@ -25,15 +25,13 @@ from rejoint.logs.readers import Reader
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
-from rejoint.system.files import MEGABYTE, begins_with, reading, require_file
+from rejoint.system.files import begins_with, reading, require_file
 from rejoint.system.textfile import shown
 
 NANOSECONDS = 1_000_000_000
 REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
 _RECORD_LIMIT = 1 << 28
 """[bytes] (chosen: larger than recorded chunks)"""
-_CHUNK_MOST = 1000 * MEGABYTE
-"""[bytes] (chosen: a thousand times recorded chunks)"""
 
 
 Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
@@ -63,12 +61,9 @@ def _open_mcap(file: Path) -> Iterator[Opened]:
     with file.open("rb") as stream:
         reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
         summary = reader.get_summary()
-        if summary is None or summary.statistics is None:
+        if summary is None:
             channels = ((schema, channel) for schema, channel, _ in reader.iter_messages(log_time_order=False))
         else:
-            largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
-            if largest > _CHUNK_MOST:
-                raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
             channels = ((summary.schemas.get(one.schema_id), one) for one in summary.channels.values())
 
         def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:

@@ -83,10 +83,6 @@ def _normalised_step(values: Array) -> float | None:
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
     """Calibrated range (n,) [counts] of joints from normalised readings (T, n); FileError without enough motion."""
-    kind, why = unit_by_steps(raw)
-    if kind == "deg":
-        said = f"the states are degrees, but --angle-unit says normalised: {why}"
-        raise FileError(path, said, "set --angle-unit deg")
     counts = []
     for joint, name in zip(raw.T, arm.joint_names, strict=True):
         step = next((_normalised_step(one) for one in readings(joint[:, None], 4)), None)
@@ -317,14 +313,15 @@ class _GroupedColumns:
         self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
         mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
         self.mapped = {ours for ours, _ in mapped}
-        if len({column.place for _, column in mapped}) < len(mapped):
+        own = {column.place: column for _, column in mapped}
+        if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
-        self.columns |= {column.place: column for _, column in mapped}
+        self.columns |= own
         titles = [column.title for column in self.columns.values()]
         if twice := sorted({title for title in titles if title and frame.titles.count(title) > 1}):
             raise FileError(frame.path, f"line 1: column {', '.join(twice)} stands there twice", "rename one")
-        ignored = [title or "(no name)" for i, title in enumerate(frame.titles) if i not in self.columns]
-        self.notes += [f"columns ignored: {shown(ignored)}"] * bool(ignored)
+        if ignored := [title or "(no name)" for i, title in enumerate(frame.titles) if i not in self.columns]:
+            self.notes.append(f"columns ignored: {shown(ignored)}")
 
     def of(self, group: str) -> list[Column]:
         return [column for column in self.columns.values() if column.group == group]
@@ -338,18 +335,18 @@ class _GroupedColumns:
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
         linear = Linear.of(theirs, {*titles, *(column.name for column in self.columns.values())})
-        places = [titles.index(linear.column)] if linear.column in titles else []
-        names = [joint or (own and own[2]) or ""]
         first, _, last = theirs.partition("..")
         if first in titles and last in titles:
-            places, names = list(range(titles.index(first), titles.index(last) + 1)), [*self.arm.joint_names]
+            places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
             if joint is not None or len(places) != len(names):
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
-        elif joint is not None and not places:
-            places = [i for i, column in self.columns.items() if column.name == linear.column]
-            names *= len(places)
+        else:
+            places = [titles.index(linear.column)] if linear.column in titles else []
+            if joint is not None and not places:
+                places = [i for i, column in self.columns.items() if column.name == linear.column]
+            names = (joint or (own or ("",) * 3)[2],) * len(places)
         found = []
-        for place, name in zip(places, names, strict=False):
+        for place, name in zip(places, names, strict=True):
             unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
             column = self.columns.get(place) or Column(place, titles[place], "position", "", unit)
             scale, offset, unit = linear.scale, linear.offset, own and own[3]
@@ -359,24 +356,21 @@ class _GroupedColumns:
                 unit = split_unit(ours, ANGLES)[1]
             else:  # the gear's torque, the motor's current, and what has no gear
                 scale, offset = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(column.group, 1.0), 0.0
-            unit = unit or column.unit
-            found.append((ours, column._replace(name=name, unit=unit, scale=scale, offset=offset)))
+            found.append((ours, column._replace(name=name, unit=unit or column.unit, scale=scale, offset=offset)))
         return found
 
     def _unit(self, column: Column) -> str:
-        group, known = column.group, next(iter(UNITS[column.group]), "")
-        usual = dict.fromkeys(MOTION, self.recorder[0] or self.frame.angle_unit)
-        usual |= {"time": self.recorder[1], **dict.fromkeys(POINTS)}
-        declarable = {"time": "time", "position": "angle", "command": "angle"}.get(group)
-        option = declarable and f"--{declarable}-unit"
-        declared = getattr(self.options, f"{declarable}_unit", None)
+        kind = {"time": "time"}.get(column.group, "angle" * (column.group in MOTION))
+        option, declared = f"--{kind}-unit", getattr(self.options, f"{kind}_unit", None)
         if column.unit and declared and column.unit != declared:
             said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
             raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
-        unit = column.unit or declared or usual.get(group, known if self.recorder[0] else "")
+        usual = {"time": self.recorder[1], "angle": self.recorder[0] or self.frame.angle_unit}
+        other = None if column.group in POINTS else next(iter(UNITS[column.group]), "") if self.recorder[0] else ""
+        unit = column.unit or declared or usual.get(kind, other)
         if unit is None:
-            endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[group])
-            remedy = f"rename it {endings}" + f" or set {option}" * bool(option)
+            endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
+            remedy = f"rename it {endings}" + f" or set {option}" * bool(kind)
             raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
 
@@ -406,7 +400,7 @@ class _GroupedColumns:
     def _columns(self, group: str) -> list[Column]:
         """Columns of a group: of the joints in the arm's order, or of x, y and z."""
         columns = self.of(group)
-        names, titles = [column.name for column in columns], [column.title for column in columns]
+        names = [column.name for column in columns]
         if group in POINTS:
             if sorted(names) != [*AXES]:
                 said = f"columns of {group} are not x, y and z, once each"
@@ -414,6 +408,7 @@ class _GroupedColumns:
             return sorted(columns, key=lambda column: column.name)
         if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
             return columns * self.arm.joints
+        titles = [column.title for column in columns]
         match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
         columns = [columns[i] for i in match.columns]
         if match.dropped and group in MOTION:
@@ -433,8 +428,8 @@ class _GroupedColumns:
         units, raw = [self._unit(column) for column in columns], self._read(columns)
         if half is None:
             return raw * np.array([UNITS[group].get(unit, 1.0) for unit in units]), columns, units
-        if (np.abs(raw) > NORMALISED_MOST).any():
-            worst = float(raw.flat[int(np.nanargmax(np.abs(raw)))])
+        worst = float(np.nanmax(np.abs(raw), initial=0.0))
+        if worst > NORMALISED_MOST:
             said = f"{worst:g} is no normalised value, which lie in -100..100"
             raise FileError(self.frame.path, said, "set another --angle-unit")
         return raw * (half / 100.0), columns, units
@@ -462,10 +457,9 @@ class _GroupedColumns:
         for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
             if len(clock) < FEWEST:
                 raise FileError(file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", RECORD_AGAIN)
-        steps = np.diff(times)
-        if not (steps >= 0).all():
-            row = int(np.argmin(steps >= 0)) + 1
-            where = f"command, {self.frame.place} {self.frame.number[known][row]}"
+        late = ~(np.diff(times) >= 0)
+        if late.any():
+            where = f"command, {self.frame.place} {self.frame.number[known][1:][late][0]}"
             raise FileError(path, f"{where}: the clock goes back, or is no number", "cut the file there")
         common = min(motion.time[-1], times[-1]) - max(motion.time[0], times[0])
         if common < 0.5 * min(np.ptp(motion.time), np.ptp(times)):
@@ -482,7 +476,7 @@ class _GroupedColumns:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""
         found: dict[str, Array] = {}
         units: dict[str, str] = {}
-        for group in (group for group in _TITLES if group not in ("time", *MOTION) and self.of(group)):
+        for group in [group for group in _TITLES if group not in ("time", *MOTION) and self.of(group)]:
             try:
                 values, columns, named = self.values(group)
             except FileError as error:

@@ -9,7 +9,6 @@ measured, ``action`` sent; the user declares the unit, and each episode becomes 
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -128,9 +127,6 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on, with the unit of NAME at their ends."""
     with reading(file, "no archive of NumPy arrays", _AGAIN):
         require_file(file, LOG_MOST, "cut it into several files")
-        with zipfile.ZipFile(file) as archive:
-            if sum(member.file_size for member in archive.infolist()) > LOG_MOST:
-                raise FileError(file, f"unfolds to more than {LOG_MOST} bytes", "cut it into several files")
         with np.load(file, allow_pickle=False) as arrays:
             held = {name: arrays[name] for name in arrays.files}
     numbers = {name: one for name, one in held.items() if one.ndim in (1, 2) and one.dtype.kind in "biuf"}
@@ -174,10 +170,12 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
         said = f"a LeRobot dataset does not say the unit of {' and '.join(_GROUPS)}"
         remedy = "set --angle-unit: deg or rad, or normalised, with the calibration file where you have it"
         raise FileError(path, said, remedy)
-    columns = _read_frames(source, names)
-    index, stamps, episodes = (columns.pop(name) for name in _SCALARS)
+    held = _read_frames(source)
+    index, stamps, episodes = (held.pop(key)[:, 0] for key in _SCALARS)
     if len(index) != frames:
         raise FileError(source, f"{len(index)} frames in data, but {_INFO} promises {frames}", _REMEDY)
+    with reading(source, "frames of another width than its names", _REMEDY):
+        columns = {title: one for key in names for title, one in zip(names[key], held[key].T, strict=True)}
     for number in np.unique(episodes).astype(int).tolist():
         rows = np.flatnonzero(episodes == number)
         rows = rows[np.argsort(index[rows], kind="stable")]
@@ -191,32 +189,29 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
         yield RawMotion(name, [frame], {"episode": str(number)})
 
 
-def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> tuple[str, ...]:
+def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> list[str]:
     shape, held = feature["shape"], feature["names"]
     if isinstance(held, dict) and len(held) == 1:
         held = next(iter(held.values()))
-    if options.names is not None and not isinstance(held, list):
-        held = list(options.names)
-    if not isinstance(held, list) or shape != [len({*map(str, held)})]:
+    if not isinstance(held, list):
+        held = options.names
+    if not held or shape != [len({*map(str, held)})]:
         raise FileError(path, f"{key} has the shape {shape} and the names {held}", "name all columns with --order")
-    return tuple(f"{_GROUPS[key]}.{name}" for name in held)
+    return [f"{_GROUPS[key]}.{name}" for name in held]
 
 
-def _read_frames(source: Path, names: dict[str, tuple[str, ...]]) -> dict[str, Array]:
-    """Columns (T,) of all frames, by the ``names`` of state and action."""
+def _read_frames(source: Path) -> dict[str, Array]:
+    """State, action and scalars (T, k) of all frames."""
     files = sorted((source / "data").glob("*/*.parquet"))
     if not files:
         raise FileError(source / "data", "no Parquet file in it", _REMEDY)
-    found: dict[str, list[Array]] = {}
+    keys, found = (*_GROUPS, *_SCALARS), []
     for file in files:
         with reading(file, "not the frames of a dataset", _REMEDY):
-            table = read_parquet(file, _REMEDY, [*_GROUPS, *_SCALARS])
-            for key in (*_GROUPS, *_SCALARS):
-                titles = names.get(key, (key,))
-                values = np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1)
-                for title, column in zip(titles, values.T, strict=True):
-                    found.setdefault(title, []).append(column)
-    return {title: np.concatenate(parts) for title, parts in found.items()}
+            table = read_parquet(file, _REMEDY, [*keys])
+            found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
+    with reading(source, "files of different width", _REMEDY):
+        return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}
 
 
 SAGE = Reader(_sage_folders, _read_sage)
