@@ -100,21 +100,14 @@ def clearances(arm: Arm, q: Array, floors: Array) -> Array:
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:
-    """Return the two bodies at distance ``item`` of `clearances`."""
-    shape, names = collision_shape(arm), arm.joint_names
-
-    def link(i: int) -> str:
-        return "the base" if i == 0 else f"the link after {names[i - 1]}"
-
-    if item < len(shape.pairs):
-        one, two = shape.pairs[item].tolist()
-        return link(one), link(two)
-    item -= len(shape.pairs)
-    if item < len(shape.places):
-        end = int(shape.places[item])
-        return "the tool" if end == arm.joints + 1 else names[end - 1], "the ground"
-    box, moving = divmod(item - len(shape.places), len(shape.moving))
-    return link(int(shape.moving[moving])), f"keep_out box {box + 1}"
+    """Return what comes near to what at distance ``item`` of `clearances`."""
+    shape, frames = collision_shape(arm), (*arm.joint_names, "the tool")
+    links = ["the base", *(f"the link after {name}" for name in arm.joint_names)]
+    named = [(frame, "its floor") for frame in frames[1:]]
+    named += [(links[one], links[other]) for one, other in shape.pairs]
+    named += [(frames[end - 1], "the ground") for end in shape.places]
+    named += [(links[link], f"keep_out box {box + 1}") for box in range(len(shape.boxes)) for link in shape.moving]
+    return named[item]
 
 
 def _moving(arm: Arm) -> NDArray[np.int64]:

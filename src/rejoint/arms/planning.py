@@ -122,15 +122,8 @@ def plan(
     ------
     PlanningError
         no trajectory found; the message names the obstacle
-    InputError
-        for postures that do not suit the arm
     """
-    start, goal = _checked(arm, "start", start), _checked(arm, "goal", goal)
-    if not 0.0 < speed <= 1.0 or not clearance >= 0.0:
-        raise InputError(f"speed {speed:g}, clearance {clearance:g} m: expected 0 to 1, and positive")
-    if ((goal < arm.lower - 1e-9) | (goal > arm.upper + 1e-9)).any():
-        j = int(np.argmax(np.maximum(goal - arm.upper, arm.lower - goal)))
-        raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
+    start, goal = np.array(start, dtype=float), np.array(goal, dtype=float)
     found: list[tuple[float, _Field, Array]] = []
     for room in (2.0 * clearance, clearance, 0.5 * clearance):
         if found and room < clearance:  # rather heavy than so near
@@ -192,12 +185,8 @@ class _Field:
     def blocked(self, item: int, q: Array) -> str:
         """Name the obstacle at ``q`` (n,)."""
         at = ", ".join(f"{1e3 * value:.0f}" for value in tcp_position(self.arm, q))
-        joints = self.arm.joints
-        if item >= joints:
-            what, other = contact(self.arm, item - joints)
-            return f"{what} would come too near to {other}; the straight way is clear up to ({at}) mm"
-        name = "the tool" if item == joints - 1 else self.arm.joint_names[item + 1]
-        return f"{name} would come too near to its floor; the straight way is clear up to ({at}) mm"
+        what, other = contact(self.arm, item)
+        return f"{what} would come too near to {other}; the straight way is clear up to ({at}) mm"
 
     def detour(self, start: Array, goal: Array, seed: int) -> Array | None:
         """Corners (k, n) of a detour, with its ends; None: none found."""
@@ -343,10 +332,3 @@ def _share(move: Array, limits: Array) -> Any:  # noqa: ANN401 - a PPoly of an u
     times = np.maximum([ramp, steady, ramp, cruise, ramp, steady, ramp], _INSTANT)
     jerks = jerk * np.array([[1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0]])
     return interpolate.PPoly(jerks, np.append(0.0, np.cumsum(times))).antiderivative(3)
-
-
-def _checked(arm: Arm, what: str, q: Array) -> Array:
-    posture = np.array(q, dtype=float)
-    if posture.shape != (arm.joints,) or not np.isfinite(posture).all():
-        raise InputError(f"{what}: expected {arm.joints} finite joint positions [rad], got {q}")
-    return posture

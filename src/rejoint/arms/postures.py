@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.inertia import link_ends
-from rejoint.arms.inverse import REST_GAIN, ROUNDS, goals_of, solve_position
+from rejoint.arms.inverse import REST_GAIN, ROUNDS, TOLERANCE, goals_of, solve_position
 from rejoint.arms.kinematics import chain_of, frames, gravity_torque, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
@@ -116,10 +116,9 @@ def choose_postures(
     Raises
     ------
     InputError
-        for wrong shapes, numbers that are not finite, or boxes that leave no posture
+        for boxes that leave no posture
     """
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
-    _check(arm, places, starts)
     goals, load = goals_of(places, turn), _load_of(arm, motors)
     q = np.array(np.broadcast_to(starts, (len(places), arm.joints)), order="C")
     nearest, refusals = places.copy(), [""] * len(places)
@@ -231,31 +230,23 @@ def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None, 
         away = float(np.linalg.norm(goal[:3] - tcp_position(arm, closest)))
         return f"out of reach by {1e3 * away:.1f} mm"
     body = body_of(arm)
-    distances = clearances(arm, found, body.floors)
-    touching = distances[arm.joints :] < body.least
-    if touching.any():
+    room = clearances(arm, found, body.floors) - np.append(np.full(arm.joints, -2.0 * TOLERANCE), body.least)
+    if room.min() < 0.0:
         cost, light, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
         if cost >= redundancy.FAR:
-            what, other = contact(arm, int(np.argmin(distances[arm.joints :] - np.maximum(body.least, -1e3))))
+            what, other = contact(arm, int(np.argmin(room)))
             return f"in collision: {what} would touch {other}"
         found = light
-    joint, why = too_heavy(arm, found, load[1])
-    if joint is not None:
-        return f"too heavy: {why}"
-    low = int(np.argmin(distances[: arm.joints]))
-    name = "the tool" if low == arm.joints - 1 else arm.joint_names[low + 1]
-    return f"below the floor: {name} would be lower than {1e3 * body.floors[low]:.0f} mm"
+    return f"too heavy: {too_heavy(arm, found, load[1])[1]}"
 
 
 def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
-    """Return the joint that cannot hold ``q`` (n,) [rad] with the ``limit`` (n,) [N m], and why; None: all can."""
+    """Return the joint that cannot hold ``q`` (n,) [rad] with the ``limit`` (n,) [N m], or None; and the worst."""
     torque = np.abs(gravity_torque(arm, q))
     j = int(np.argmax(torque / limit))
     share = 100.0 * torque[j] / limit[j]
-    if share <= 100.0:
-        return None, ""
     why = f"{arm.joint_names[j]} needs {torque[j]:.2f} N m and gives {limit[j]:.2f} N m, {share:.0f} per cent of it"
-    return j, why
+    return j if share > 100.0 else None, why
 
 
 def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Array]:
@@ -360,10 +351,3 @@ def pool_of(arm: Arm) -> Pool:
     f = frames(arm, posture)
     parts = (posture, f.tcp_position, f.tcp_rotation, gravity_torque(arm, posture), bare[free])
     return Pool(*map(frozen, parts))
-
-
-def _check(arm: Arm, places: Array, starts: Array) -> None:
-    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise InputError(f"targets: expected K places of three finite numbers [m], got shape {places.shape}")
-    if starts.shape not in ((arm.joints,), (len(places), arm.joints)) or not np.isfinite(starts).all():
-        raise InputError(f"start: expected {arm.joints} finite joint positions [rad], or {len(places)} times as many")
