@@ -79,5 +79,5 @@ def test_a_port_that_is_taken_is_told_in_one_line_before_anything_moves():
         )
     assert other.returncode == 2
     assert not other.stdout
-    assert other.stderr.startswith(f"error: --live {place}: Address already in use; end what listens there")
+    assert other.stderr.startswith(f"error: cannot listen on {place} (Address already in use); choose another")
     assert len(other.stderr.splitlines()) == 1

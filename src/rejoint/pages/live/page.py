@@ -6,9 +6,8 @@ Drawn of an arm: what was seen of it, its ghost, trails and texts.
 from __future__ import annotations
 
 import logging
-import socket
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import redirect_stdout
 from typing import cast
 
@@ -23,7 +22,8 @@ from rejoint.arms.workspace import reach
 from rejoint.control.guard import Reason
 from rejoint.pages.html import macros
 from rejoint.pages.live.view import Doing, SeenCycle, Shown
-from rejoint.system.errors import InputError
+from rejoint.system.shell import listen_tcp
+from rejoint.system.stopping import ask
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
 
@@ -117,9 +117,10 @@ class Ghost:
 class WebPage:
     """A page for any number of browsers."""
 
-    def __init__(self, host: str, port: int, on_hold: Callable[[], None], on_pace: Callable[[float], None]) -> None:
+    def __init__(self, host: str, port: int) -> None:
         """Serve it; InputError if the port is taken or the host is another computer."""
-        port = _free(host, port)
+        with listen_tcp(host, port) as probe:  # viser would take another port
+            port = probe.getsockname()[1]
         for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
@@ -139,11 +140,15 @@ class WebPage:
         self._texts = {"head": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
-        self._hold.on_click(lambda _: on_hold())
-        self._pace = pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
-        pace.on_update(lambda _: on_pace(PACES[str(pace.value)]))
+        self._hold.on_click(lambda _: self._ask_to_hold())
+        self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
         self._texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
         self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+
+    @property
+    def pace(self) -> float:
+        """Chosen simulated seconds per second."""
+        return PACES[str(self._pace.value)]
 
     @property
     def watched(self) -> bool:
@@ -271,9 +276,9 @@ class WebPage:
             self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
         self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
 
-    def held(self, text: str) -> None:
-        """Disable the button."""
-        self._hold.label, self._hold.disabled = text, True
+    def _ask_to_hold(self) -> None:
+        self._hold.label, self._hold.disabled = "Asked to hold", True
+        ask("the button of the live view")
 
     def close(self) -> None:
         """Send what is left, and end."""
@@ -317,15 +322,3 @@ def _trail(handle: viser.LineSegmentsHandle, trail: Collection[Array]) -> None:
     if len(points) > 1:
         handle.points = np.stack([points[:-1], points[1:]], axis=1)
     handle.visible = len(points) > 1
-
-
-def _free(host: str, port: int) -> int:
-    """Return the port if it is free, and any free one for 0; InputError if it is taken."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            remedy = f"end what listens there, or choose another port, such as --live {host}:0"
-            raise InputError(f"--live {host}:{port}: {error.strerror or error}; {remedy}") from error
-        return int(probe.getsockname()[1])

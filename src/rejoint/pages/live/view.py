@@ -20,7 +20,6 @@ from rejoint.robots import is_virtual
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import first_line
 from rejoint.system.extras import require
-from rejoint.system.stopping import ask
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -37,10 +36,6 @@ SEEN = 0.7
 """[s] of the page after the end (chosen)"""
 HAND_OVER = 0.2e-3
 """[s] of Python's thread switch while serving (chosen: the control loop waits for it)"""
-BUTTON = "the button of the live view"
-"""Source of an interruption"""
-
-
 SLOTS = 512
 """Cycles that wait to be drawn (chosen: ten seconds at the shortest usual period)"""
 
@@ -80,7 +75,7 @@ class SeenCycle(NamedTuple):
         return cls(b, Cycle(**{name: column[b] for name, column in vars(cycle).items()}), wanted[b], heat)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Doing:
     """A task and its progress."""
 
@@ -116,7 +111,6 @@ class LiveView(Observer):
         self._doing = Doing()
         self._stopped = ""
         self._interval = sys.getswitchinterval()
-        self._pace = 1.0
         self.failure = ""
         """why drawing ended, or empty"""
 
@@ -125,7 +119,7 @@ class LiveView(Observer):
         require("a live view", "live")
         from rejoint.pages.live.page import WebPage
 
-        self._page = WebPage(self._host, self._port, self._hold, self._set_pace)
+        self._page = WebPage(self._host, self._port)
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(min(HAND_OVER, self._interval))
         self._thread.start()
@@ -139,7 +133,7 @@ class LiveView(Observer):
             said = first_line(error) or type(error).__name__
             self._stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
         elif self._doing.title:
-            self._doing = replace(self._doing, what="done", share=1.0)
+            self.progress(1.0, "done")
         page = cast("WebPage", self._page)
         if page.watched:
             time.sleep(SEEN)
@@ -163,7 +157,9 @@ class LiveView(Observer):
         slowed = is_virtual(robot.address) if paced is None else paced
         accepted = Protocol.threshold if within is None else within
         self.shown = Shown(robot=robot, twin=cast("Twin | None", twin), within=accepted, paced=slowed)
-        return _LiveRobot(WallClock(robot, lambda: self._pace) if slowed else robot, self, self.shown)
+        if slowed:
+            robot = WallClock(robot, lambda: 1.0 if self._page is None else self._page.pace)
+        return _LiveRobot(robot, self, self.shown)
 
     def begin(self, title: str) -> None:
         """Begin a command, or a stage of a repair."""
@@ -171,14 +167,7 @@ class LiveView(Observer):
 
     def progress(self, share: float, what: str) -> None:
         """Show progress."""
-        self._doing = replace(self._doing, share=min(max(share, 0.0), 1.0), what=what)
-
-    def _hold(self) -> None:
-        cast("WebPage", self._page).held("Asked to hold")
-        ask(BUTTON)
-
-    def _set_pace(self, pace: float) -> None:
-        self._pace = pace
+        self._doing.share, self._doing.what = min(max(share, 0.0), 1.0), what
 
     def _run(self) -> None:
         try:
