@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
@@ -15,8 +14,6 @@ from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.recording import Recording, recording_of
 from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
-
-Rows = NDArray[np.intp]
 
 REACHED = Protocol.threshold
 """[m]"""
@@ -45,11 +42,11 @@ class Visit:
 
     target: tuple[float, float, float]
     """[m]"""
-    error: float | None
+    error: float | None = None
     """[m] by the encoders; None: not tried"""
-    true_error: TrueError
-    reached: bool
-    remark: str
+    true_error: TrueError = NOT_KNOWN
+    reached: bool = False
+    remark: str = "not tried"
     """why missed"""
     sightings: int = 0
     """accepted camera detections"""
@@ -100,19 +97,33 @@ def judge(
 ) -> Deployed:
     """Judge each target; ``ended``: final error."""
     rows = np.flatnonzero(recording.active[:, 0])
-    error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
-    gap, index, visits = recording.gaps(), recording.target_index[:, 0], []
+    errors = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
+    gap, index, visits = recording.gaps(), recording.target_index[:, 0], list[Visit]()
     for k, target in enumerate(job.targets):
-        own, last = rows[index[rows] == k], ended is not None and k == index[rows[-1]]
-        visit = Visit(
-            target=tuple(target.tolist()),
-            error=None,
-            true_error=NOT_KNOWN,
-            reached=False,
-            remark="not tried",
-            orientation="" if job.turns is None else in_words(job.turns[k]),
+        words = "" if job.turns is None else in_words(job.turns[k])
+        visits.append(Visit(target=tuple(target.tolist()), orientation=words))
+        own = rows[index[rows] == k]
+        if not len(own):
+            continue
+        row, early = int(own[-1]), ended is not None and k == index[rows[-1]]
+        error, turned, paused = float(errors[row]), float(recording.turned[row, 0]), float(gap[own].max())
+        far, askew = not error < job.within, job.turns is not None and turned > REACHED_TURN
+        remarks = {
+            "ended early": early,
+            f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[own, 0])}": far
+            and not early,
+            f"no answers for {paused:.1f} s": paused > 0.0,
+            f"still turned {np.degrees(turned):.0f} deg off": askew,
+        }
+        true = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
+        visits[k] = replace(
+            visits[k],
+            error=error,
+            true_error=true_error(true, model, recording.position[row], target[None]),
+            reached=not (far or early or askew),
+            remark="; ".join(remark for remark, said in remarks.items() if said),
+            turned=None if job.turns is None or np.isnan(turned) else turned,
         )
-        visits.append(_ended(visit, job, own, recording, error, gap, model, last) if len(own) else visit)
     period = recording.usual_period()
     return Deployed(
         controller=job.controller,
@@ -120,39 +131,6 @@ def judge(
         period=period if np.isfinite(period) else None,
         gaps=tuple(gap[gap > 0.0].tolist()),
         within=job.within,
-    )
-
-
-def _ended(
-    visit: Visit,
-    job: Deployment,
-    rows: Rows,
-    recording: Recording,
-    error: Array,
-    gap: Array,
-    model: ToolModel | None,
-    early: bool,
-) -> Visit:
-    """Visit as it was in the last of its ``rows``."""
-    row = int(rows[-1])
-    end, turned, paused = float(error[row]), float(recording.turned[row, 0]), float(gap[rows].max())
-    askew = job.turns is not None and turned > REACHED_TURN
-    target = np.array([visit.target])
-    true = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
-    remarks = {
-        "ended early": early,
-        f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[rows, 0])}": not early
-        and not end < job.within,
-        f"no answers for {paused:.1f} s": paused > 0.0,
-        f"still turned {np.degrees(turned):.0f} deg off": askew,
-    }
-    return replace(
-        visit,
-        error=end,
-        true_error=true_error(true, model, recording.position[row], target),
-        reached=end < job.within and not early and not askew,
-        remark="; ".join(remark for remark, said in remarks.items() if said),
-        turned=None if job.turns is None or np.isnan(turned) else turned,
     )
 
 

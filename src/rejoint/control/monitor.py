@@ -107,11 +107,14 @@ class Following:
         self._tracks = np.zeros(shape, compiled.TRACK)
         self._tracks["position"] = self._tracks["home"] = state.position
         self._tracks["held"] = sent
-        self._tracks["reach"] = np.inf if bands is None else bands.reach
-        self._tracks["width"] = np.inf if bands is None else bands.width
-        self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
+        self._tracks["reach"] = self._tracks["width"] = self._tracks["within"] = np.inf
         self._tracks["since"] = state.time[:, None]
-        self._tracks["within"] = np.inf
+        if bands is not None:  # a stuck joint may go from one end of its band to the other
+            self._tracks["reach"], self._tracks["width"], self._tracks["stuck"] = (
+                bands.reach,
+                bands.width,
+                2 * bands.width,
+            )
         if knowledge is not None:
             for name in ("gain", "within", "noise"):
                 self._tracks[name] = getattr(knowledge, name)

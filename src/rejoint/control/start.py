@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -186,11 +187,9 @@ def move(
     sent: Array | None = None,
     speed: float = 0.5,
     settle: float = 1.0,
-    limits: GuardLimits | None = None,
-    give_up: Callable[[ControlInput], Mask] | None = None,
-    on_cycle: OnCycle | None = None,
+    **how: Any,  # noqa: ANN401 - as of `play`
 ) -> Recording:
-    """Move to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
+    """Move to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s]; ``how``: options of `play`.
 
     From ``sent`` (B, n) [rad], or the measured position of moved arms.
     """
@@ -202,7 +201,7 @@ def move(
     def trajectory(time: Array) -> Array:
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
-    return play(robot, trajectory, duration + settle, sent=start, limits=limits, give_up=give_up, on_cycle=on_cycle)
+    return play(robot, trajectory, duration + settle, sent=start, **how)
 
 
 class Playback(DefaultController):

@@ -122,7 +122,7 @@ def oriented(axis: Array, poses: Sequence[Pose]) -> Orientation | None:
 
 def in_mm(place: Array) -> str:
     """Describe a place (3,) [m]."""
-    return f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm"
+    return f"({', '.join(f'{value:g}' for value in np.round(1e3 * place, 1) + 0.0)}) mm"
 
 
 def in_words(turn: Orientation) -> str:
@@ -238,17 +238,13 @@ def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None
     goals = choose_postures(arm, points, arm.rest, turn=turns)
     bad = [k for k, why in enumerate(goals.refusals) if why]
     told = [
-        f"{names[k]}: {_point(points[k])} {_turned(turns, k)}{goals.refusals[k]}; the nearest place that works is "
-        f"{_point(np.round(goals.nearest[k], 3))}"
+        f"{names[k]}: {in_mm(points[k])} {'' if turns is None else f'with {in_words(turns[k])}: '}{goals.refusals[k]}; "
+        f"the nearest place that works is {in_mm(np.round(goals.nearest[k], 3))}"
         for k in bad[:_NAMED]
     ]
     if bad and turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):
         told.append(f"an arm of {arm.joints} joints has a direction dx,dy,dz at most")
     return "; ".join(told) + (f"; and {len(bad) - _NAMED} more" if len(bad) > _NAMED else "")
-
-
-def _turned(turns: Orientation | None, k: int) -> str:
-    return "" if turns is None else f"with {in_words(turns[k])}: "
 
 
 def beyond_reach(arm: Arm, targets: Array) -> Array:
@@ -267,7 +263,3 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
 def unit_hint(places: Array) -> str:
     """Hint for places (..., 3) [m] that look like metres."""
     return " they look like metres, and millimetres are expected;" if in_metres(places) else ""
-
-
-def _point(target: Array) -> str:
-    return f"({', '.join(f'{value * 1e3:g}' for value in target)}) mm"

@@ -92,15 +92,12 @@ class Ledger:
 
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
-ControllerFactory = Callable[[Arm], Controller]
 Result = tuple[Driven, Recording]
 Helper = Callable[[Key], Future[Result]]
 """Drives trials elsewhere"""
 
 _LOOK = 0.02  # [s]
 
-MOST = 10_000
-"""Target sets times repetitions (chosen)"""
 BLOCK = 5
 """targets between eliminations (chosen)"""
 MISSES = 3
@@ -143,7 +140,7 @@ class TrialRunner:
     """
 
     open_robot: OpenRobot
-    controllers: Mapping[str, ControllerFactory]
+    controllers: Mapping[str, Callable[[Arm], Controller]]
     targets: Array
     """(S, K, 3) [m]"""
     settings: Settings
@@ -164,10 +161,6 @@ class TrialRunner:
 
     def __post_init__(self) -> None:
         settings, (sets, count) = self.settings, self.targets.shape[:2]
-        if sets * settings.repetitions > MOST:
-            raise InputError(
-                f"comparison: {sets} sets times {settings.repetitions} repetitions, at most {MOST} were expected"
-            )
         self.shape = sets, settings.repetitions, count
         self._step = settings.block or count
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -140,11 +140,7 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
     for names, rows in zip(joint_columns(arm), (measured.position, measured.approach), strict=True):
         columns |= dict(zip(names, rows.T, strict=True))
     columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
-    about = {
-        "frame": measured.frame,
-        "source": measured.source,
-        "session": None if session is None else asdict(session),
-    }
+    about = {"frame": measured.frame, "source": measured.source, "session": msgspec.to_builtins(session)}
     write_table(path, arm, "measurements", columns, about)
 
 

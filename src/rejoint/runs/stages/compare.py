@@ -258,10 +258,9 @@ class ComparisonJob:
 
     def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
         try:
-            if self.correct is not None and before is not None:
-                result = replace(result, as_found=TargetErrors.of(before.driven.columns))
-            elif self.correct is not None and DEFAULT in self.factories and self.turns is None:
-                found = runner.hold(DEFAULT, self.targets[:1], corrected=False)
+            if self.correct is not None and DEFAULT in self.factories and self.turns is None:
+                own = before and before.driven.columns
+                found = own or runner.hold(DEFAULT, self.targets[:1], corrected=False)
                 result = replace(result, as_found=TargetErrors.of(found))
             if self.directions:
                 varied = vary_directions(runner, recommend(result).controller, self.arm)
