@@ -316,13 +316,9 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     """[rad] largest distance at rest that law and friction leave."""
     _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
-    found = [0.0]
-    for segment in data.of_kind(HOLD, joint):
-        rows = data.rows(segment, last=SETTLED_LAST)
-        if len(rows):
-            error = data.log.command[rows, joint] - data.log.position[rows, joint]
-            found.append(np.abs((error - offset - softness * data.gravity[rows, joint]).mean()) - width)
-    return float(max(found))
+    error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
+    rests = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD, joint)]
+    return max([0.0, *(abs(float(error[rows].mean())) - float(width) for rows in rests if len(rows))])
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
@@ -330,12 +326,10 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
     shares = []
     for segment in data.of_kind(STEP, joint):
         rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
-        if not len(end):
-            continue
-        position, final = data.log.position[rows, joint], float(data.log.position[end, joint].mean())
-        moved = final - position[0]
+        position, final = data.log.position[rows, joint], data.log.position[end, joint]
+        moved = float(final.mean() - position[0]) if len(final) else 0.0
         if abs(moved) > _MIN_STEP:
-            shares.append(max(float((np.sign(moved) * (position - final)).max() / abs(moved)), 0.0))
+            shares.append(max(float((np.sign(moved) * (position - final.mean())).max() / abs(moved)), 0.0))
     return mean_of(np.array(shares)) if shares else Estimate(0.0, 0.0, None)
 
 
@@ -345,10 +339,9 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     None with fewer than four holds of four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
-    spans = [rows for rows in spans if len(rows) >= 4]
-    if len(spans) < 4:
+    rest = [detrend(data.log.position[rows, joint]) for rows in spans if len(rows) >= 4]
+    if len(rest) < 4:
         return None
-    rest = [detrend(data.log.position[rows, joint]) for rows in spans]
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
     motion = worst * _repeating_share(rest) ** 0.5
     return Estimate(float(motion.mean()), float(motion[0]), float(motion[-1]))
@@ -377,10 +370,8 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     if sum(map(len, rows)) < 12:
         return None
     steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
-    blocks = np.array_split(steps, 6)
-    power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
-    low, high = max(power.low or 0.0, 0.0), max(power.high or 0.0, 0.0)
-    return Estimate(power.value**0.5, low**0.5, high**0.5)
+    power = mean_of(np.array([float((block**2).mean()) / 2 for block in np.array_split(steps, 6)]))
+    return Estimate(*(max(one or 0.0, 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
 
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
@@ -484,7 +475,6 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     seen, share = float(np.quantile(np.abs(given), 0.995)), float(behind.mean())
     groups = [np.abs(given[behind & (found.cluster == c)]) for c in np.unique(found.cluster[behind])]
     limit = mean_of(np.array([float(np.median(group)) for group in groups])) if share >= _MIN_SHARE else None
-    if limit is not None and limit.value < 0.5 * seen:  # it could give more, and something else held it back
-        limit = None
-    share = 0.0 if limit is None else share
+    if limit is None or limit.value < 0.5 * seen:  # it could give more, and something else held it back
+        return {}
     return {"torque_limit_nm": limit, "saturated_share": share}

@@ -168,7 +168,7 @@ def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> F
         return full
 
     curvature = belief.precision.copy()
-    for step in range(_ROUNDS):
+    for step in range(_ROUNDS if free.any() else 0):
         whitener, white, weight = problem.weighed(vector)
         slips = np.linalg.norm(white, axis=1) > SLIP
         if step and slips.sum() <= MOST_SLIPS * len(slips):
@@ -176,16 +176,13 @@ def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> F
         whitener = whitener * np.sqrt(weight)[:, None, None]
 
         def residual(x: Array, whitener: Array = whitener) -> Array:
-            full = whole(x)
-            white = whitener @ problem.misfit(full)[..., None]
-            return np.concatenate([white.ravel(), root @ (full - belief.mean)])
+            white = whitener @ problem.misfit(whole(x))[..., None]
+            return np.concatenate([white.ravel(), root @ (whole(x) - belief.mean)])
 
         def derivative(x: Array, whitener: Array = whitener) -> Array:
             slope = whitener @ problem.slope(whole(x))[..., free]
             return np.concatenate([slope.reshape(-1, free.sum()), root[:, free]])
 
-        if not free.any():
-            break
         begin = np.clip(vector[free], *bounds)
         found = least_squares(
             residual, begin, derivative, bounds, x_scale="jac", max_nfev=iterations, ftol=_SMALL, xtol=_SMALL

@@ -192,20 +192,15 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
 def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
     found = []
     for j, row in enumerate(visits[0].measures.joints):
-        deviation = _series(visits, "deviation_mm", j)
-        others = [_series(visits, f"{name}_mm", j) for name in ("reversal", "hysteresis", "sag")]
-        jump = find_jump(
-            deviation,
-            [other for other in others if np.isfinite(other).all()],
-            _series(visits, "temperature_c", j),
-            scatter=_scatter("deviation", deviation),
-            per_degree=ZERO_PER_DEGREE * row.lever_mm,
-        )
+        values = [_series(visits, f"{name}_mm", j) for name in ("deviation", "reversal", "hysteresis", "sag")]
+        deviation, *others = [one for one in values if np.isfinite(one).all()]
+        scatter, per_degree = _scatter("deviation", deviation), ZERO_PER_DEGREE * row.lever_mm
+        warm = _series(visits, "temperature_c", j)
+        jump = find_jump(deviation, others, warm, scatter=scatter, per_degree=per_degree)
         if jump is not None:
             at, way = jump
-            degrees = float(np.degrees(way / row.lever_mm))
-            after, before = visits[at - 1].time, visits[at].time
-            found.append(MovedZero(joint=row.joint, degrees=degrees, after=after, before=before))
+            degrees, (after, before) = float(np.degrees(way / row.lever_mm)), visits[at - 1 : at + 1]
+            found.append(MovedZero(joint=row.joint, degrees=degrees, after=after.time, before=before.time))
     return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
 
 
@@ -235,12 +230,11 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
 
 def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | None:
     days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
-    hours = np.array([visit.used_h for visit in visits], dtype=float)
-    grows = bool((np.diff(hours) >= 0.0).all())  # else unknown, or somebody has told them wrongly
-    counted = grows and hours[-1] > hours[0] and days[-1] > days[0]
-    pace = (hours[-1] - hours[0]) / (days[-1] - days[0]) if counted else 1.0
+    use = np.array([visit.used_h for visit in visits], dtype=float)
+    if not ((np.diff(use) >= 0.0).all() and use[-1] > use[0] and days[-1] > days[0]):
+        use = days  # hours are unknown, or somebody has told them wrongly
     left = remaining(
-        hours if counted else days,
+        use,
         error,
         _series(visits, "temperature_c"),
         tolerance,
@@ -249,7 +243,8 @@ def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | N
     )
     if left is None:
         return None
-    early, middle, late = (_after(visits[-1].time, float(one / pace)) for one in left)
+    days_left = left * (days[-1] / (use[-1] - use[0]))
+    early, middle, late = (_after(visits[-1].time, float(one)) for one in days_left)
     return None if early is None else Due(early=early, middle=middle, late=late)
 
 
