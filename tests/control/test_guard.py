@@ -125,8 +125,9 @@ def test_regular_periods_let_an_arm_start_and_stop_at_once(period):
 def test_names_and_bad_limits():
     assert reason_names(Reason.STEP | Reason.NOT_FINITE) == ("step", "not finite")
     assert reason_names(0) == ()
-    with pytest.raises(InputError, match="max_speed needs 6"):
-        dataclasses.replace(LIMITS, max_speed=np.ones(3))
+    for wrong in ({"lower": LIMITS.upper}, {"max_speed": np.full(6, np.inf)}, {"max_acceleration": np.full(6, np.nan)}):
+        with pytest.raises(InputError, match="lower must be below upper"):
+            dataclasses.replace(LIMITS, **wrong)
 
 
 def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():

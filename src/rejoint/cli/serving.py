@@ -12,9 +12,8 @@ import msgspec
 import numpy as np
 
 import rejoint
-from rejoint.cli.console import live_view
 from rejoint.cli.options import Call, ConsoleObserver, takes
-from rejoint.control.recording import Observer, Observers
+from rejoint.control.recording import Observer
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import FeetechAddress
@@ -37,16 +36,13 @@ def serve(
     stdio: bool = False,
 ) -> object:
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C."""
-    settings, console = call.settings, ConsoleObserver(call)
     if stdio:
-        if pty or call.json or settings.controller or call.live:
+        if pty or call.json or call.settings.controller or call.live:
             raise InputError("--stdio does not go with --pty, --json, --live or --controller")
-        serve_lines(robot, run, settings, console)
+        serve_lines(robot, run, call.settings, ConsoleObserver(call))
         return None
-
-    with live_view(call, call.live, "serve") as view:
-        observer = console if view is None else Observers(console, view)
-        done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=settings, observer=observer)
+    with call.watched("serve", bar=False) as observer:
+        done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=call.settings, observer=observer)
     call.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
     return done
 

@@ -124,14 +124,10 @@ class GuardLimits:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):
-            array = np.array(getattr(self, name), dtype=float)
-            endless = name == "max_acceleration" and not np.isnan(array).any()
-            if array.shape != (self.arm.joints,) or not (endless or np.isfinite(array).all()):
-                raise InputError(f"guard limits: {name} needs {self.arm.joints} finite numbers, got {array}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        if (self.lower >= self.upper).any() or (self.max_speed <= 0).any() or (self.max_acceleration <= 0).any():
-            raise InputError("guard limits: lower must be below upper, speeds and accelerations must be positive")
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        positive = (self.lower < self.upper) & (self.max_speed > 0.0) & (self.max_acceleration > 0.0)  # and no NaN
+        if not (positive & np.isfinite(self.lower + self.upper + self.max_speed)).all():
+            raise InputError("guard limits: lower must be below upper, speeds and accelerations positive; all finite")
 
     @cached_property
     def floors(self) -> Array:

@@ -163,11 +163,6 @@ class FeedforwardController:
         Call this or `command` once per cycle. ``distance`` as in `loosening`.
         """
         position = inputs.state.position
-        if not step.shape == extra.shape == position.shape == self._correction.shape:
-            raise InputError(
-                f"feedforward: step {step.shape}, extra {extra.shape}, position {position.shape}; expected "
-                f"{self._correction.shape}, as at the last reset"
-            )
         moved = self.on_the_way(inputs)
         if np.count_nonzero(moved):
             self._take(inputs, moved)

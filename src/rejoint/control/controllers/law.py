@@ -53,11 +53,6 @@ def between(values: Array, low: Array | float, high: Array | float) -> Array:
     return limited
 
 
-def plain(array: Array) -> Array:
-    """Return a contiguous float64 array."""
-    return np.ascontiguousarray(array, dtype=float)
-
-
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
     """Keep ``command`` (..., n) [rad] within ``lead`` [rad] of the measured position (anti-windup)."""
     return between(command, measured - lead, measured + lead)
