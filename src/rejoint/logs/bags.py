@@ -8,13 +8,12 @@ decoded to dicts or objects with fields.
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,22 +102,17 @@ OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
 """Topics without joint positions (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Message:
+class Message(NamedTuple):
     """Joints in one message of states or commands."""
 
-    number: int
     stamp: int
     """[ns] of the message, or 0"""
     logged: int
     """[ns] of the recording"""
-    names: tuple[str, ...]
-    groups: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    """``position``, ``command`` or ``torque`` to numbers per joint"""
-    after: Array = field(default_factory=lambda: np.zeros(0))
+    columns: Mapping[str, Any]
+    """``position.elbow`` and the like to a number; of a trajectory as `_points` has them"""
+    after: Array | None = None
     """(K,) [s] of the points of a trajectory"""
-    orders: Sequence[Array] = ()
-    """(K, n) positions, velocities and accelerations of the points, as far as all have them"""
 
 
 def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]:
@@ -131,10 +125,9 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
             groups = _topics(held, options, file, notes)
             for topic, time, content in read({*groups}):
                 messages = found.setdefault(topic, [])
-                number = len(messages) + 1
-                said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
+                said = f"topic {topic}, message {len(messages) + 1}: no joint positions in {held[topic] or 'no type'}"
                 with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                    messages.append(_message(content, groups[topic], number=number, logged=time))
+                    messages.append(_message(content, groups[topic], time, options))
     except FileError:
         raise
     # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
@@ -144,26 +137,31 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
     if silent := [topic for topic in groups if topic not in found]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
     # an empty stamp of a trajectory asks for a start at once
-    needed = {topic: any if messages[0].groups else all for topic, messages in found.items()}
-    bare = [topic for topic, messages in found.items() if not needed[topic](one.stamp for one in messages)]
+    bare = [
+        topic
+        for topic, messages in found.items()
+        if not (any if messages[0].after is None else all)(one.stamp for one in messages)
+    ]
     stamped = options.stamp == "header" or (options.stamp is None and not bare)
     if options.stamp is None and bare:
         notes.append(f"times are those of the recording, messages on {bare[0]} have no stamps")
-    begin = {
-        one: one.stamp if stamped and (one.stamp or one.groups) else one.logged
-        for messages in found.values()
-        for one in messages
+    clocks = {
+        topic: np.array([m.stamp if stamped and (m.stamp or m.after is None) else m.logged for m in messages])
+        for topic, messages in found.items()
     }
-    origin = min(begin.values()) // NANOSECONDS * NANOSECONDS
+    origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
     motion = RawMotion(file.stem, [], {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
     for topic, messages in found.items():
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
-        times = np.array([(begin[one] - origin) / NANOSECONDS for one in messages])
-        if len(messages[0].after):
+        times = (clocks[topic] - origin) / NANOSECONDS
+        if messages[0].after is not None:
             motion = motion._replace(complete=partial(_planned, messages, times, f"command topic {topic}"))
-        else:
-            motion.frames.append(_frame(messages, times, file, topic, options, notes))
+            continue
+        titles = dict.fromkeys(title for one in messages for title in one.columns)
+        columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
+        about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
+        motion.frames.append(ColumnFrame.of(file, columns, time=times, notes=notes, **about))
     return [motion]
 
 
@@ -207,20 +205,24 @@ _FIELDS = {
 """What all types of messages call the same"""
 
 
-def _message(content: Any, group: str, **about: Any) -> Message:  # noqa: ANN401
+def _message(content: Any, group: str, logged: int, options: ImportOptions) -> Message:  # noqa: ANN401
     """Joints of a decoded message; TypeError or ValueError for one of another kind."""
     held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
-    names, effort = tuple(map(str, held["names"] or ())), held["effort"]
-    about |= {"stamp": _nanoseconds(held["stamp"]), "names": names}
+    names, stamp = [*map(str, held["names"] or options.names or ())], _nanoseconds(held["stamp"])
     if group == "command" and held["points"] is not None:
-        return Message(**about, **_points(held["points"], len(names)))
-    found = {group: [np.nan if value is None else float(value) for value in held["values"]]}
+        after, orders = _points(held["points"], len(names))
+        return Message(stamp, logged, {f"command.{name}": orders[..., i] for i, name in enumerate(names)}, after)
+    given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
+    if len(names) != len(given[group]):
+        raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")
     if group == "position" and held["sent"] is not None:
-        found["command"] = [float(value) for value in held["sent"]]
-    told = [float(value) for value in (() if effort is None else effort) if value is not None]
-    if group == "position" and len(told) == len(found[group]) and any(told):
-        found["torque"] = told
-    return Message(groups=found, **about)
+        given["command"] = held["sent"]
+    if group == "position" and len(effort) == len(names) and any(effort):
+        given["torque"] = effort
+    numbers = {key: [np.nan if value is None else float(value) for value in values] for key, values in given.items()}
+    return Message(
+        stamp, logged, {f"{key}.{name}": v for key, one in numbers.items() for name, v in zip(names, one, strict=True)}
+    )
 
 
 def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
@@ -229,8 +231,11 @@ def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
     return next((field for field in fields if field is not None and np.size(field)), None)
 
 
-def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
-    """Return times (K,) [s] and orders of a trajectory's points; ValueError."""
+def _points(points: Sequence[Any], joints: int) -> tuple[Array, Array]:
+    """Return times (K,) [s] of a trajectory's points, and their positions, known rates, and zeros (D, K, n).
+
+    ValueError.
+    """
     after = np.array([_nanoseconds(one) for one in _field(points, ["time_from_start"])]) / NANOSECONDS
     if (np.diff(after) <= 0).any():
         raise ValueError("its points are not one after another in time")
@@ -242,7 +247,7 @@ def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
         orders.append(np.array(values, dtype=float).reshape(len(points), joints))
     if not orders:
         raise ValueError("points without positions")
-    return {"after": after, "orders": orders}
+    return after, np.stack([*orders, np.zeros_like(orders[0])])
 
 
 def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
@@ -270,23 +275,6 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
 
 
-def _frame(
-    messages: list[Message], times: Array, file: Path, topic: str, options: ImportOptions, notes: list[str]
-) -> ColumnFrame:
-    """Columns of messages at ``times`` (T,) [s]."""
-    columns: dict[str, Array] = defaultdict(lambda: np.full(len(messages), np.nan))
-    for row, one in enumerate(messages):
-        names = one.names or options.names or ()
-        for group, given in one.groups.items():
-            if len(names) != len(given):
-                said = f"topic {topic}, message {one.number}: {len(names)} names for {len(given)} {group}s"
-                raise FileError(file, said, REMEDY if one.names else "set --order if the messages hold no names")
-            for name, value in zip(names, given, strict=True):
-                columns[f"{group}.{name}"][row] = value
-    about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
-    return ColumnFrame.of(file, columns, time=times, notes=notes, **about)
-
-
 def _planned(
     goals: list[Message], starts: Array, what: str, motion: RecordedMotion, arm: Arm, options: ImportOptions
 ) -> RecordedMotion:
@@ -303,30 +291,29 @@ def _planned(
     order = np.argsort(starts, kind="stable")
     command = np.full_like(motion.position, np.nan)
     active = np.searchsorted(starts[order], motion.time, side="right") - 1
+
+    def present(time: float) -> Array:
+        return np.array([np.interp(time, motion.time, one) for one in motion.position.T])
+
     for index in np.unique(active[active >= 0]):
-        start, rows = starts[order[index]], np.flatnonzero(active == index)
-        goal = goals[order[index]]
-        place = f"{what}, message {goal.number}"
-        orders = np.stack([*goal.orders, np.zeros_like(goal.orders[0])])
-        columns = {f"command.{name}": orders[..., i].ravel() for i, name in enumerate(goal.names)}
+        number, rows = order[index], np.flatnonzero(active == index)
+        start, place = starts[number], f"{what}, message {number + 1}"
+        columns = {title: orders.ravel() for title, orders in goals[number].columns.items()}
         frame = ColumnFrame.of(motion.path, columns, place=place, found=place, angle_unit="rad")
-        *found, zero = angles_of(frame, "command", arm, options).reshape(*orders.shape[:2], arm.joints)
-        knots, times = np.stack([found[0], *(one - zero for one in found[1:])], axis=1), start + goal.after
+        after = np.asarray(goals[number].after)
+        *found, zero = angles_of(frame, "command", arm, options).reshape(-1, len(after), arm.joints)
+        knots, times = np.stack([found[0], *(one - zero for one in found[1:])], axis=1), start + after
         if times[0] > start:  # a first point at the beginning leaves no way to it
-            present = _present(motion, start)[:, : knots.shape[1]]
-            knots, times = np.concatenate([present, knots]), np.concatenate([[start], times])
+            speed = (present(start) - present(start - _PAST)) / _PAST
+            here = np.stack([present(start), speed, np.zeros(arm.joints)])[None, : knots.shape[1]]
+            knots, times = np.concatenate([here, knots]), np.concatenate([[start], times])
         asked = np.clip(motion.time[rows], times[0], times[-1])
         command[rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
     return begun(replace(motion, command=command), active)
 
 
-def _present(motion: RecordedMotion, time: float) -> Array:
-    """Position, velocity and acceleration (1, 3, n) of the arm at a ``time``."""
-    row = int(np.clip(np.searchsorted(motion.time, time), 1, len(motion) - 1))
-    before = max(row - 3, 0)
-    speed = (motion.position[row] - motion.position[before]) / max(motion.time[row] - motion.time[before], 1e-9)
-    position = np.array([np.interp(time, motion.time, one) for one in motion.position.T])
-    return np.stack([position, speed, np.zeros_like(position)])[None]
+_PAST = 0.06
+"""[s] over which a state's speed is taken (chosen)"""
 
 
 MCAP = Reader(partial(_bags, {"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}), partial(_read, _open_mcap))
