@@ -19,7 +19,6 @@ from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
 from rejoint.logs.consistency import (
     BETWEEN,
     FORCED,
-    GAP_PERIODS,
     LogFindings,
     check_agreement,
     check_states,
@@ -38,6 +37,8 @@ from rejoint.system.textfile import DAMAGED
 
 PAUSE = 1.0
 """[s] between motions (chosen: ten times a hobby servo's lag)"""
+PAUSE_PERIODS = 5.0
+"""median periods in a pause at least (chosen)"""
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
@@ -51,7 +52,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     if not len(steps) or not (steps >= 0).all():
         yield motion  # what `clean` will say
         return
-    paused = steps > max(PAUSE, GAP_PERIODS * float(np.median(steps)))
+    paused = steps > max(PAUSE, PAUSE_PERIODS * float(np.median(steps)))
     pieces = np.split(good, np.flatnonzero(paused | (np.diff(good) > 1)) + 1)
     kept = [piece for piece in pieces if len(piece) >= FEWEST] or [good]
     cut = f"cut there into {len(kept)} log(s)"

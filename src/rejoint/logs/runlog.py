@@ -101,7 +101,7 @@ class RunLog:
         rows = np.size(self.time)
         for name in self.arrays:
             shape = (rows,) if name == "time" else (rows, len(self.parts(name)))
-            array = np.array(getattr(self, name), dtype=float)
+            array = as_floats(f"run log {self.label}: {name}", getattr(self, name)).copy()
             if array.shape != shape:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
             array.setflags(write=False)
@@ -180,17 +180,18 @@ class RunLog:
         >>> print(rejoint.diagnose(log).verdict)
         """
         known = arm if isinstance(arm, Arm) else load_arm(arm)
-        given = {"time": time, "command": command, "position": position, "target": target, "true_tcp": true_tcp}
         unknown = np.full((np.size(time), 3), np.nan)
-        arrays: dict[str, Any] = {
-            name: unknown if one is None else as_floats(f"run log {label}: {name}", one) for name, one in given.items()
+        given: dict[str, Any] = {"time": time, "command": command, "position": position}
+        given |= {
+            "target": unknown if target is None else target,
+            "true_tcp": unknown if true_tcp is None else true_tcp,
         }
         return cls(
             arm=known.name,
             joint_names=known.joint_names,
             robot="memory",
             label=label,
-            **arrays,
+            **given,
         )
 
     @classmethod
