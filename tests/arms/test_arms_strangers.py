@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, load_arm, read_arm
+from rejoint.arms import Arm, load_arm, mycobot280, read_arm
 from rejoint.arms.modelfile import cut, read_tree
-from rejoint.arms.workspace import reach, reference_arm
+from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
 
 Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
@@ -129,5 +129,5 @@ def test_assumed_encoders_move_the_tool_of_a_longer_arm_no_farther_than_of_a_sho
     joints = tuple((kind, place, axis, limits) for (kind, _, axis, limits), place in zip(SIX, places, strict=True))
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(joints))
-    arm, small = load_arm(path), reference_arm()
+    arm, small = load_arm(path), mycobot280()
     assert arm.encoder_step * reach(arm) <= small.encoder_step * reach(small) * (1.0 + 1e-9)

@@ -77,8 +77,8 @@ def ball_moment(mass: float, density: float = LINK_DENSITY) -> float:
 
 
 def usable(inertia: Array) -> bool:
-    """Whether (3, 3) [kg m^2] is possible."""
-    if not np.isfinite(inertia).all() or not np.abs(inertia - inertia.T).max() <= 1e-6 * np.abs(inertia).max():
+    """Whether a symmetric (3, 3) [kg m^2] is possible."""
+    if not np.isfinite(inertia).all():
         return False
     small, middle, large = np.linalg.eigvalsh(inertia)
     return bool(small > 1e-6 * large and small + middle >= large * (1 - ROUNDING))
@@ -112,21 +112,21 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
         )
     mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
     for i, (name, end) in enumerate(zip(arm.joint_names, ends, strict=True)):
-        problems = []
+        wrong = []
         if not solid[i] / IMPLAUSIBLE_MASS_RATIO**2 < mass[i] < solid[i] * IMPLAUSIBLE_MASS_RATIO:
-            found = f"a mass of {mass[i]:.3g} kg" if mass[i] else "no mass"
-            problems.append(f"{found}; estimated {solid[i]:.3g} kg from a solid cylinder along the link")
+            wrong.append(f"a mass of {mass[i]:.3g} kg" if mass[i] else "no mass")
             mass[i], com[i], inertia[i] = solid[i], end / 2, cylinder(solid[i], end, radius)
         elif not np.linalg.norm(com[i]) < 2 * reach or (np.isnan(inertia[i]).any() and not com[i].any()):
-            problems.append("no usable centre of mass; put at the middle of the link")
+            wrong.append("no usable centre of mass")
             com[i] = end / 2
-        wrong = _wrong_inertia(mass[i], inertia[i], reach)
-        if wrong:
-            problems.append(f"{wrong}; estimated from a solid cylinder along the link")
+        impossible = _wrong_inertia(mass[i], inertia[i], reach)
+        if impossible:
+            wrong.append(impossible)
             inertia[i] = cylinder(mass[i], end, radius)
         inertia[i] = _balanced(inertia[i])
-        if problems:
-            notes.append(f"link after joint {name}: {', '.join(problems)}")
+        if wrong:
+            solids = f"a solid cylinder of {mass[i]:.3g} kg along the link"
+            notes.append(f"link after joint {name}: {', '.join(wrong)}; estimated from {solids}")
     return replace(arm, mass=mass, com=com, inertia=inertia)
 
 
@@ -175,38 +175,32 @@ def bare(arm: Arm) -> Arm:
 
 def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
     """Add a payload (a number: kg at the TCP) and a ``tool`` (3,) [m] in the TCP frame; InputError."""
-    carried = payload if isinstance(payload, Payload) else Payload(mass=_mass(0.0 if payload is None else payload))
-    if carried.mass == 0.0 and tool is None:
+    if not isinstance(payload, Payload):
+        kilograms = _numbers("payload", 0.0 if payload is None else payload, "a mass in kg, or a Payload", ())
+        payload = Payload(mass=float(kilograms))
+    if payload.mass == 0.0 and tool is None:
         return arm
-    whole = float(arm.mass.sum())
-    if not 0.0 <= carried.mass <= whole:
-        raise InputError(f"payload: {carried.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
-    com = _lengths("payload: the centre of mass", carried.com)
+    whole, places = float(arm.mass.sum()), f"x, y, z of at most {LONGEST_TOOL:g} m"
+    if not 0.0 <= payload.mass <= whole:
+        raise InputError(f"payload: {payload.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
+    com = _numbers("payload: the centre of mass", payload.com, places, (3,), LONGEST_TOOL)
     tip = arm.tip.copy()
-    tip[:3, 3] += tip[:3, :3] @ _lengths("tool", np.zeros(3) if tool is None else tool)
+    tip[:3, 3] += tip[:3, :3] @ _numbers("tool", np.zeros(3) if tool is None else tool, places, (3,), LONGEST_TOOL)
     fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
-    return LoadedArm(**fields | {"tip": tip} | heavier(arm, carried.mass, place), bare=bare(arm))
+    return LoadedArm(**fields | {"tip": tip} | heavier(arm, payload.mass, place), bare=bare(arm))
 
 
 def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
     """Masses of an arm with one more at a ``place`` (3,) [m] of its last link."""
-    link = pseudo_inertia(arm.mass[-1], arm.com[-1], arm.inertia[-1])
-    joined = zip(
-        ("mass", "com", "inertia"), rigid_body(link + pseudo_inertia(mass, place, np.zeros((3, 3)))), strict=True
-    )
-    return {name: np.concatenate([getattr(arm, name)[:-1], np.array(value)[None]]) for name, value in joined}
+    link = pseudo_inertia(arm.mass[-1], arm.com[-1], arm.inertia[-1]) + pseudo_inertia(mass, place, np.zeros((3, 3)))
+    values = zip(("mass", "com", "inertia"), rigid_body(link), strict=True)
+    return {name: np.concatenate([getattr(arm, name)[:-1], [value]]) for name, value in values}
 
 
-def _mass(given: ArrayLike) -> float:
-    mass = as_floats("payload", given, "a mass in kg, or a Payload")
-    if mass.shape != ():
-        raise InputError(f"payload: expected a mass in kg, or a Payload, got {given!r}")
-    return float(mass)
-
-
-def _lengths(what: str, given: ArrayLike) -> Array:
-    lengths = as_floats(what, given, f"x, y, z of at most {LONGEST_TOOL:g} m")
-    if lengths.shape != (3,) or not np.abs(lengths).max() <= LONGEST_TOOL:
-        raise InputError(f"{what}: expected x, y, z of at most {LONGEST_TOOL:g} m, got {given!r}")
-    return lengths
+def _numbers(what: str, given: ArrayLike, expected: str, shape: tuple[int, ...], most: float = np.inf) -> Array:
+    """Numbers of a ``shape``, as far from zero as ``most``; InputError."""
+    found = as_floats(what, given, expected)
+    if found.shape != shape or not np.abs(found).max() <= most:
+        raise InputError(f"{what}: expected {expected}, got {given!r}")
+    return found

@@ -249,19 +249,13 @@ def moves_tool(arm: Arm) -> NDArray[np.bool_]:
 @lru_cache(maxsize=32)
 def torque_size(arm: Arm) -> float:
     """Largest load over that of a myCobot 280."""
-    return float(heaviest_load(arm).max() / heaviest_load(reference_arm()).max())
+    return float(heaviest_load(arm).max() / heaviest_load(mycobot280()).max())
 
 
 @lru_cache(maxsize=32)
 def length_size(arm: Arm) -> float:
     """Reach over that of a myCobot 280."""
-    return reach(arm) / reach(reference_arm())
-
-
-@lru_cache(maxsize=1)
-def reference_arm() -> Arm:
-    """Arm of the chosen constants."""
-    return mycobot280()
+    return reach(arm) / reach(mycobot280())
 
 
 SAFE_MARGIN = np.radians(10.0)
@@ -335,7 +329,7 @@ def _dangers(arm: Arm, q: Array) -> tuple[NDArray[np.bool_], ...]:
         ~((q >= arm.lower + SAFE_MARGIN) & (q <= arm.upper - SAFE_MARGIN)),
         # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
         rising_frames(arm, floor) & (f.position[..., 2] < floor),
-        np.abs(gravity_torque(arm, q)) > _most_load(arm),
+        np.abs(gravity_torque(arm, q)) > heaviest_load(arm) + LOAD_MARGIN * torque_size(arm),
         np.asarray(f.tcp_position[..., 2] < floor),
         np.asarray(np.linalg.norm(f.tcp_position[..., :2], axis=-1) < COLUMN * rest_reach),
     )
@@ -393,8 +387,3 @@ def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
             f"and room in every joint {lack}; give rest_deg in the arm's TOML file"
         )
     return best[1:]
-
-
-def _most_load(arm: Arm) -> Array:
-    """Return allowed load (n,) [N m]."""
-    return heaviest_load(arm) + LOAD_MARGIN * torque_size(arm)

@@ -20,10 +20,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, link_inertia
+from rejoint.arms import Arm, Array, gravity_torque, link_inertia, mycobot280
 from rejoint.arms.arm import frozen
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach, reference_arm
+from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach
 from rejoint.system.errors import ProfileError, first_line
 from rejoint.system.tomltable import Number, Positive, Table, read_toml
 from rejoint_lab.plant.servo import AMBIENT, STEP
@@ -48,7 +48,7 @@ class Ratios(NamedTuple):
 @lru_cache(maxsize=16)
 def scale_of(arm: Arm) -> Ratios:
     """Compare an arm with the myCobot 280."""
-    reference = reference_arm()
+    reference = mycobot280()
     row = np.rint(np.linspace(0.0, reference.joints - 1, arm.joints)).astype(np.intp)
     return Ratios(
         row=row,
@@ -247,7 +247,7 @@ def wear_arm(name: str) -> str | None:
 def _fitted(base: str, arm: Arm) -> Wear:
     found = _profile(base)
     if found.scales:
-        return scale_wear(found.wear(base, reference_arm().joints), arm)
+        return scale_wear(found.wear(base, mycobot280().joints), arm)
     if found.arm not in (None, arm.name):
         raise ProfileError(
             f"wear {base} describes the arm {found.arm} alone, not {arm.name}; give --arm {found.arm} or a run of that "
