@@ -188,7 +188,7 @@ class Link:
         except ConnectionLostError as error:
             raise AddressError(str(error)) from error
         try:
-            self._once(self._bus.prepare)
+            asked(self._bus.prepare, self.address)
         except _AGAIN as error:
             self.close()
             found = str(error).removeprefix(f"{self.address}: ")
@@ -207,7 +207,7 @@ class Link:
         """
         if not self._connected:
             raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
-        return persist(lambda: self._once(question), self._recover, self._bus.clock)
+        return persist(question, self._recover, self._bus.clock, self.address)
 
     def close(self) -> None:
         """Close the connection; the arm holds."""
@@ -215,23 +215,11 @@ class Link:
         with contextlib.suppress(*BROKEN):
             self._bus.close()
 
-    def _once(self, question: Callable[[], T]) -> T:
-        try:
-            return question()
-        except RejointError:
-            raise
-        except TimeoutError as error:
-            raise NoReplyError(f"{self.address}: no answer ({first_line(error)})") from error
-        except BROKEN as error:
-            raise ConnectionLostError(f"{self.address}: the connection broke ({first_line(error)})") from error
-        except _GARBLED as error:
-            raise ImpossibleReplyError(f"{self.address}: garbled answer ({first_line(error)})") from error
-
     def _recover(self, error: RobotError, deadline: float) -> None:
         if not isinstance(error, ConnectionLostError):
             until = min(deadline, self._bus.clock.now() + SILENCE)
             try:
-                self._once(lambda: self._bus.resynchronise(until))
+                asked(lambda: self._bus.resynchronise(until), self.address)
             except _AGAIN as broken:  # silent again, as a wire is that stalls twice
                 error = broken
             else:
@@ -242,7 +230,7 @@ class Link:
         while True:
             try:
                 self._connect()
-                self._once(lambda: self._bus.prepare(deadline))
+                asked(lambda: self._bus.prepare(deadline), self.address)
                 return
             except PowerLostError:
                 raise
@@ -262,10 +250,31 @@ class Link:
         self._connected = True
 
 
+def asked(question: Callable[[], T], place: object) -> T:
+    """Ask once; errors of the wire get the names of `rejoint.system.errors`, and the ``place``."""
+    try:
+        return question()
+    except RejointError:
+        raise
+    except TimeoutError as error:
+        raise NoReplyError(f"{place}: no answer ({first_line(error)})") from error
+    except BROKEN as error:
+        raise ConnectionLostError(f"{place}: the connection broke ({first_line(error)})") from error
+    except _GARBLED as error:
+        raise ImpossibleReplyError(f"{place}: garbled answer ({first_line(error)})") from error
+
+
+def connected(error: RobotError) -> None:
+    """Raise ``error`` if the connection broke: whoever reopens it asks again."""
+    if isinstance(error, ConnectionLostError):
+        raise error
+
+
 def persist(
     question: Callable[[], T],
     recover: Callable[[RobotError, float], object],
     clock: Clock,
+    place: object,
     until: float | None = None,
 ) -> T:
     """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover`` in between."""
@@ -273,7 +282,7 @@ def persist(
     while True:
         attempt += 1
         try:
-            return question()
+            return asked(question, place)
         except PowerLostError:
             raise
         except _AGAIN as error:

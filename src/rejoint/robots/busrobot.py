@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pkgutil import resolve_name
@@ -62,11 +63,9 @@ class Continuity:
 
     def __init__(self, arm: Arm) -> None:
         self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
-        self._last: tuple[float, Array] | None = None
-        self._before: tuple[float, Array] | None = None
+        self._accepted: deque[tuple[float, Array]] = deque(maxlen=2)
         self._doubted: float | None = None
         self._candidate: Array | None = None
-        self._confirmed = False
         self._command_then: Array | None = None
         self._waiting_since: float | None = None
 
@@ -75,45 +74,41 @@ class Continuity:
 
         After a pause two answers must agree; two that agree overrule the last one if they suit the one before.
         """
-        if self._last is None:
+        if not self._accepted:
             return
-        then, before = self._last
         if self._doubted is not None and time - self._doubted < DOUBT:
             time = self._doubted
-        gone, elapsed = np.abs(position - before), max(time - then, 0.0)
-        jumped = gone > self._max_speed * elapsed + JUMP_SLACK
-        sudden = gone > self._max_speed * min(elapsed, SURE) + JUMP_SLACK
+        jumped, *earlier = (self._beyond(one, time, position) for one in reversed(self._accepted))
+        then, before = self._accepted[-1]
+        sudden = self._beyond((then, before), min(time, then + SURE), position)
         agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
         self._doubted = time if jumped.any() else None
-        doubtful = jumped.any() and self._confirmed and not (agreed and self._suits_the_one_before(time, position))
+        doubtful = jumped.any() and earlier and not (agreed and not earlier[0].any())
         if doubtful or (sudden.any() and not agreed):
             self._candidate = position
             i = int(np.argmax(jumped if jumped.any() else sudden))
             says = "cannot have jumped" if jumped.any() else "is said, once, to have gone"
             raise ImpossibleReplyError(
                 f"joint {i + 1} {says} from {np.degrees(before[i]):.1f} to {np.degrees(position[i]):.1f} deg in "
-                f"{elapsed:.3f} s"
+                f"{time - then:.3f} s"
             )
         self._candidate = None
 
-    def _suits_the_one_before(self, time: float, position: Array) -> bool:
-        if self._before is None:
-            return False
-        then, before = self._before
-        return bool((np.abs(position - before) <= self._max_speed * max(time - then, 0.0) + JUMP_SLACK).all())
+    def _beyond(self, accepted: tuple[float, Array], time: float, position: Array) -> Mask:
+        """Return which joints (n,) cannot have gone from an ``accepted`` answer to ``position``."""
+        then, before = accepted
+        return np.abs(position - before) > self._max_speed * max(time - then, 0.0) + JUMP_SLACK
 
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take an answer; return its age [s]: how long it should have changed.
 
         Only commands of two joints that moved by over 10 deg count. StaleReplyError when that lasts.
         """
-        if self._last is None or np.any(position != self._last[1]):
-            self._command_then = command
-            self._waiting_since = None
+        if not self._accepted or np.any(position != self._accepted[-1][1]):
+            self._command_then, self._waiting_since = command, None
         elif command is not None and self._command_then is None:
-            self._command_then = self._last[1]
-        self._confirmed = self._last is not None
-        self._before, self._last = self._last, (time, position)
+            self._command_then = self._accepted[-1][1]
+        self._accepted.append((time, position))
         if command is None or self._command_then is None:
             return 0.0
         if self._waiting_since is None:
@@ -180,13 +175,11 @@ class Health:
 
 def believed(ask: Callable[[], V]) -> V:
     """Ask again after an alarm until two answers agree."""
-    found = ask()
+    before, found = None, ask()
     for _ in range(DOUBTS):
-        if not found.alarming:
-            return found
+        if not found.alarming or (before is not None and found.agrees(before)):
+            break
         before, found = found, ask()
-        if found.agrees(before):
-            return found
     return found
 
 

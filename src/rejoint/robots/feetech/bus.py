@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
-from rejoint.robots.bus import Bus, Reading, persist
+from rejoint.robots.bus import Bus, Reading, connected, persist
 from rejoint.robots.feetech.gains import (
     FULL,
     REGISTERS,
@@ -34,12 +34,10 @@ from rejoint.robots.feetech.gains import (
 from rejoint.robots.feetech.wire import Wire
 from rejoint.system.errors import (
     ConnectionLostError,
-    ImpossibleReplyError,
     InputError,
     NoReplyError,
     PowerLostError,
     RobotError,
-    first_line,
 )
 from rejoint.system.stopping import shielded
 
@@ -292,15 +290,11 @@ class FeetechBus(Bus):
             self._until = None
 
     def _sure(self, question: Callable[[], T]) -> T:
-        def once() -> T:
-            try:
-                return question()
-            except TimeoutError as error:
-                raise NoReplyError(f"{self.place}: {first_line(error)}") from error
-            except (ValueError, IndexError) as error:
-                raise ImpossibleReplyError(f"{self.place}: {first_line(error)}") from error
+        def recover(error: RobotError, _: float) -> None:
+            connected(error)
+            self.wire.quieten(QUIET)
 
-        return persist(once, lambda *_: self.wire.quieten(QUIET), self.clock, self._until)
+        return persist(question, recover, self.clock, self.place, self._until)
 
     def _send(self, goal: Sequence[int]) -> None:
         register = TABLE["goal"]

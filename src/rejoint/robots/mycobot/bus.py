@@ -12,7 +12,6 @@ import locale
 import logging
 import select
 import socket
-import struct
 import time
 import warnings
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.bus import ATTEMPTS, BROKEN, SILENCE, Bus, Reading, Vitals, persist
+from rejoint.robots.bus import ATTEMPTS, SILENCE, Bus, Reading, Vitals, asked, connected, persist
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.system.errors import (
     ConnectionLostError,
@@ -93,7 +92,6 @@ QUIET_RELAY = 3.0
 """[s] of resynchronisation after an unknown command (chosen, as `link.SILENCE`)"""
 POWER_UP = 3.0
 """[s] after power_on (chosen)"""
-_CUT_FRAME = (struct.error, IndexError, KeyError, TypeError, ValueError, UnicodeError)
 _JOINTS = len(LOWEST_DEG)
 
 
@@ -210,12 +208,14 @@ class MyCobotBus(Bus):
         if self._drain(0.0):
             raise StaleReplyError(f"{self.address}: unexpected answers arrive")
         began = self.clock.now()
-        try:
-            answer: object = getattr(self._client, method)(*arguments)
-        except BROKEN as error:
-            raise ConnectionLostError(f"{self.address}: the connection broke during {method} ({error})") from error
-        except _CUT_FRAME as error:
-            raise ImpossibleReplyError(f"{self.address}: garbled answer to {method} ({error})") from error
+
+        def call() -> object:
+            try:
+                return getattr(self._client, method)(*arguments)
+            except (KeyError, TypeError) as error:  # of the client, by a frame that is cut
+                raise ValueError(f"{method}: {error!r}") from error
+
+        answer = asked(call, self.address)
         took = self.clock.now() - began
         if answer is None or (isinstance(answer, int) and answer == -1):
             raise NoReplyError(f"{self.address}: no usable answer to {method} within {took:.1f} s")
@@ -229,26 +229,20 @@ class MyCobotBus(Bus):
     def _drain(self, quiet: float) -> bool:
         """Drop TCP bytes until none came for ``quiet`` [s]; whether any did."""
         found = False
-        if not isinstance(self.address, TcpAddress):
-            return found
-        try:
-            while select.select([self._client.sock], [], [], quiet)[0]:
-                found = True
-                if not self._client.sock.recv(4096):
-                    raise ConnectionLostError(f"{self.address}: the other side closed the connection")
-                if quiet == 0.0:
-                    break
-        except BROKEN as error:
-            raise ConnectionLostError(f"{self.address}: the connection broke ({error})") from error
+        while isinstance(self.address, TcpAddress) and select.select([self._client.sock], [], [], quiet)[0]:
+            found = True
+            if not self._client.sock.recv(4096):
+                raise OSError("the other side closed it")
+            if quiet == 0.0:
+                break
         return found
 
     def _confirm(self, method: str, until: float | None = None) -> object:
         def recover(error: RobotError, deadline: float) -> None:
-            if isinstance(error, ConnectionLostError):
-                raise error
+            connected(error)
             self.resynchronise(deadline if until is None else min(deadline, self.clock.now() + SILENCE))
 
-        return persist(lambda: self._call(method), recover, self.clock, until)
+        return persist(lambda: self._call(method), recover, self.clock, self.address, until)
 
 
 def read_angles(reply: object) -> Array:
