@@ -112,10 +112,6 @@ class BoardView:
     pixel: Array
     """(K, 2)"""
 
-    def __post_init__(self) -> None:
-        if self.pixel.shape != (len(self.number), 2):
-            raise InputError(f"view {self.name}: {len(self.number)} corners, but pixels of shape {self.pixel.shape}")
-
 
 ON_TABLE = Board()
 """210 x 150 mm, for A4"""
@@ -143,9 +139,7 @@ def read_board(path: Path) -> Board:
         return msgspec.convert(told, Board, strict=True)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", remedy) from error
-    except KeyError as error:
-        raise FileError(path, f"is no board: {error.args[0]} is missing", remedy) from error
-    except (OSError, ValueError, TypeError, msgspec.MsgspecError) as error:
+    except (OSError, ValueError, TypeError, KeyError, msgspec.MsgspecError) as error:
         raise FileError(path, f"is no board ({first_line(error)})", remedy) from error
 
 

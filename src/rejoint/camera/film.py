@@ -65,7 +65,7 @@ class Film:
 
     board: Board
     carried: str
-    """by the tool, one of `rejoint.camera.rig.MOUNTINGS`"""
+    """by the tool, see `rejoint.camera.rig.Rig`"""
     size: tuple[int, int] | None = None
     """[px] width and height"""
     shots: tuple[Shot, ...] = ()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -23,7 +22,7 @@ from rejoint.diagnosis.calibration.parameters import belief
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import check
@@ -221,7 +220,8 @@ class _Shooting:
         shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:
-            write_picture(self.folder.pictures / seen.name, picture)
+            data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+            write_whole(self.folder.pictures / seen.name, lambda temporary: temporary.write_bytes(data))
             write_film(self.folder.views, self.drive.robot.arm, self.film)
         if number == 1 and isinstance(seen, Unusable):
             raise UnseenBoardError(
@@ -242,11 +242,3 @@ def believed_rig(arm: Arm, scouted: Film) -> Rig:
     lens = first_lens(scouted.size, scouted.board, scouted.views)
     sights = [place(lens, scouted.board.corners[view.number], view.pixel).pose for view in scouted.views]
     return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], np.array(sights))
-
-
-def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture as JPEG; FileError if that fails."""
-    good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not good:
-        raise FileError(path, "this picture cannot be written as JPEG", "take another camera")
-    write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))

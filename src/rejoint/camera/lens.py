@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -10,7 +10,6 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.arms.rotations import pose_of, rotation_error, turned
-from rejoint.system.errors import InputError
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
@@ -40,12 +39,6 @@ class Lens:
     """tangential"""
     p2: float = 0.0
 
-    def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or not self.f > 0.0:
-            raise InputError(
-                f"lens: expected a picture and a focal length above 0 px, got {self.width} x {self.height}, f {self.f}"
-            )
-
     @classmethod
     def usual(cls, width: int, height: int) -> Lens:
         """Lens of a web camera, 70 degrees wide."""
@@ -58,7 +51,7 @@ class Lens:
 
     def with_numbers(self, numbers: Array) -> Lens:
         """Return same image, other `TERMS` (7,)."""
-        return Lens(width=self.width, height=self.height, **dict(zip(TERMS, map(float, numbers), strict=True)))
+        return replace(self, **dict(zip(TERMS, map(float, numbers), strict=True)))
 
     @property
     def matrix(self) -> Array:

@@ -15,10 +15,9 @@ from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.camera.board import Board
 from rejoint.camera.lens import TERMS, Lens
 from rejoint.diagnosis.calibration.calibration import finite
-from rejoint.system.errors import ContractError, InputError
+from rejoint.system.errors import ContractError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
-MOUNTINGS = ("board", "camera")
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
 
@@ -29,15 +28,11 @@ class Rig:
     lens: Lens
     board: Board
     carried: str
-    """one of `MOUNTINGS`"""
+    """by the tool: ``board`` or ``camera``"""
     standing: Array
     """(4, 4) of the other one, base frame"""
     mounted: Array
     """(4, 4) of the carried one, TCP frame"""
-
-    def __post_init__(self) -> None:
-        if self.carried not in MOUNTINGS:
-            raise InputError(f"the tool carries {self.carried!r}, expected one of: {', '.join(MOUNTINGS)}")
 
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""

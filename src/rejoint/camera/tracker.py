@@ -35,13 +35,11 @@ class LiveCamera:
 
     def __init__(self, number: int = 0, size: tuple[int, int] = SIZE) -> None:
         self.number, self.size = number, size
-        self._device: cv2.VideoCapture | None = None
 
     def __enter__(self) -> LiveCamera:
         """Open the camera; InputError."""
-        device = cv2.VideoCapture(self.number)
+        self._device = device = cv2.VideoCapture(self.number)
         if not device.isOpened():
-            device.release()
             raise InputError(f"no camera answers as number {self.number}; plug it in, or give another number")
         wanted = {
             "FOURCC": cv2.VideoWriter.fourcc(*"MJPG"),
@@ -52,19 +50,14 @@ class LiveCamera:
         }
         for name, value in wanted.items():
             device.set(getattr(cv2, f"CAP_PROP_{name}"), value)
-        self._device = device
         return self
 
     def __exit__(self, *_: object) -> None:
         """Release the camera."""
-        if self._device is not None:
-            self._device.release()
-            self._device = None
+        self._device.release()
 
     def picture(self) -> tuple[Picture, float]:
         """Newest grey image and its time [s] of `time.monotonic`; InputError."""
-        if self._device is None:
-            raise InputError("the camera is not open; use it in a with statement")
         for _ in range(_TRIES):
             good, frame = self._device.read()
             if good:

@@ -27,7 +27,6 @@ from torch.distributions.transforms import TanhTransform
 
 from rejoint.arms import Arm
 from rejoint.logs.runfolder import Outputs
-from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
@@ -141,10 +140,6 @@ class OffPolicySettings:
     agents: int = 512
     threads: int = 2
 
-    def __post_init__(self) -> None:
-        if self.algorithm not in ALGORITHMS:
-            raise InputError(f"no learner is called {self.algorithm!r}; known: ppo, {', '.join(ALGORITHMS)}")
-
 
 ALGORITHMS = {
     "sac": (SAC, SAC_CFG, SquashedActor),
@@ -221,7 +216,7 @@ def _point(
 
 
 def trainer(name: str, seed: int) -> Trainer:
-    """Trainer of an algorithm; InputError for unknown ones."""
+    """Trainer of one of the `ALGORITHMS`."""
     settings = OffPolicySettings(algorithm=name, seed=seed)
     return lambda arm, twin, out, on_progress: train_offpolicy(
         arm, twin, out=out, settings=settings, on_progress=on_progress
