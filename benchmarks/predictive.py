@@ -21,7 +21,7 @@ from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import planned
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, own_twin, try_controller
-from rejoint_lab.research.rivals.laws import make_rival
+from rejoint_lab.research.rivals import make_rival
 
 TARGETS, STEPS = 3, 2000
 OTHER_MOTIONS = 1_000_000

@@ -23,7 +23,7 @@ from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller
 from rejoint.control.start import move
 from rejoint.session.motions import watched
-from rejoint_lab.cameras.emulated import EmulatedEye
+from rejoint_lab.emulated import EmulatedEye
 
 TIMES = (2.0, 3.0, 3.95)
 WINDOW = 0.2

@@ -171,8 +171,8 @@ def tune(
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.training.ranges import BroadRanges
-    from rejoint_lab.research.rivals.laws import RIVALS, make_rival
-    from rejoint_lab.research.rivals.tuning import tune as search
+    from rejoint_lab.research.rivals import RIVALS, make_rival
+    from rejoint_lab.research.rivals import tune as search
 
     arm = load_arm(call.pick.arm or "mycobot280")
     ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.feetech.gains import FULL, LIMIT, REGISTERS, RUNGS, Gains, Tuning, Values, duty_laws, for_all
 from rejoint.system.errors import InputError
-from rejoint_lab.cameras.emulated import EmulatedCamera, EmulatedEye
 from rejoint_lab.plant.plant import Plant, StsPlant, Truth
 from rejoint_lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
 from rejoint_lab.plant.wear import Wear
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
+    from rejoint_lab.cameras import EmulatedCamera
 
 
 class EmulatedServos:
@@ -159,7 +161,7 @@ class EmulatedRobot:
 
     def camera(self, board: Board, carried: str, seed: int) -> EmulatedCamera:
         """Camera beside the only arm, or on its tool."""
-        from rejoint_lab.cameras.scene import beside, on_tool
+        from rejoint_lab.cameras import EmulatedCamera, beside, on_tool
 
         rig = beside(self.arm, board=board) if carried == "board" else on_tool(self.arm, board=board)
         return EmulatedCamera(rig, lambda: self.plant.true_pose()[0], seed)
@@ -169,3 +171,27 @@ class EmulatedRobot:
 
     def _merge(self, position: Array, where: Mask | None) -> Array:
         return position if where is None else np.where(where[:, None], position, self._position)
+
+
+RATE, LATE = 15.0, 0.1
+"""[1/s] images, and [s] from an image to its detection (chosen)"""
+DEVIATION = np.array([5e-4, 1e-4, 1e-4])
+"""[m] of a detection in the base frame, along the line of sight and across (chosen)"""
+
+
+class EmulatedEye:
+    """Detects the tool of one emulated arm."""
+
+    def __init__(self, robot: Robot, seed: int = 0) -> None:
+        self._robot, self._rng = robot, np.random.default_rng(seed)
+        self._taken: deque[Sighting] = deque(maxlen=64)
+        self._due = -np.inf  # [s] of the next image
+
+    def sighting(self, now: float) -> Sighting | None:
+        """Newest detection at robot time ``now`` [s], or None."""
+        if now >= self._due:
+            self._due = (self._due if now - self._due < 1.0 / RATE else now) + 1.0 / RATE  # missed images are lost
+            place = self._robot.true_tcp()[0] + DEVIATION * self._rng.normal(size=3)
+            self._taken.append(Sighting(time=now, place=place))
+        ready = [one for one in self._taken if one.time <= now - LATE]
+        return ready[-1] if ready else None

@@ -9,7 +9,7 @@ from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.camera.board import ON_TABLE, BoardView
 from rejoint.camera.film import Film, Shot
 from rejoint.camera.filming import choose_postures
-from rejoint_lab.cameras.scene import LENS, beside, on_tool
+from rejoint_lab.cameras import LENS, beside, on_tool
 
 ARM = mycobot280()
 WORN = Displacement(

@@ -67,7 +67,7 @@ def test_one_picture_tells_where_the_tool_is(found):
 
 
 def _seen(found, pixel):
-    from rejoint.camera.lens import place
+    from rejoint.camera.rig import place
 
     return found.rig.tool(place(found.rig.lens, found.rig.board.corners, pixel).pose[None])[0, :3, 3]
 

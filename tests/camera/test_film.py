@@ -22,7 +22,7 @@ from rejoint.camera.film import (
 from rejoint.camera.filming import believed_rig
 from rejoint.camera.fit import fit_film
 from rejoint.system.errors import FileError, InputError
-from rejoint_lab.cameras.scene import LENS, render
+from rejoint_lab.cameras import LENS, render
 
 SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")

@@ -5,8 +5,8 @@ import pytest
 
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_vector, turned
 from rejoint.camera.board import ON_TOOL
-from rejoint.camera.lens import TERMS, place
-from rejoint_lab.cameras.scene import LENS
+from rejoint.camera.rig import TERMS, place
+from rejoint_lab.cameras import LENS
 
 STRONG = LENS.with_numbers(np.array([1400, 950, 545, -0.2, 0.05, 1e-3, -5e-4]))
 

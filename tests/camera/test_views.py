@@ -15,7 +15,7 @@ from rejoint.camera.detector import Detector
 from rejoint.camera.rig import Rig
 from rejoint.camera.tracker import ToolTracker
 from rejoint.system.errors import InputError
-from rejoint_lab.cameras.scene import LENS, render
+from rejoint_lab.cameras import LENS, render
 
 PLAIN = Rig(lens=LENS, board=ON_TOOL, carried="board", standing=np.eye(4), mounted=np.eye(4))
 CLEAN = {"blur": 0.5, "noise": 0.0}

@@ -22,8 +22,7 @@ from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.runs.run import Run
 from rejoint.session.motions import opened_eye
 from rejoint.system.errors import InputError
-from rejoint_lab.cameras.emulated import EmulatedCamera
-from rejoint_lab.cameras.scene import beside, render
+from rejoint_lab.cameras import EmulatedCamera, beside, render
 from standin import StandIn
 
 ARM = mycobot280()

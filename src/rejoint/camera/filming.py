@@ -15,8 +15,7 @@ from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
 from rejoint.camera.film import Film, Shot, positions, read_film, write_film
 from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
-from rejoint.camera.lens import TERMS, place
-from rejoint.camera.rig import Rig
+from rejoint.camera.rig import TERMS, Rig, place
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.parameters import belief
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed

@@ -20,8 +20,7 @@ from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import Board, BoardView
 from rejoint.camera.detector import Unusable
 from rejoint.camera.film import Film, positions
-from rejoint.camera.lens import CORNER, FLAT, TERMS, Lens, place
-from rejoint.camera.rig import Rig, point_sigma
+from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
 from rejoint.diagnosis.calibration.measurements import Measurements

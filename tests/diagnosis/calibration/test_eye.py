@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 import rejoint
-from rejoint_lab.cameras.emulated import DEVIATION, LATE, RATE, EmulatedEye
+from rejoint_lab.emulated import DEVIATION, LATE, RATE, EmulatedEye
 
 TARGETS = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
 

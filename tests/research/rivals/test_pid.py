@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import mycobot280, solve_position
 from rejoint.control.goal import nearest_postures
-from rejoint_lab.research.rivals.laws import PidController
+from rejoint_lab.research.rivals import PidController
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

@@ -6,8 +6,7 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
-from rejoint_lab.research.rivals.laws import AdaptiveController, Rival, ScheduledController, make_rival
-from rejoint_lab.research.rivals.tuning import tune
+from rejoint_lab.research.rivals import AdaptiveController, Rival, ScheduledController, make_rival, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -89,7 +88,7 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
     def bowl(arm, ranges, rival, gains, draw):
         return (np.log(gains["a"] / 0.5)) ** 2 + (np.log(gains["b"] / 20.0)) ** 2
 
-    monkeypatch.setattr("rejoint_lab.research.rivals.tuning.candidate_costs", bowl)
+    monkeypatch.setattr("rejoint_lab.research.rivals.candidate_costs", bowl)
     intervals, seen = {"a": (0.01, 10.0), "b": (1.0, 100.0)}, []
     found = tune(ARM, RANGES, Rival(None, intervals), lambda *report: seen.append(report), generations=30)
     assert found["a"] == pytest.approx(0.5, rel=0.03)

@@ -40,7 +40,7 @@ from rejoint.system.statistics import Estimate, Labels, Spread, bootstrap_mean, 
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.family import ArmFamily, OnTargets, Variant, keep, own_twins, try_controller
-from rejoint_lab.research.rivals.laws import GAINS, RIVALS, make_rival
+from rejoint_lab.research.rivals import GAINS, RIVALS, make_rival
 
 
 class Contestant(NamedTuple):

@@ -5,6 +5,7 @@ Each pixel is traced back to the drawing, without projected corners, so that ima
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import cv2
@@ -15,8 +16,7 @@ from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import inverse
 from rejoint.camera.board import ON_TOOL, Board
 from rejoint.camera.detector import Picture
-from rejoint.camera.lens import Lens
-from rejoint.camera.rig import Rig
+from rejoint.camera.rig import Lens, Rig
 
 BLACK, WHITE, WALL = 35.0, 215.0, 120.0
 """Grey levels of print, paper and background (chosen)"""
@@ -111,3 +111,15 @@ def looking(place: Array, at: Array) -> Array:
     pose[:3, 0] = right / np.linalg.norm(right)
     pose[:3, 1], pose[:3, 2], pose[:3, 3] = np.cross(forwards, pose[:3, 0]), forwards, place
     return pose
+
+
+class EmulatedCamera:
+    """Rendered images; noise by seed and number."""
+
+    def __init__(self, rig: Rig, tool: Callable[[], Array], seed: int = 0) -> None:
+        """``tool`` returns the tool's pose (4, 4) in the base."""
+        self._rig, self._tool, self._seed = rig, tool, seed
+
+    def still(self, number: int) -> Picture:
+        """Render image ``number``."""
+        return render(self._rig, self._tool(), (self._seed, number))

@@ -1,1 +1,0 @@
-"""Simulated images of a board."""

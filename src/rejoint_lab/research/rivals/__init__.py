@@ -1,1 +1,0 @@
-"""Rivals of the policy: tuned classical and adaptive control."""
