@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
@@ -18,9 +17,6 @@ from rejoint.pages.html import write_page
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
 from rejoint.system.shell import command
-
-if TYPE_CHECKING:
-    from rejoint.control.comparison.result import Comparison
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
@@ -115,9 +111,11 @@ def summarise(run: Run) -> None:
     diagnosis, comparison = run.diagnosis, run.comparison
     if diagnosis is None and comparison is None:
         return
-    kind = "repair" if run.folder.finished.exists() else "run"
+    path, kind, before = run.path / SUMMARY, "repair" if run.folder.finished.exists() else "run", list[HistoryRow]()
+    with suppress(FileError, FileNotFoundError):
+        before = [row for row in read_rows(path) if row.kind == kind == "repair"]
     arm = HistoryRow(
-        time=_repaired_at(run.path / SUMMARY, kind) or utc_now(),
+        time=before[0].time if before else utc_now(),
         kind=kind,
         arm=name_of(run.robot, run.arm.name),
         robot=run.robot,
@@ -131,33 +129,16 @@ def summarise(run: Run) -> None:
             joints.append(replace(arm, joint=row.joint, **{name: one and one.value for name, one in found.items()}))
         arm, loop = replace(arm, state=diagnosis.condition, line=diagnosis.verdict), diagnosis.open_loop
         if loop is not None:
-            true = loop.true_error_mm
-            arm = replace(arm, true_error_mm=true.value if true else None, error_mm=loop.error_mm.value)
+            known = loop.true_error_mm
+            arm = replace(arm, true_error_mm=known.value if known else None, error_mm=loop.error_mm.value)
     if comparison is not None:
-        arm = _compared(arm, comparison)
-    write_rows(run.path / SUMMARY, [arm, *joints])
+        best = comparison.row(recommend(comparison).controller)
+        settled, true = (1e3 * one.mean.value if one else None for one in (best.settled, best.settled_true))
+        arm = replace(arm, controller=best.controller, success=best.reached, settled_mm=settled, settled_true_mm=true)
+    write_rows(path, [arm, *joints])
 
 
 _DIAGNOSED = ("stiffness_nm_per_rad", "coulomb_nm", "lag_s", "offset_rad")
-
-
-def _repaired_at(path: Path, kind: str) -> datetime | None:
-    with suppress(FileError, FileNotFoundError):
-        return next((row.time for row in read_rows(path) if row.kind == kind == "repair"), None)
-    return None
-
-
-def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
-    chosen = recommend(found).controller
-    row = found.row(chosen)
-    return replace(
-        arm,
-        controller=chosen,
-        success=row.reached,
-        settled_mm=1e3 * row.settled.mean.value if row.settled else None,
-        settled_true_mm=1e3 * row.settled_true.mean.value if row.settled_true else None,
-    )
-
 
 _STATES = ("alarm", "drifting", "learning", "steady")
 """The worst first"""
@@ -176,13 +157,13 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
         *(("hysteresis_mm", row.hysteresis_mm, {"joint": row.joint}) for row in measures.joints),
         *(("cusum", one.cusum, {"joint": one.joint, "quantity": one.quantity}) for one in seen.changes),
     ]
-    types = [f"# TYPE rejoint_{metric} gauge\n" for metric in dict.fromkeys(metric for metric, *_ in samples)]
-    return "".join(types + [_sample(metric, value, {"arm": name} | labels) for metric, value, labels in samples])
-
-
-def _sample(metric: str, value: float | None, labels: dict[str, str]) -> str:
-    words = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
-    return "" if value is None else f"rejoint_{metric}{{{words}}} {value:.10g}\n"
+    lines = [f"# TYPE rejoint_{metric} gauge\n" for metric in dict.fromkeys(metric for metric, *_ in samples)]
+    for metric, value, labels in samples:
+        if value is not None:
+            pairs = ({"arm": name} | labels).items()
+            words = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in pairs)
+            lines.append(f"rejoint_{metric}{{{words}}} {value:.10g}\n")
+    return "".join(lines)
 
 
 _ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
@@ -265,11 +246,4 @@ def _urgency(arm: ArmHistory) -> tuple[bool, int, datetime, float]:
 def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:
     """Write the page; FileError if it cannot be written."""
     urgent = [arm for arm in arms if arm.newest.over or arm.state in ("alarm", "drifting", "bad")]
-    write_page(
-        path,
-        "history.html",
-        arms=arms,
-        urgent=urgent,
-        headers=HEADERS,
-        cells=cells,
-    )
+    write_page(path, "history.html", arms=arms, urgent=urgent, headers=HEADERS, cells=cells)
