@@ -20,7 +20,7 @@ from rejoint.diagnosis.calibration.measurements import (
     read_measurements,
     write_measurements,
 )
-from rejoint.diagnosis.calibration.postures import Suggestion, suggest
+from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.procedure import (
     EmulatedGauge,
     FilmingGauge,
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from rejoint.camera.fit import Filmed
 
 
-def measured_of(
+def _measured(
     session: ArmSession,
     robot: Robot,
     gauge: Gauge,
@@ -55,29 +55,37 @@ def measured_of(
     visits: int,
     on_progress: Progress,
     *,
-    fresh: bool = False,
+    fresh: bool,
 ) -> tuple[Measurements, Calibration | None]:
     """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
-    run = session.run
-    begun = None if run is None or fresh else interrupted(run)
-    fresh = fresh or (begun is not None and begun[1].fresh)
-    prior = None if fresh else prior
+    run, begun = session.run, None
+    file = None if run is None else run.folder.measurements
+    if run is not None and file is not None and file.exists() and not fresh:
+        try:
+            begun = read_interrupted(file, run.arm)
+        except FileError as error:
+            error.add_note("To measure again in spite of it: --fresh")
+            raise
+    if begun is not None and begun[1].fresh:
+        fresh, prior = True, None
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
-    if run is not None and begun is None:
-        set_aside(run.folder.measurements)
-    elif run is not None and begun is not None:
-        _require_same(run, gauge, plan, *begun)
-        log_resumed(run.folder.measurements, f"{begun[1].answered} of {len(plan.posture)} postures are done")
+    if file is not None and begun is None:
+        set_aside(file)
+    elif file is not None and begun is not None:
+        if (begun[1].plan, begun[0].source, begun[0].frame) != (plan.digest, gauge.source, gauge.frame):
+            raise InputError(
+                f"{file}: an interrupted session with another number of postures or sides, by something "
+                "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
+            )
+        log_resumed(file, f"{begun[1].answered} of {len(plan.posture)} postures are done")
 
     def keep(measured: Measurements, answered: int) -> None:
-        if run is not None:
-            session = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
-            write_measurements(run.folder.measurements, robot.arm, measured, session)
+        if file is not None:
+            progress = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
+            write_measurements(file, robot.arm, measured, progress)
 
-    file = None if run is None else run.folder.measurements
-    fits = command(
-        "calibrate", robot.address, run and run.path, "--measure", f"points={file}", *(["--fresh"] if fresh else [])
-    )
+    again = ["--fresh"] if fresh else []
+    fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
     with kept(file, fresh=fresh, more=f", and this fits it: {fits}"):
         found = measure(
             robot,
@@ -90,25 +98,6 @@ def measured_of(
             stance=stance_of(session.twin_now, run),
         )
     return found, prior
-
-
-def interrupted(run: Run) -> tuple[Measurements, MeasuringSession] | None:
-    """Interrupted measurements and their progress, if any."""
-    if not run.folder.measurements.exists():
-        return None
-    try:
-        return read_interrupted(run.folder.measurements, run.arm)
-    except FileError as error:
-        error.add_note("To measure again in spite of it: --fresh")
-        raise
-
-
-def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
-    if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
-        raise InputError(
-            f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
-            "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
-        )
 
 
 POINTS = 10
@@ -222,12 +211,10 @@ def calibrate(
                 if isinstance(by, FilmingGauge):
                     drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                     folder = None if about is None else about.folder
-                    film: Film = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
-                    measured, prior = film, None if film.fresh else prior
+                    measured = film = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
+                    prior = None if film.fresh else prior
                 else:
-                    measured, prior = measured_of(
-                        session, driven, by, prior, count or POINTS, visits, share, fresh=fresh
-                    )
+                    measured, prior = _measured(session, driven, by, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
