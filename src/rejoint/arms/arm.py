@@ -89,18 +89,14 @@ class Arm:
     def __post_init__(self) -> None:
         _freeze(self)
         n = len(self.joint_names)
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "offset": (n, 4, 4),
             "axis": (n, 3),
             "tip": (4, 4),
-            "lower": (n,),
-            "upper": (n,),
-            "max_speed": (n,),
-            "mass": (n,),
             "com": (n, 3),
             "inertia": (n, 3, 3),
-            "rest": (n,),
         }
+        shapes |= dict.fromkeys(("lower", "upper", "max_speed", "mass", "rest"), (n,))
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"arm {self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")

@@ -47,22 +47,12 @@ class Loaded:
     """a sentence per missing or wrong value"""
 
 
-class UnfinishedArmError(NoPostureError):
-    """No rest posture or targets could be derived."""
-
-    def __init__(self, error: NoPostureError, arm: Arm, notes: Sequence[str]) -> None:
-        super().__init__(str(error))
-        self.arm = arm
-        """with placeholders for them"""
-        self.notes = tuple(notes)
-
-
 UNKNOWN = Box(lower=np.full(3, np.nan), upper=np.full(3, np.nan))
 """Targets of an unfinished arm"""
 
 
 def finish(draft: Loaded) -> Loaded:
-    """Complete an arm in which NaN is unknown, as are masses of zero; UnfinishedArmError without rest or targets."""
+    """Complete an arm in which NaN is unknown, as are masses of zero; NoPostureError without rest or targets."""
     given, notes = draft.arm, list(draft.notes)
     if np.isnan(given.rest).any() and not np.isnan(given.targets.lower).any():
         raise InputError(f"arm {given.name}: targets are given without a rest posture; give rest_deg too, or neither")
@@ -86,7 +76,8 @@ def finish(draft: Loaded) -> Loaded:
         try:
             arm = _with_workspace(arm, bool(np.isnan(given.rest).any()), notes)
         except NoPostureError as error:
-            raise UnfinishedArmError(error, arm, notes) from error
+            error.arm, error.notes = arm, tuple(notes)
+            raise
     return Loaded(arm=arm, notes=tuple(notes))
 
 

@@ -206,13 +206,7 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
 
 
 def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
-    """Write a URDF with ``note`` as a comment."""
-    text = urdf_text(arm, note)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def urdf_text(arm: Arm, note: str = "") -> str:
-    """URDF with links `BASE`, ``link1``, ..., `TOOL`."""
+    """Write a URDF with links `BASE`, ``link1``, ..., `TOOL`, and ``note`` as a comment."""
     root = ET.Element("robot", name=arm.name)
     if note:
         root.append(ET.Comment(f" {note.replace('--', '-')} "))
@@ -236,7 +230,8 @@ def urdf_text(arm: Arm, note: str = "") -> str:
             _add(joint, "axis", xyz=arm.axis[i])
             _add(joint, "limit", lower=arm.lower[i], upper=arm.upper[i], velocity=arm.max_speed[i], effort=EFFORT)
     ET.indent(root)
-    return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
+    text = f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:

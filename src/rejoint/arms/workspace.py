@@ -71,15 +71,15 @@ def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
     return frozen((np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING))
 
 
-def on_a_surface(arm: Arm, seed: int = 0) -> bool:
+def on_a_surface(arm: Arm) -> bool:
     """Whether the TCP moves on a line or surface only."""
-    survey = _survey(arm, seed)
+    survey = _survey(arm)
     return survey.manipulability < _FLAT * survey.reach**3
 
 
-def derive_targets(arm: Arm, seed: int = 0) -> Box:
+def derive_targets(arm: Arm) -> Box:
     """Target region around the resting TCP; NoPostureError."""
-    found = _largest_box(_survey(arm, seed), arm.rest)
+    found = _largest_box(_survey(arm), arm.rest)
     if found is None:
         raise NoPostureError(
             f"arm {arm.name}: no region of reachable targets around the rest posture was found; "
@@ -90,6 +90,11 @@ def derive_targets(arm: Arm, seed: int = 0) -> Box:
 
 class NoPostureError(InputError):
     """No rest posture with targets was found."""
+
+    arm: Arm | None = None
+    """with placeholders for them, of an arm from a file"""
+    notes: tuple[str, ...] = ()
+    """on it"""
 
 
 class _Survey(NamedTuple):
@@ -114,10 +119,10 @@ class _Survey(NamedTuple):
         return frames_clear & (f.tcp_position[..., 2] > height)
 
 
-def _survey(arm: Arm, seed: int) -> _Survey:
+def _survey(arm: Arm) -> _Survey:
     low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
     low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
-    postures = np.random.default_rng(seed).uniform(low, high, (SAMPLES, arm.joints))
+    postures = np.random.default_rng(0).uniform(low, high, (SAMPLES, arm.joints))
     torque = float(np.abs(gravity_torque(arm, postures)).max())
     return _Survey(arm, reach(arm), low, high, postures, float(_manipulability(arm, postures).max()), torque)
 
@@ -148,11 +153,11 @@ def _score(survey: _Survey, q: Array, apart: float, margin: float) -> Array:
     return np.where(survey.clear(f, apart) & ahead & inside & high, score, -np.inf)
 
 
-def _rest_candidates(survey: _Survey, seed: int, apart: float, margin: float) -> Array:
+def _rest_candidates(survey: _Survey, apart: float, margin: float) -> Array:
     """Postures (c, n) [rad] in whole degrees, the best first, by random local search."""
     scores = _score(survey, survey.postures, apart, margin)
     best = np.degrees(survey.postures[np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]])
-    rng, low, high = np.random.default_rng(seed + 1), np.degrees(survey.low), np.degrees(survey.high)
+    rng, low, high = np.random.default_rng(1), np.degrees(survey.low), np.degrees(survey.high)
     for width in np.geomspace(0.2, 0.003, _CLIMB):
         moves = width * (high - low) * rng.normal(size=(16, *best.shape)) * (rng.random((16, *best.shape)) < 0.5)
         moves[0] = 0.0
@@ -285,9 +290,6 @@ _LEAST = 0.25
 _LEAST_HOLDS = 0.1
 """Safe share around rest (chosen)"""
 
-_CORNERS = 128
-"""of the excursion (chosen)"""
-
 _SEARCHES = ((0.0, 0.0), (0.05, 0.3), (0.1, 0.3))
 """Extra distances from floor (over the reach) and limits [rad] (chosen)"""
 
@@ -335,11 +337,9 @@ def _dangers(arm: Arm, q: Array) -> tuple[NDArray[np.bool_], ...]:
     )
 
 
-def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
+def room(arm: Arm) -> tuple[float, float]:
     """Safe shares (0 to 1) of the excursion and the spread about rest."""
-    corners = np.array(list(product((-1.0, 1.0), repeat=min(arm.joints, 7))))
-    if arm.joints > 7:
-        corners = np.random.default_rng(seed).choice((-1.0, 1.0), (_CORNERS, arm.joints))
+    corners = np.array(list(product((-1.0, 1.0), repeat=arm.joints)))
     whole = is_safe(arm, arm.rest + EXCURSION * _STEPS[:, None, None] * corners).all(axis=-1)
     excursion = float(max(_STEPS[whole], default=0.0))
     if excursion < _LEAST:
@@ -347,8 +347,7 @@ def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
     held = (
         share
         for share in _STEPS
-        if len(postures_to_hold(arm, np.random.default_rng(seed), spread=share * HOLD_SPREAD))
-        >= _LEAST_HOLDS * POSTURES
+        if len(postures_to_hold(arm, np.random.default_rng(0), spread=share * HOLD_SPREAD)) >= _LEAST_HOLDS * POSTURES
     )
     return excursion, float(next(held, 0.0))
 
@@ -363,17 +362,17 @@ def postures_to_hold(
     return q
 
 
-def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
+def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
-    survey, why = _survey(arm, seed), ""
+    survey, why = _survey(arm), ""
     best: tuple[float, Array, Box] | None = None
     for apart, margin in _SEARCHES:
-        for rest in _rest_candidates(survey, seed, apart, margin):
+        for rest in _rest_candidates(survey, apart, margin):
             box = _largest_box(survey, rest)
             if box is None:
                 continue
             trial, edges = replace(arm, rest=rest, targets=box), box.upper - box.lower
-            share, spread = room(trial, seed)
+            share, spread = room(trial)
             if (edges >= 0.5 * EDGES * survey.reach).all() and share >= _LEAST and spread == 1.0:
                 return rest, box
             why = why or unsafe(trial, rest) or "most postures around it are not safe"

@@ -14,9 +14,9 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 import typer
 
 from rejoint.arms import Arm
-from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_arm_toml
+from rejoint.arms.workspace import NoPostureError
 from rejoint.cli import show, texts
 from rejoint.cli.console import Terminal, live_view
 from rejoint.control.recording import Observer, Observers
@@ -89,8 +89,8 @@ class Call(Terminal):
         source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
         try:
             loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
-        except UnfinishedArmError as error:
-            if source.endswith(".toml"):
+        except NoPostureError as error:
+            if error.arm is None or source.endswith(".toml"):
                 raise
             path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
             if path.exists():
