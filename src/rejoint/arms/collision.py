@@ -1,7 +1,7 @@
 """Contacts of an arm with itself, the ground or a box, by capsules.
 
-Pairs of links that meet in a joint, or overlap at rest or at a target, do not count (Coleman et al. 2014). Distances:
-Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
+Pairs of links that meet in a joint, overlap at rest or at a target (Coleman et al. 2014), or keep their distance do not
+count. Distances: Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def collision_shape(arm: Arm) -> CollisionShape:
     apart = np.array([(i, j) for i in range(links) for j in range(i + 2, links)], dtype=np.int64).reshape(-1, 2)
     boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
     shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
-    touching = (clearances_of(arm, shape, free, np.zeros(0))[:, : len(apart)] <= 0.0).any(axis=0)
-    return shape._replace(pairs=frozen(apart[~touching]))
+    distance = clearances_of(arm, shape, free, np.zeros(0))[:, : len(apart)]
+    return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))
 
 
 def collides(arm: Arm, q: Array) -> NDArray[np.bool_]:
