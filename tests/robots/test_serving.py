@@ -241,9 +241,10 @@ def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is():
     rng = np.random.default_rng(3)
     for posture in ARM.rest + rng.uniform(-0.4, 0.4, (10, 6)):
         shown = apparent.shown(posture)
-        np.testing.assert_allclose(tcp_position(ARM, shown), tcp_position(ARM, posture) + way, atol=1e-3)
+        np.testing.assert_allclose(tcp_position(ARM, shown), tcp_position(ARM, posture) + way, atol=2e-5)
         measured = apparent.measured(posture)
-        np.testing.assert_allclose(apparent.shown(measured), posture, atol=1e-3)
+        np.testing.assert_allclose(tcp_position(ARM, measured) + way, tcp_position(ARM, posture), atol=2e-5)
+        np.testing.assert_allclose(apparent.shown(measured), posture, atol=np.radians(0.4))
     bare = Apparent(arm=ARM)
     assert bare.shown(ARM.rest) is ARM.rest is bare.measured(ARM.rest)
 
