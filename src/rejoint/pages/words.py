@@ -20,7 +20,7 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     """Value with ``digits`` significant digits and unit, or `UNKNOWN`."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    return f"{_zero(value, _places(value, digits))}{_suffix(unit)}"
+    return f"{value:z.{_places(value, digits)}f}{_suffix(unit)}"
 
 
 def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "") -> str:
@@ -40,12 +40,7 @@ def interval(low: float | None, high: float | None, digits: int = 3, unit: str =
         return ""
     low, high = low * factor, high * factor
     places = _places(max(abs(low), abs(high)), digits)
-    return f"{_zero(low, places)} to {_zero(high, places)}{_suffix(unit)}"
-
-
-def _zero(value: float, places: int) -> str:
-    text = f"{value:.{places}f}"
-    return text.removeprefix("-") if float(text) == 0 else text
+    return f"{low:z.{places}f} to {high:z.{places}f}{_suffix(unit)}"
 
 
 def _places(value: float, digits: int) -> int:

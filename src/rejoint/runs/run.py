@@ -69,8 +69,8 @@ class Run:
         return cls(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
 
     @classmethod
-    def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Open the run folder, or plan what `create` writes; same errors."""
+    def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int | None = 0) -> Run:
+        """Open the run folder, or plan what `create` writes; same errors. Default seed: the folder's."""
         folder = RunFolder(Path(path))
         if folder.info.exists():
             run = cls.open(path)
@@ -79,7 +79,9 @@ class Run:
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
         created = datetime.now().isoformat(timespec="seconds")
-        info = RunInfo(robot=robot, arm=arm.name, seed=seed, version=__version__, created=created, format=FORMAT)
+        info = RunInfo(
+            robot=robot, arm=arm.name, seed=as_seed(seed), version=__version__, created=created, format=FORMAT
+        )
         return cls(folder=folder, info=info, arm=arm)
 
     @classmethod
@@ -108,8 +110,9 @@ class Run:
         write_json(run.folder.info, run.info)
         return run
 
-    def require(self, *, robot: str, arm: Arm, seed: int) -> None:
-        """Raise InputError unless the run is of this robot, seed and arm description."""
+    def require(self, *, robot: str, arm: Arm, seed: int | None) -> None:
+        """Raise InputError unless the run is of this robot, seed (if given) and arm description."""
+        seed = self.seed if seed is None else seed
         if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
             raise InputError(
                 f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "

@@ -180,10 +180,9 @@ def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Ru
     """
     if run is None:
         return None
-    if isinstance(run, str | Path) and not RunFolder(Path(run)).info.exists():
-        return Run.plan(run, robot, arm, as_seed(seed))
-    run = as_run(run)
-    run.require(robot=robot, arm=arm, seed=run.seed if seed is None else seed)
+    if not isinstance(run, Run):
+        return Run.plan(run, robot, arm, seed)
+    run.require(robot=robot, arm=arm, seed=seed)
     return run
 
 
