@@ -51,7 +51,7 @@ UNLOADED = 0.03
 """Least torque that counts, over the largest joint's"""
 SURE = 0.95
 """Share of torque limits at the nearest possible place (chosen)"""
-_BISECTIONS, _TRIED = 7, 4
+_STEPS, _TRIED = 0.5 ** np.arange(1, 8), 4
 NEAR, TURNED = 1e-3, float(np.radians(0.5))
 """[m], [rad] largest misses of a reachable pose (chosen)"""
 
@@ -256,18 +256,13 @@ def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Ar
     away[(np.abs(pool.torque) > load[1]).any(axis=-1)] = np.inf
     best, least = start, np.inf
     for k in np.argsort(away)[:_TRIED]:
-        works, low, high, share = pool.posture[k], 0.0, 1.0, 0.0
-        for _ in range(_BISECTIONS + 1):
+        works, share = pool.posture[k], 0.0
+        for step in _STEPS:
             trial = goal.copy()
-            trial[:3] = pool.place[k] + share * (goal[:3] - pool.place[k])
+            trial[:3] = pool.place[k] + (share + step) * (goal[:3] - pool.place[k])
             found = None if trial[2] < arm.floor else _choose(arm, load, trial, works, False)
             if found is not None:
-                low, works = share, found
-            elif share == 0.0:
-                break
-            else:
-                high = share
-            share = 0.5 * (low + high)
+                share, works = share + step, found
         missed = float(np.linalg.norm(tcp_position(arm, works) - goal[:3]))
         if missed < least:
             best, least = works, missed

@@ -364,8 +364,7 @@ def postures_to_hold(
 
 def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
-    survey, why = _survey(arm), ""
-    best: tuple[float, Array, Box] | None = None
+    survey, why, found = _survey(arm), "", list[tuple[float, Array, Box]]()
     for apart, margin in _SEARCHES:
         for rest in _rest_candidates(survey, apart, margin):
             box = _largest_box(survey, rest)
@@ -376,13 +375,12 @@ def derive_workspace(arm: Arm) -> tuple[Array, Box]:
             if (edges >= 0.5 * EDGES * survey.reach).all() and share >= _LEAST and spread == 1.0:
                 return rest, box
             why = why or unsafe(trial, rest) or "most postures around it are not safe"
-            value = share * spread * float(edges.prod())
-            if min(share, spread) >= _LEAST and (best is None or value > best[0]):
-                best = value, rest, box
-    if best is None:
-        lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
-        raise NoPostureError(
-            f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
-            f"and room in every joint {lack}; give rest_deg in the arm's TOML file"
-        )
-    return best[1:]
+            if min(share, spread) >= _LEAST:
+                found.append((share * spread * float(edges.prod()), rest, box))
+    if found:
+        return max(found, key=lambda one: one[0])[1:]
+    lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
+    raise NoPostureError(
+        f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
+        f"and room in every joint {lack}; give rest_deg in the arm's TOML file"
+    )
