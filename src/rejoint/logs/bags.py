@@ -10,15 +10,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
-from rejoint.logs.columns import ColumnFrame, RawMotion, RecordedMotion, angles_of, begun
+from rejoint.arms import Array
+from rejoint.logs.columns import ColumnFrame, RawMotion
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import Reader
 from rejoint.logs.runlog import LOG_MOST
@@ -38,7 +37,7 @@ Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any
 Opener = Callable[[Path], AbstractContextManager[Opened]]
 
 
-def _bags(magic: dict[str, bytes], source: Path, _: ImportOptions) -> list[Path]:
+def _bags(magic: dict[str, bytes], source: Path) -> list[Path]:
     """Files with the ``magic`` first bytes of their ending, sorted by name; the empty ending is any, of one file."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     magics = [(file, magic.get(file.suffix) or (file is source and magic.get(""))) for file in files]
@@ -151,18 +150,21 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
     }
     origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    motion = RawMotion(file.stem, [], {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
-    for topic, messages in found.items():
+    frames: list[ColumnFrame] = []
+    columns: dict[str, Array] = {}
+    for topic in groups:  # states come first
+        messages = found[topic]
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         times = (clocks[topic] - origin) / NANOSECONDS
-        if messages[0].after is not None:
-            motion = motion._replace(complete=partial(_planned, messages, times, f"command topic {topic}"))
-            continue
-        titles = dict.fromkeys(title for one in messages for title in one.columns)
-        columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
+        if messages[0].after is None:
+            titles = dict.fromkeys(title for one in messages for title in one.columns)
+            columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
+            states = times
+        else:
+            columns, times = _planned(messages, times, columns, states), states
         about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
-        motion.frames.append(ColumnFrame.of(file, columns, time=times, notes=notes, **about))
-    return [motion]
+        frames.append(ColumnFrame.of(file, columns, time=times, notes=() if frames else notes, **about))
+    return [RawMotion(file.stem, frames, {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})]
 
 
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
@@ -232,7 +234,7 @@ def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
 
 
 def _points(points: Sequence[Any], joints: int) -> tuple[Array, Array]:
-    """Return times (K,) [s] of a trajectory's points, and their positions, known rates, and zeros (D, K, n).
+    """Return times (K,) [s] of a trajectory's points, and their positions and known rates (D, K, n).
 
     ValueError.
     """
@@ -247,7 +249,7 @@ def _points(points: Sequence[Any], joints: int) -> tuple[Array, Array]:
         orders.append(np.array(values, dtype=float).reshape(len(points), joints))
     if not orders:
         raise ValueError("points without positions")
-    return after, np.stack([*orders, np.zeros_like(orders[0])])
+    return after, np.stack(orders)
 
 
 def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
@@ -275,41 +277,30 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
 
 
-def _planned(
-    goals: list[Message], starts: Array, what: str, motion: RecordedMotion, arm: Arm, options: ImportOptions
-) -> RecordedMotion:
-    """Sample goals that begin at ``starts`` [s] at the times of the states.
+def _planned(goals: list[Message], starts: Array, state: Mapping[str, Array], time: Array) -> dict[str, Array]:
+    """Sample goals that begin at ``starts`` [s] at the ``time`` (T,) [s] of the columns (T,) of the ``state``.
 
     As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
-    cubic or quintic; the last point holds, a new goal replaces the old one. FileError for missing joints, or no goal
-    before the last state.
+    cubic or quintic; the last point holds, a new goal replaces the old one.
     """
     from scipy.interpolate import BPoly
 
-    if options.angle_unit == "normalised":
-        raise FileError(motion.path, "trajectories are in radians or degrees", "set another --angle-unit")
     order = np.argsort(starts, kind="stable")
-    command = np.full_like(motion.position, np.nan)
-    active = np.searchsorted(starts[order], motion.time, side="right") - 1
-
-    def present(time: float) -> Array:
-        return np.array([np.interp(time, motion.time, one) for one in motion.position.T])
-
+    active = np.searchsorted(starts[order], time, side="right") - 1
+    command = {title: np.full(len(time), np.nan) for goal in goals for title in goal.columns}
     for index in np.unique(active[active >= 0]):
-        number, rows = order[index], np.flatnonzero(active == index)
-        start, place = starts[number], f"{what}, message {number + 1}"
-        columns = {title: orders.ravel() for title, orders in goals[number].columns.items()}
-        frame = ColumnFrame.of(motion.path, columns, place=place, found=place, angle_unit="rad")
-        after = np.asarray(goals[number].after)
-        *found, zero = angles_of(frame, "command", arm, options).reshape(-1, len(after), arm.joints)
-        knots, times = np.stack([found[0], *(one - zero for one in found[1:])], axis=1), start + after
-        if times[0] > start:  # a first point at the beginning leaves no way to it
-            speed = (present(start) - present(start - _PAST)) / _PAST
-            here = np.stack([present(start), speed, np.zeros(arm.joints)])[None, : knots.shape[1]]
-            knots, times = np.concatenate([here, knots]), np.concatenate([[start], times])
-        asked = np.clip(motion.time[rows], times[0], times[-1])
-        command[rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
-    return begun(replace(motion, command=command), active)
+        goal, start, rows = goals[order[index]], starts[order[index]], active == index
+        for title, orders in goal.columns.items():
+            knots, times = orders.T, start + goal.after
+            present = state.get(title.replace("command", "position", 1))
+            if times[0] > start and present is not None:  # a first point at the beginning leaves no way to it
+                seen = np.isfinite(present)
+                now, before = np.interp([start, start - _PAST], time[seen], present[seen])
+                here = np.array([now, (now - before) / _PAST, 0.0])[: knots.shape[1]]
+                knots, times = np.vstack([here, knots]), np.append(start, times)
+            asked = np.clip(time[rows], times[0], times[-1])
+            command[title][rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
+    return command
 
 
 _PAST = 0.06

@@ -174,8 +174,6 @@ class RawMotion(NamedTuple):
     frames: list[ColumnFrame]
     """of states and commands; or both in one"""
     extra: Mapping[str, str] = MappingProxyType({})
-    complete: Callable[[RecordedMotion, Arm, ImportOptions], RecordedMotion] | None = None
-    """adds commands that follow from the states"""
 
 
 UNITS: dict[str, dict[str, float]] = {
@@ -283,23 +281,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     if sent is not None and sent is not state:
         found = sent.held(found, half)
     notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
-    found = replace(found, notes=(*notes, *found.notes))
-    return found if motion.complete is None else motion.complete(found, arm, options)
-
-
-def angles_of(frame: ColumnFrame, group: str, arm: Arm, options: ImportOptions) -> Array:
-    """Return a group (T, n) [rad] of a frame in the arm's order; errors as `read_motion`."""
-    return _GroupedColumns(frame, arm, options).values(group)[0]
-
-
-def begun(motion: RecordedMotion, last: NDArray[np.int64]) -> RecordedMotion:
-    """Rows with a ``last`` command (T,) from 0 on, at least two; FileError."""
-    known = last >= 0
-    if known.sum() < FEWEST:
-        said = f"{int(known.sum())} state(s) after the first command, a log needs {FEWEST}"
-        raise FileError(motion.path, said, RECORD_AGAIN)
-    note = f"state: {int((~known).sum())} samples before the first command left out"
-    return replace(motion.take(known), notes=(*motion.notes, *[note] * (not known.all())))
+    return replace(found, notes=(*notes, *found.notes))
 
 
 class _GroupedColumns:
@@ -470,7 +452,13 @@ class _GroupedColumns:
                 "record both on one clock, or take the times of recording (--stamp log) of a bag",
             )
         last = np.searchsorted(times, motion.time, side="right") - 1
-        return begun(replace(motion, command=command[last]), last)
+        begun = last >= 0
+        if begun.sum() < FEWEST:
+            said = f"{int(begun.sum())} state(s) after the first command, a log needs {FEWEST}"
+            raise FileError(motion.path, said, RECORD_AGAIN)
+        if not begun.all():
+            self.notes.append(f"state: {int((~begun).sum())} samples before the first command left out")
+        return replace(motion, command=command[last]).take(begun)
 
     def measured(self) -> tuple[dict[str, Array], dict[str, str]]:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""

@@ -191,10 +191,10 @@ def import_logs(
         raise InputError(f"--torque-off {unknown[0]!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
-    chosen = detect(source, options) if format is None else format
+    chosen = detect(source) if format is None else format
     if chosen not in READERS:
         raise InputError(f"--format {format!r} is unknown; choose from {', '.join(READERS)}")
-    paths = READERS[chosen].found(source, options) or [source] * source.is_file()
+    paths = READERS[chosen].found(source) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
     logs: dict[str, RunLog] = {}
@@ -242,13 +242,12 @@ def import_logs(
     )
 
 
-def detect(source: Path, options: ImportOptions | None = None) -> str:
+def detect(source: Path) -> str:
     """Format of the logs at a path; FileError unless exactly one fits."""
-    options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
-        fitting = [name for name, reader in READERS.items() if reader.found(source, options)]
+        fitting = [name for name, reader in READERS.items() if reader.found(source)]
         if len(fitting) > 1 and TEXT in fitting:  # first bytes and names are surer than that it is text
             fitting.remove(TEXT)
         found = "" if fitting else describe(source)

@@ -26,7 +26,7 @@ from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, split_u
 class Reader(NamedTuple):
     """Reads one format."""
 
-    found: Callable[[Path, ImportOptions], list[Path]]
+    found: Callable[[Path], list[Path]]
     """its files or folders at a path, sorted by name"""
     read: Callable[[Path, ImportOptions], Iterable[RawMotion]]
     """the motions in one of these"""
@@ -36,7 +36,7 @@ _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _CUT = "cut it into several motions"
 
 
-def _sage_folders(source: Path, _: ImportOptions) -> list[Path]:
+def _sage_folders(source: Path) -> list[Path]:
     if not source.is_dir():
         return []
     return [source] if _is_sage(source) else sorted(filter(_is_sage, source.iterdir()))
@@ -75,7 +75,7 @@ _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
 _AGAIN = "record it again, or write its columns as text"
 
 
-def _tables(source: Path, _: ImportOptions) -> list[Path]:
+def _tables(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source] * (source.is_file() and _holds_columns(source))
     return [file for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS and _holds_columns(file)]
@@ -151,7 +151,7 @@ _TOLERANCE = 1e-4
 _REMEDY = "download or record the dataset again"
 
 
-def _datasets(source: Path, _: ImportOptions) -> list[Path]:
+def _datasets(source: Path) -> list[Path]:
     return [source] * (source / _INFO).is_file()
 
 
