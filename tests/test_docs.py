@@ -295,7 +295,7 @@ def test_every_file_of_a_run_folder_is_described():
     page = PAGES["docs/files.md"]
     folder = RunFolder(Path())
     files = [value for name in dir(RunFolder) if isinstance(value := getattr(folder, name, None), Path)]
-    files += [folder.outputs.curves]
+    files += [folder.curves]
     for path in set(files) - {folder.path}:
         assert f"`{path}" in page, path
 

@@ -39,7 +39,7 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path):
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     folder, kept = folder_of(tmp_path), {"run.json", ".lock", "notes.partial", ".hidden.settings"}
-    for place in (tmp_path, tmp_path / "logs", folder.outputs.folder, folder.figures):
+    for place in (tmp_path, tmp_path / "logs", folder.training, folder.figures):
         place.mkdir(exist_ok=True)
         (place / ".policy.onnx.x7_kqpz1.partial").write_bytes(b"half")
     for name in kept - {"run.json", ".lock"}:

@@ -9,7 +9,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.controllers.contract import INPUT, OUTPUT
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.controllers.residual import CommandLaw
-from rejoint.logs.runfolder import Outputs
+from rejoint.logs.runfolder import RunFolder
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
 from rejoint.training.ppo import Actor, Critic, Ppo, perceptron
@@ -47,7 +47,7 @@ def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
     assert [row["step"] for row in rows] == [16 * 8 * k for k in range(1, 7)]
     assert result.steps == rows[-1]["step"]
     assert all(np.isfinite(list(row.values())).all() for row in rows)
-    assert sorted(path.name for path in Outputs(tmp_path).folder.glob("*.p*")) == ["curves.parquet"]
+    assert sorted(path.name for path in RunFolder(tmp_path).training.glob("*.p*")) == ["curves.parquet"]
 
 
 def test_a_training_is_a_function_of_its_seed(tmp_path):

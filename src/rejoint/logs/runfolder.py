@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,39 +17,14 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import UNFINISHED, UNWRITABLE, read_json, unwritable, write_json
 
 
-class Located(Protocol):
-    """Something in a folder."""
-
-    @property
-    def path(self) -> Path:
-        """The folder."""
-
-
 class FilePlace:
-    """A path below the owner's folder."""
+    """A path below a run's folder."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
-    def __get__(self, owner: Located, _: type) -> Path:
+    def __get__(self, owner: RunFolder, _: type) -> Path:
         return owner.path / self.name
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Files of a training."""
-
-    path: Path
-
-    policy = FilePlace("policy.onnx")
-    folder = FilePlace("training")
-    """work files of a training"""
-    curves = FilePlace("training/curves.parquet")
-    """one row per update, fields of `CurvePoint`"""
-
-    def snapshot(self, updates: int) -> Path:
-        """Policy after so many updates."""
-        return self.folder / f"policy-{updates:04}.onnx"
 
 
 try:
@@ -110,6 +85,10 @@ class RunFolder:
     judgement = FilePlace("judgement.json")
     """twins judged on held-out motion"""
     policy = FilePlace("policy.onnx")
+    training = FilePlace("training")
+    """work files of a training"""
+    curves = FilePlace("training/curves.parquet")
+    """one row per update, fields of `CurvePoint`"""
     gains = FilePlace("gains.json")
     """result of a gain search"""
     comparison = FilePlace("comparison.json")
@@ -130,10 +109,9 @@ class RunFolder:
         """Return the arm's own description, or ``name`` in the catalogue."""
         return str(self.description) if self.description.exists() else name
 
-    @property
-    def outputs(self) -> Outputs:
-        """Outputs of the training."""
-        return Outputs(self.path)
+    def snapshot(self, updates: int) -> Path:
+        """Policy after so many updates of a training."""
+        return self.training / f"policy-{updates:04}.onnx"
 
     def log(self, name: str) -> Path:
         """Path of a run log; slashes become dashes."""
@@ -203,7 +181,7 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 
 def _put_right(folder: RunFolder) -> None:
     logs = folder.path / "logs"
-    for place in (folder.path, logs, folder.outputs.folder, folder.figures, folder.pictures):
+    for place in (folder.path, logs, folder.training, folder.figures, folder.pictures):
         for unfinished in place.glob(f".*{UNFINISHED}"):
             unfinished.unlink()
     for log in recover(logs):

@@ -16,7 +16,7 @@ from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
 from rejoint.control.controllers.contract import PolicyContract, law_digests
 from rejoint.control.controllers.observation import layout_slots
-from rejoint.logs.runfolder import Outputs
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
@@ -89,7 +89,7 @@ class TrainingResult:
 
 
 Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy and writes `rejoint.logs.runfolder.Outputs` into a folder"""
+"""Trains a policy and writes what `rejoint.logs.runfolder.RunFolder` names for it into a folder"""
 
 
 def train(
@@ -105,7 +105,7 @@ def train(
     Without a ``twin`` it uses the broad ranges alone.
     """
     options = TrainingOptions() if options is None else options
-    recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
+    recipe, files = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     start = options.start if options.start is not None or twin is None else shelf_start(arm, recipe)
     if start is not None and recipe.warm is not None:
         recipe = replace(recipe, ppo=recipe.warm)
@@ -199,7 +199,7 @@ def describe(point: CurvePoint) -> str:
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
 
 
-def training_result(files: Outputs, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
+def training_result(files: RunFolder, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
     """Sum up a training by its last updates."""
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
     means = {name: float(np.mean([getattr(point, name) for point in recent])) for name in RECENT}

@@ -26,7 +26,7 @@ from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
 from rejoint.arms import Arm
-from rejoint.logs.runfolder import Outputs
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
@@ -152,7 +152,7 @@ def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
-    recipe, files, name = know_stiffness(settings.preset, arm, twin), Outputs(out), settings.algorithm
+    recipe, files, name = know_stiffness(settings.preset, arm, twin), RunFolder(out), settings.algorithm
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
     torch.manual_seed(settings.seed)

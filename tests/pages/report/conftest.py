@@ -134,7 +134,7 @@ def fill(folder, arm, diagnosis, twin, comparison):
     calibration, measured = make_calibration(arm)
     write_calibration(folder.calibration, calibration)
     write_measurements(folder.measurements, arm, measured)
-    write_curves(folder.outputs.curves)
+    write_curves(folder.curves)
     targets = np.array(comparison.targets[0])
     for name in comparison.controllers:
         for kind in ("crossing", "hold"):

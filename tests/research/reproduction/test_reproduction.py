@@ -75,7 +75,7 @@ def test_trainings_and_trials_are_kept(bench):
 
 
 def test_exploration_noise_is_noise(bench):
-    untrained = load_policy(bench.training(WORN[0]).outputs.snapshot(0), ARM)
+    untrained = load_policy(bench.training(WORN[0]).snapshot(0), ARM)
     arms = ranges_of(bench, "worn")
     quiet, again, noisy = (play(untrained, arms, 8, seed=0, noise=noise) for noise in (0.0, 0.0, 0.5))
     np.testing.assert_array_equal(quiet["reward"], again["reward"])

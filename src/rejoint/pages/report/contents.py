@@ -116,7 +116,7 @@ def read_contents(path: Path) -> Contents:
         return {name: readers[name](file, *about) if file.exists() else None for name, file in places.items()}
 
     found = read(_READ)
-    info, curves = found["info"], folder.outputs.curves
+    info, curves = found["info"], folder.curves
     results = ("comparison", "diagnosis", "twin", "judgement")
     names = [found[name].arm for name in results if found[name] is not None]
     arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)

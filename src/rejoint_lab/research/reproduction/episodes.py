@@ -82,11 +82,11 @@ def ranges_of(bench: Bench, kind: str) -> Ranges:
 def measure_paths(bench: Bench) -> Found:
     """Play the same episodes before and after training."""
     folder, ranges = bench.training(WORN[0]), ranges_of(bench, "worn")
-    noises = pq.read_table(folder.outputs.curves, columns=["noise"])["noise"].to_numpy()
+    noises = pq.read_table(folder.curves, columns=["noise"])["noise"].to_numpy()
     arms, found, played = min(ARMS, 4 * bench.scale.judged), Found(), {}
     for key, file, noise in (
-        ("first", folder.outputs.snapshot(0), noises[0]),
-        ("quiet", folder.outputs.snapshot(0), 0.0),
+        ("first", folder.snapshot(0), noises[0]),
+        ("quiet", folder.snapshot(0), 0.0),
         ("last", folder.policy, 0.0),
         ("busy", folder.policy, noises[-1]),
     ):
@@ -144,9 +144,9 @@ def _range(values: Array) -> str:
 def course(bench: Bench, name: str, arms: str) -> Columns:
     """Judge the policies of a training: means (K,) over the episodes, with the ``updates`` (K,) of the policies."""
     folder = bench.training(name)
-    files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.outputs.folder.glob("policy-*.onnx"))}
+    files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
     if not files:
-        raise FileError(folder.outputs.folder, "no policies of the training's course", "delete it, run it again")
+        raise FileError(folder.training, "no policies of the training's course", "delete it, run it again")
     files[max(files) + bench.scale.snapshot_every] = folder.policy
 
     def judge() -> Columns:

@@ -111,7 +111,7 @@ def measure_trainings(bench: Bench) -> Found:
     for done, name in enumerate(names):
         bench.on_progress(done / len(names), f"policy of {name} on the worn arm")
         outcome, (preset, offset) = try_arm(bench, name, bench.scale.protocol, only="crossing"), recipe(name)
-        trained, row = read_curves(bench.training(name).outputs.curves), _row(name, [outcome], bench.scale.protocol)
+        trained, row = read_curves(bench.training(name).curves), _row(name, [outcome], bench.scale.protocol)
         success[name] = 100 * row.reached
         rows.append(
             (
@@ -151,7 +151,7 @@ def measure_trainings(bench: Bench) -> Found:
 
 
 def _seconds(bench: Bench) -> float:
-    return float(np.mean([read_curves(bench.training(name).outputs.curves).wall_s[-1] for name in WORN]))
+    return float(np.mean([read_curves(bench.training(name).curves).wall_s[-1] for name in WORN]))
 
 
 def measure_control(bench: Bench) -> Found:
