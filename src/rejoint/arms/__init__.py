@@ -4,7 +4,7 @@ from rejoint.arms.arm import Arm, Array, Box, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded
-from rejoint.arms.inverse import Solution, clip_norm, dls, solve_position
+from rejoint.arms.inverse import clip_norm, dls, solve_position
 from rejoint.arms.kinematics import (
     frames,
     gravity_torque,
@@ -17,11 +17,11 @@ from rejoint.arms.kinematics import (
 )
 from rejoint.arms.loading import CATALOGUE, load_arm, read_arm, write_arm_toml
 from rejoint.arms.planning import JointTrajectory, PlanningError, clearance, plan
-from rejoint.arms.postures import Goals, Motors, choose_postures
+from rejoint.arms.postures import Motors, choose_postures
 
 __all__ = [
-    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Goals", "JointTrajectory", "Loaded", "Motors", "PlanningError",
-    "Solution", "choose_postures", "clearance", "clearances", "clip_norm", "collides", "differing", "dls", "frames",
+    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "JointTrajectory", "Loaded", "Motors", "PlanningError",
+    "choose_postures", "clearance", "clearances", "clip_norm", "collides", "differing", "dls", "frames",
     "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "plan", "position_kinematics",
     "read_arm", "so101", "solve_position", "tcp_pose", "tcp_position", "write_arm_toml",
 ]  # fmt: skip

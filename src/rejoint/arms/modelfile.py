@@ -374,26 +374,24 @@ _ACROSS = 1e-6
 
 
 def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
-    """First body of the arm to ``end``: the root, the load of a mobile base, or the world."""
-    path = tree.path(end)
-    moving = _mobile_base(tree, tree.joints_of(path))
-    if moving:
-        root = int(tree.model.jnt_bodyid[moving[-1]])
-        names = ", ".join(tree.joints[j] for j in moving)
+    """First body of the arm to ``end``: the root, the load of a mobile base, or the world.
+
+    A mobile base is two slides or more, and a hinge across them, at the beginning of a chain.
+    """
+    path, axes = tree.path(end), tree.data.xaxis
+    joints = tree.joints_of(path)
+    slides = list(takewhile(lambda j: tree.kinds[j] == "slide", joints))
+    if len(slides) > 1:
+        after = [j for j in joints[len(slides) :][:1] if tree.kinds[j] == "hinge"]
+        moving = slides + [j for j in after if (np.abs(axes[slides] @ axes[j]) < _ACROSS).all()]
+        root, names = int(tree.model.jnt_bodyid[moving[-1]]), ", ".join(tree.joints[j] for j in moving)
         notes.append(f"base: none given; {tree.names[root]} taken; {names} before it move all of it")
         return root
-    first = path[0] if path else WORLD
-    root = WORLD if any(tree.kinds[j] not in ("free", "slide") for j in tree.joints_of([first])) else first
+    root = path[0] if path else WORLD
+    if any(tree.kinds[j] not in ("free", "slide") for j in tree.joints_of([root])):
+        root = WORLD
     notes.append(f"base: none given; {tree.names[root]} taken, the root of the tree")
     return root
-
-
-def _mobile_base(tree: Tree, joints: list[int]) -> list[int]:
-    """Two slides or more, and a hinge across them, at the beginning of a chain."""
-    slides = list(takewhile(lambda j: tree.kinds[j] == "slide", joints))
-    axes, turn = tree.data.xaxis, joints[len(slides) : len(slides) + 1]
-    across = all(tree.kinds[j] == "hinge" and (np.abs(axes[slides] @ axes[j]) < _ACROSS).all() for j in turn)
-    return [] if len(slides) < 2 else slides + (turn if across else [])
 
 
 def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
@@ -440,10 +438,9 @@ def _chains(tree: Tree, start: int | None) -> dict[int, int]:
 
 def _passable(tree: Tree, j: int) -> bool:
     """Whether a chain goes on behind a joint: not behind those of grippers, which lead joints of other branches."""
-    bodies = tree.model.jnt_bodyid.tolist()
-    led = [other for other in range(tree.model.njnt) if tree.leaders[other] == tree.joints[j]]
-    leads = any(bodies[j] not in tree.path(bodies[other]) for other in led)
-    gripper = leads or _GRIPPER.search(tree.joints[j])
+    name, bodies = tree.joints[j], tree.model.jnt_bodyid.tolist()
+    led = [body for body, leader in zip(bodies, tree.leaders, strict=True) if leader == name]
+    gripper = _GRIPPER.search(name) or any(bodies[j] not in tree.path(body) for body in led)
     return tree.kinds[j] == "held" or (tree.kinds[j] in ("hinge", "slide") and not gripper)
 
 
