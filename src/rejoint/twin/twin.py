@@ -34,9 +34,6 @@ from rejoint.twin.parameters import (
 LEAST_SPREAD = 0.05
 """Extra sigma of the logarithms of drawn twins; chosen"""
 
-SCALE_KNOWN = 2.0
-"""Information on a known common scale over the prior's; chosen"""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOut:
@@ -158,14 +155,8 @@ class Twin:
     @property
     def unknown_scale(self) -> tuple[str, ...]:
         """Joints with torques and inertia known up to a factor."""
-        layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
-        unknown = []
-        for joint, name in enumerate(self.joint_names):
-            scaled = np.flatnonzero((layout.owner == joint) & layout.is_log)
-            information = np.linalg.pinv(self.covariance[np.ix_(scaled, scaled)]).sum()
-            if information < SCALE_KNOWN * (sigma[scaled] ** -2).sum():
-                unknown.append(name)
-        return tuple(unknown)
+        told = self.identified[Layout(len(self.joint_names)).at("stiffness")]
+        return tuple(name for name, known in zip(self.joint_names, told, strict=True) if not known)
 
     @property
     def unknown(self) -> tuple[str, ...]:
