@@ -375,11 +375,9 @@ def fit_motions(
     windows = free_windows(logs, excluded, settings.window)
     seconds = float(durations(windows, logs).sum())
     if seconds < SHORTEST:
-        whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
         raise InputError(
-            f"identification: {seconds:.0f} s of free motion in stretches of {SHORTEST_STRETCH:g} s and more, of "
-            f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
-            "motions, off table and stops"
+            f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and more, "
+            f"expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
         )
     belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
 
