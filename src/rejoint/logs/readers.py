@@ -20,7 +20,7 @@ from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
-from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, split_unit
+from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit
 
 
 class Reader(NamedTuple):
@@ -59,7 +59,7 @@ def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
 def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
     sheet, remedy = read_sheet(path), f"mend the line or leave this motion out; {_JOINTS} names the joints"
     if sheet.titles[1:3] != ("timestamp", "positions"):
-        raise FileError(path, f"line 1: columns {sheet.shown}, expected type, timestamp, positions", remedy)
+        raise FileError(path, f"line 1: columns {shown(sheet.titles)}, expected type, timestamp, positions", remedy)
     values = np.empty((len(sheet), len(names)))
     for row, text in enumerate(sheet.words(2)):
         said = f"line {sheet.lines[row]}: positions {text[:40]!r} are no list of {len(names)} numbers"

@@ -306,7 +306,7 @@ def describe(path: Path) -> str:
         return "a packed file or a spreadsheet: unpack it, or save it as CSV"
     sheet = head(path)
     if sheet is not None:
-        return f"text in {sheet.found}: {sheet.shown}"
+        return f"text in {sheet.found}: {shown(sheet.titles)}"
     if start.startswith(b"PAR1"):
         return "a Parquet table"
     return "binary data" if b"\x00" in start else "text without columns" if start else "an empty file"

@@ -22,9 +22,6 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 """Imported modules per extra"""
 
 
-_NAMED = 3  # missing modules that a line names (chosen: it stays one line)
-
-
 def installed(module: str) -> bool:
     """Whether a module can be imported, without doing so."""
     return find_spec(module) is not None
@@ -52,9 +49,8 @@ def _extra(need: str) -> str:
 
 def _line(what: str, missing: dict[str, str]) -> str:
     """Name ``missing`` modules with their extras."""
-    named = ", ".join([*missing][:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
     return (
-        f"{what} needs more than the base installation (missing: {named}); "
+        f"{what} needs more than the base installation (missing: {', '.join(missing)}); "
         f"add it with: pip install 'rejoint[{','.join(dict.fromkeys(missing.values()))}]'"
     )
 

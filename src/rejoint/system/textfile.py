@@ -74,11 +74,6 @@ class Sheet:
     def __len__(self) -> int:
         return len(self.lines)
 
-    @property
-    def shown(self) -> str:
-        """Titles for an error."""
-        return shown(self.titles)
-
     def _cells(self) -> Iterator[list[str]]:
         """Trimmed cells, row by row, NaN in a damaged row; FileError."""
         width, wrong = len(self.titles), list[FileError]()
@@ -186,7 +181,7 @@ def read_columns(
             line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
             raise FileError(path, f"line {line}, column {title} is empty", "mend that line")
     if missing := [titled[name] for name in needed if name not in found]:
-        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", "add them")
+        raise FileError(path, f"columns {shown(sheet.titles)}; missing: {', '.join(missing)}", "add them")
     return found, sheet.lines
 
 
