@@ -7,7 +7,7 @@ from rejoint.twin.fit import Fit, Problem, fit, influence
 from rejoint.twin.parameters import Layout, pack, unknown_prior
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
-from rejoint.twin.uncertainty import COMMON, _central_differences, _other_arms, mass_covariance
+from rejoint.twin.uncertainty import COMMON, _central_differences, fixed_covariance, others
 from rejoint.twin.uncertainty import STEP as CHANGE
 
 LAYOUT = Layout(ARM.joints)
@@ -25,7 +25,7 @@ def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
     found = fit(here, np.clip(pack(TRUTH), here.prior.lower, here.prior.upper), 3)
     residual, jacobian = _central_differences(here, found.vector)
     curvature = here.system(jacobian, found.weights.precision * influence(residual), residual)[0] + here.prior.precision
-    covariance = mass_covariance(here, found, residual, jacobian, curvature)
+    covariance = fixed_covariance(here, found, residual, jacobian, curvature)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
     assert np.linalg.eigvalsh(covariance).min() > -1e-12
     assert not covariance[here.frozen].any()
@@ -33,14 +33,17 @@ def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
     lift = LAYOUT.at("stiffness").start + 1
     assert 0.3 * COMMON < sigma[lift] < 3.0 * COMMON
     assert sigma[LAYOUT.at("stiffness").start + 4] < 0.5 * sigma[lift]  # nothing loads the wrist roll
-    heavier = next(_other_arms(ARM))[0]
+    heavier = next(others(here.replay))[0].arm
     np.testing.assert_allclose(heavier.mass, np.exp(CHANGE) * ARM.mass)
     moved: Fit = fit(problem(heavier), found.vector, 4)
     assert moved.vector[lift] - found.vector[lift] > 0.3 * CHANGE  # heavier links, the same sag: a stiffer servo
 
 
 def test_each_mass_and_centre_is_moved_once_and_all_masses_together():
-    arms = [arm for arm, _ in _other_arms(ARM)]
+    replay = problem().replay
+    *links, sticky = [other for other, _ in others(replay)]
+    assert sticky.stiction > replay.stiction
+    arms = [other.arm for other in links]
     heavier = np.array([arm.mass / ARM.mass for arm in arms])
     np.testing.assert_allclose(heavier[0], np.exp(CHANGE))
     np.testing.assert_allclose(heavier[1 : 1 + ARM.joints], 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints))

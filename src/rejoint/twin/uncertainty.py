@@ -5,7 +5,8 @@ with Student's quantile; clusters are motions, or stretches of an excitation. Cu
 are too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip looks like
 curvature, so the curvature comes from the loss itself.
 
-Uncertain masses widen a joint's common scale ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
+What a fit holds fixed, links and friction at rest, widens it too ("consider" covariance, Schmidt 1966; Bierman 1977,
+chapter 8).
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
+from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
@@ -35,7 +37,7 @@ SCALE_STEP = float(np.log(SCALES[-2]))
 
 
 def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Array:
-    """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and the masses."""
+    """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and what it holds fixed."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     weight = fit.weights.precision * influence(residual)
@@ -43,7 +45,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
     jacobian = _steadied(problem, fit, jacobian, covariance)
     curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
-    covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
+    covariance += fixed_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
@@ -137,18 +139,19 @@ COMMON, OWN = 0.10, 0.10
 """Sigma of the log mass of all links, and of each; chosen"""
 CENTRE = 0.15
 """The same of a centre of mass's distance; chosen"""
+AT_REST = 0.3
+"""Sigma of the log ratio of friction at rest to that in motion; chosen: between the ratios that a fit tries"""
 STEP = 0.1
 """Finite-difference step of the logarithms; chosen"""
 
 
-def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
-    """Covariance (k, k) of an estimate by uncertain links.
+def fixed_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
+    """Covariance (k, k) of an estimate by what it holds fixed.
 
     ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k), with the prior, at the estimate.
     """
-    moved, replay, weight = [], problem.replay, fit.weights.precision * influence(residual)
-    for arm, sigma in _other_arms(replay.arm):
-        other = replace(replay, arm=arm)
+    moved, weight = [], fit.weights.precision * influence(residual)
+    for other, sigma in others(problem.replay):
         path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
         pull = problem.system(jacobian, weight, change)[1]
@@ -157,10 +160,13 @@ def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array
     return np.asarray(by @ by.T)
 
 
-def _other_arms(arm: Arm) -> Iterator[tuple[Arm, float]]:
-    every = np.ones(arm.joints)
+def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
+    """Replays with one thing changed by `STEP` that a fit holds fixed, and its sigma."""
+    arm, every = replay.arm, np.ones(replay.arm.joints)
     for factor, sigma in ((every, COMMON), *((row, OWN) for row in np.eye(arm.joints))):
         change = np.exp(STEP * factor)
-        yield replace(arm, mass=arm.mass * change, inertia=arm.inertia * change[:, None, None]), sigma
+        heavier = replace(arm, mass=arm.mass * change, inertia=arm.inertia * change[:, None, None])
+        yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
-        yield replace(arm, com=arm.com * np.exp(STEP * row)[:, None]), CENTRE
+        yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
+    yield replace(replay, stiction=replay.stiction * np.exp(STEP)), AT_REST
