@@ -6,10 +6,11 @@ zero with its first derivatives at both ends, int q'' w = int q w'' (modulating 
 The following error e = command - measured position of a servo with stiffness k, damping d, inertia J, gravity torque
 tau and Coulomb friction F is
 
-    e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset.
+    e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset + (f/k) (|tau| - mean |tau|) sign(q')
 
-`fit_law` fits all terms to moving moments of any log. Only the start of a step separates delay from lag: each delay
-gets its own fit, and the one that predicts these starts best wins.
+with friction F at the mean load, which grows by f (Linderoth et al. 2013). `fit_law` fits all terms to moving moments
+of any log. Only the start of a step separates delay from lag: each delay gets its own fit, and the one that predicts
+these starts best wins.
 """
 
 from __future__ import annotations
@@ -242,11 +243,13 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
         return None
     load = np.abs(motion.gravity)
     light = load <= np.quantile(load, _LIGHT)  # at its torque limit a joint yields more than its law says
-    fit = fit_trimmed(motion.design, motion.error[0], motion.cluster, light)
-    beyond = (motion.error[0] - motion.design @ fit.coefficients) * np.sign(motion.gravity)
-    if np.median(beyond) < 0.0:  # but never less
-        fit = fit_trimmed(motion.design, motion.error[0], motion.cluster)
-    follows = 1.0 if data.arm.name in CATALOGUE else _follows(data, motion, joint)
+    known, error = data.arm.name in CATALOGUE, motion.error[0]  # of links that are not, it would imitate the masses
+    rubbing = known * (load - load.mean()) * np.sign(motion.direction)
+    design = np.column_stack([motion.design, rubbing])
+    fit = fit_trimmed(design, error, motion.cluster, light)
+    if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
+        fit = fit_trimmed(design, error, motion.cluster)
+    follows = 1.0 if known else _follows(data, motion, joint)
     return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows)
 
 
@@ -315,7 +318,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     """[rad] largest distance at rest that law and friction leave."""
-    _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
+    _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.fit.coefficients
     error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
     rests = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD, joint)]
     return max([0.0, *(abs(float(error[rows].mean())) - float(width) for rows in rests if len(rows))])
@@ -464,7 +467,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     found = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
     found = found.at(np.abs(found.acceleration) < _STEADY / length_size(data.arm))
     data.require(len(found.time) >= _MIN_WINDOWS, "steady moments", joint)
-    lag, half_width, _, _, offset = law.fit.coefficients
+    lag, half_width, _, _, offset, _ = law.fit.coefficients
     friction = stiffness * max(half_width, 0.0)
     demand = stiffness * (found.error[0] - offset - lag * found.speed)
     given = found.gravity + friction * found.direction
