@@ -32,7 +32,9 @@ def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
     sigma = np.sqrt(np.diag(covariance))
     lift = LAYOUT.at("stiffness").start + 1
     assert 0.3 * COMMON < sigma[lift] < 3.0 * COMMON
-    assert sigma[LAYOUT.at("stiffness").start + 4] < 0.5 * sigma[lift]  # nothing loads the wrist roll
+    assert (
+        sigma[LAYOUT.at("stiffness").start + 4] < 0.7 * sigma[lift]
+    )  # no load on the wrist roll: friction at rest alone
     heavier = next(others(here.replay))[0].arm
     np.testing.assert_allclose(heavier.mass, np.exp(CHANGE) * ARM.mass)
     moved: Fit = fit(problem(heavier), found.vector, 4)
