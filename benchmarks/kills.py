@@ -41,7 +41,7 @@ from rejoint.runs.run import Run
 
 STAGES = {
     "diagnose": ("diagnosis.json", "logs/targets.parquet", "logs/excitation.parquet"),
-    "calibrate": ("calibration.toml", "measurements.parquet"),
+    "calibrate": ("calibration.toml", "measurements.json"),
     "identify": ("twin.toml",),
     "train": ("policy.onnx", "training/curves.parquet"),
     "compare": (

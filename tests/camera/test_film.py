@@ -64,7 +64,7 @@ def test_what_does_not_belong_to_a_film_is_named(filmed):
 
 
 def test_a_film_comes_back_from_its_file(tmp_path):
-    film, path = film_of(12), tmp_path / "views.parquet"
+    film, path = film_of(12), tmp_path / "views.json"
     write_film(path, ARM, film)
     back, ended = read_film(path, ARM)
     assert not ended

@@ -93,7 +93,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     kept, _ = read_film(runs[1].folder.views, ARM)
     assert (len(kept), kept.fresh) == (2, True)
-    assert list(runs[1].path.glob("views-*.parquet"))
+    assert list(runs[1].path.glob("views-*.json"))
 
 
 def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monkeypatch):

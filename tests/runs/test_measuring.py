@@ -62,7 +62,7 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
 
     calibrate(run, hand := Hand())  # that one was at its end
     assert hand.asked == list(range(1, TOTAL + 1))
-    assert len(list(run.path.glob("measurements-*.parquet"))) == 1
+    assert len(list(run.path.glob("measurements-*.json"))) == 1
 
 
 def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typed(run, monkeypatch):
@@ -88,7 +88,7 @@ def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, 
     assert run.folder.measurements.read_bytes() == before
     calibrate(run, hand := Hand(), calibration="none")
     assert hand.asked[0] == 1
-    assert next(run.path.glob("measurements-*.parquet")).read_bytes() == before
+    assert next(run.path.glob("measurements-*.json")).read_bytes() == before
 
 
 def test_what_was_interrupted_can_be_fitted_as_it_is_and_is_at_its_end_then(run):

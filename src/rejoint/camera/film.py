@@ -1,17 +1,15 @@
 """An image sequence: pictures of a board in many postures of one arm, with encoder readings.
 
-Columns of ``views.parquet``: ``picture``, ``number``, ``posture``; ``position.JOINT`` and ``approach.JOINT`` [rad]; the
-lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is unusable. Those of ``postures.csv`` beside pictures: ``picture``,
-``position.JOINT_deg``; optional ``approach.JOINT_deg``, ``posture``.
+Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``approach.JOINT_deg``,
+``posture``.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
@@ -23,14 +21,14 @@ from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import (
     SHEET_MOST,
+    ArmFile,
     joint_columns,
-    read_table,
+    read_for,
     require_degrees,
-    write_table,
 )
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import set_aside, write_whole
+from rejoint.system.files import set_aside, write_json, write_whole
 from rejoint.system.textfile import ANGLES, COUNT, read_columns
 
 if TYPE_CHECKING:
@@ -124,65 +122,34 @@ def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
     return np.array(position).reshape(shape), np.array(approach).reshape(shape)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FilmFile(ArmFile):
+    """Content of a file of pictures."""
+
+    film: Film
+    ended: bool
+    """whether they are complete"""
+
+
 def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
     """Write pictures, atomically; ``ended``: they are complete."""
-    about = {"board": asdict(film.board), "ended": ended}
-    about |= {name: getattr(film, name) for name in ("carried", "size", "fresh")}
-    views = [shot.seen if isinstance(shot.seen, BoardView) else None for shot in film.shots]
-    columns = _columns(arm, film) | {
-        "number": [shot.number for shot in film.shots],
-        "corner": [[] if view is None else view.number.tolist() for view in views],
-        "why": [shot.seen.why if isinstance(shot.seen, Unusable) else "" for shot in film.shots],
-    }
-    for i, axis in enumerate("xy"):
-        columns[axis] = [[] if view is None else view.pixel[:, i].tolist() for view in views]
-    write_table(path, arm, "views", columns, about)
+    write_json(path, FilmFile(arm=arm.name, joints=arm.joint_names, film=film, ended=ended))
 
 
 def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
     """Read pictures and whether they are complete; FileError if unusable."""
-
-    def shot(row: dict[str, Any]) -> Shot:
-        pixel = np.array([row["x"], row["y"]], dtype=float).T.reshape(-1, 2)
-        number = np.array(row["corner"], dtype=np.int64)
-        why, name = row["why"], row["picture"]
-        position, approach = (np.array([row[one] for one in names]) for names in joint_columns(arm))
-        return Shot(
-            number=row["number"],
-            position=position,
-            approach=approach,
-            posture=row["posture"],
-            seen=Unusable(name, why) if why else BoardView(name=name, number=number, pixel=pixel),
-        )
-
-    def build(columns: dict[str, list[Any]], about: dict[str, Any]) -> tuple[Film, bool]:
-        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        film = Film(
-            board=msgspec.convert(about["board"], Board),
-            carried=about["carried"],
-            size=msgspec.convert(about["size"], tuple[int, int] | None),
-            shots=tuple(shot(row) for row in rows),
-            fresh=about["fresh"],
-        )
-        return film, bool(about["ended"])
-
-    return read_table(path, arm, "views", build)
-
-
-def _columns(arm: Arm, film: Film, unit: float = 1.0, ending: str = "") -> dict[str, list[Any]]:
-    """Columns that both files have, angles divided by ``unit`` [rad]."""
-    columns: dict[str, list[Any]] = {
-        "picture": [shot.name for shot in film.shots],
-        "posture": [shot.posture for shot in film.shots],
-    }
-    for names, rows in zip(joint_columns(arm), positions(film.shots, arm), strict=True):
-        columns |= {f"{name}{ending}": (row / unit).tolist() for name, row in zip(names, rows.T, strict=True)}
-    return columns
+    found = read_for(path, arm, FilmFile)
+    return found.film, found.ended
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
     """Write ``postures.csv``."""
-    columns = _columns(arm, film, np.radians(1.0), "_deg")
+    columns: dict[str, Any] = {
+        "picture": [shot.name for shot in film.shots],
+        "posture": [shot.posture for shot in film.shots],
+    }
+    for names, rows in zip(joint_columns(arm), positions(film.shots, arm), strict=True):
+        columns |= {f"{name}_deg": np.degrees(row) for name, row in zip(names, rows.T, strict=True)}
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     write_whole(path, lambda temporary: pc.write_csv(table, temporary))
 

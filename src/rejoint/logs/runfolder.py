@@ -72,11 +72,11 @@ class RunFolder:
     """`KeptSettings` of the diagnosis: payload, tool and the like"""
     diagnosis = FilePlace("diagnosis.json")
     twin = FilePlace("twin.toml")
-    measurements = FilePlace("measurements.parquet")
+    measurements = FilePlace("measurements.json")
     """external measurements of the tool"""
     calibration = FilePlace("calibration.toml")
     """displacements behind the encoders"""
-    views = FilePlace("views.parquet")
+    views = FilePlace("views.json")
     """detections of the board per image"""
     pictures = FilePlace("pictures")
     """images"""

@@ -14,10 +14,11 @@ from contextlib import contextmanager
 from datetime import datetime
 from operator import methodcaller
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.system.errors import FileError, UnsavedError, first_line
 
@@ -142,6 +143,11 @@ def write_json(path: Path, value: object) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(data))
 
 
+def array_of(kind: Any, rows: object) -> NDArray[Any]:  # noqa: ANN401 - such as NDArray[np.int64]
+    """Array of a ``kind`` from lists, as msgspec asks for one."""
+    return np.array(rows, dtype=get_args(get_args(kind)[1])[0])
+
+
 def read_json(path: Path, kind: type[T]) -> T:
     """Read JSON of `write_json` as ``kind``; FileError."""
     remedy = "delete what is left of it, and run its stage"
@@ -152,7 +158,7 @@ def read_json(path: Path, kind: type[T]) -> T:
             data = data[: found.start()] + b"\n}"
             if digest(data) != found[1]:
                 raise FileError(path, CHANGED, remedy)
-        return msgspec.json.decode(data, type=kind, dec_hook=lambda _, rows: np.array(rows, dtype=float))
+        return msgspec.json.decode(data, type=kind, dec_hook=array_of)
 
 
 @contextmanager

@@ -33,8 +33,8 @@ def measured(seed=0, rows=6, frame="base", source="touch"):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10_000), st.integers(1, 30))
-def test_parquet_keeps_every_bit(tmp_path_factory, seed, rows):
-    path = tmp_path_factory.mktemp("files") / "m.parquet"
+def test_a_file_keeps_every_bit(tmp_path_factory, seed, rows):
+    path = tmp_path_factory.mktemp("files") / "m.json"
     write_measurements(path, ARM, one := measured(seed, rows, frame="room", source="camera"))
     found = read_measurements(path, ARM)
     for name in FIELDS:
@@ -94,24 +94,24 @@ def test_a_csv_is_read_as_people_and_spreadsheets_write_it(tmp_path, data):
 
 
 def test_files_of_another_arm_and_damaged_ones_are_refused(tmp_path):
-    write_measurements(tmp_path / "m.parquet", ARM, measured())
-    with pytest.raises(FileError, match="measurements of arm mycobot280, expected so101"):
-        read_measurements(tmp_path / "m.parquet", so101())
-    data = bytearray((tmp_path / "m.parquet").read_bytes())
+    write_measurements(tmp_path / "m.json", ARM, measured())
+    with pytest.raises(FileError, match="of arm mycobot280, expected so101"):
+        read_measurements(tmp_path / "m.json", so101())
+    data = bytearray((tmp_path / "m.json").read_bytes())
     rng = np.random.default_rng(5)
     for _ in range(40):
         flipped = bytearray(data)
         flipped[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-        (tmp_path / "flipped.parquet").write_bytes(bytes(flipped))
+        (tmp_path / "flipped.json").write_bytes(bytes(flipped))
         try:
-            found = read_measurements(tmp_path / "flipped.parquet", ARM)
+            found = read_measurements(tmp_path / "flipped.json", ARM)
         except FileError:
             continue
         for name in FIELDS:  # a flip that changes nothing
             np.testing.assert_array_equal(getattr(found, name), getattr(measured(), name))
-    (tmp_path / "cut.parquet").write_bytes(data[: len(data) // 2])
+    (tmp_path / "cut.json").write_bytes(data[: len(data) // 2])
     with pytest.raises(FileError):
-        read_measurements(tmp_path / "cut.parquet", ARM)
+        read_measurements(tmp_path / "cut.json", ARM)
     with pytest.raises(FileError, match="no such file"):
         read_measurements(tmp_path / "none.csv", ARM)
 

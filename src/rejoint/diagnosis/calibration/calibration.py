@@ -19,6 +19,7 @@ from rejoint.control.controllers.contract import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, scatter, vector_of
 from rejoint.system.errors import ContractError, InputError
+from rejoint.system.files import array_of
 from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
@@ -210,12 +211,11 @@ covariance: of the parameters of the displacement in this order: mass less one, 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration, atomically."""
-    own, document, shapes = calibration, tomlkit.document(), _shapes(calibration.arm)
+    own, document = calibration, tomlkit.document()
     for line in _ABOUT.splitlines():
         document.add(tomlkit.comment(line))
-    parts = {name: np.broadcast_to(getattr(own.displacement, name), shape) for name, shape in shapes.items()}
     told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
-    told |= {"geometry": geometry_of(own.arm), "displacement": parts, "order": own.layout.names()}
+    told |= {"geometry": geometry_of(own.arm), "order": own.layout.names()}
     for name, value in msgspec.to_builtins(told, enc_hook=methodcaller("tolist")).items():
         document.add(name, tomlkit.item(value))
     write_sealed(path, document)
@@ -226,22 +226,13 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
 
     def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
-        parts, body = data["displacement"], DisplacementLayout(joints=arm.joints).body
-        shapes = {"covariance": (body, body), "frame": (4, 4), "left_out": (len(data["left_out"]), 2)}
-        own: dict[str, Any] = {name: finite(data[name], shape) for name, shape in shapes.items()}
-        np.linalg.cholesky(own["covariance"])
-        own["displacement"] = Displacement(**{name: finite(parts[name], shape) for name, shape in _shapes(arm).items()})
-        kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name not in {"arm", *own}}
-        own |= {name: msgspec.convert(data[name], kind) for name, kind in kinds.items()}
-        return Calibration(arm=arm, **own)
+        kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name != "arm"}
+        parts = {name: msgspec.convert(data[name], kind, dec_hook=array_of) for name, kind in kinds.items()}
+        own = Calibration(arm=arm, **parts)
+        finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
+        return own
 
     return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
-
-
-def _shapes(arm: Arm) -> dict[str, tuple[int, ...]]:
-    """Shapes of the fields of a fitted displacement."""
-    each = dict.fromkeys(("offset", "compliance", "play", "mass"), (arm.joints,))
-    return {**each, "gravity": (3,), "twist": (arm.joints + 1, 6)}
 
 
 def finite(value: object, shape: tuple[int, ...]) -> Array:

@@ -1,33 +1,26 @@
-"""Measurements of the real tool at rest, and their files: Parquet and CSV.
+"""Measurements of the real tool at rest, and their files: JSON and CSV.
 
-Rows of one ``posture`` approach it from different sides, which shows play. Columns: ``position.JOINT``; optional
-``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture`` number. Parquet is in rad and m; in CSV each
-name ends with its unit (``position.joint1_deg``, ``X [mm]``). Empty cells and other columns are allowed.
+Rows of one ``posture`` approach it from different sides, which shows play. Columns of a CSV: ``position.JOINT``;
+optional ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``. Each name ends with its unit
+(``position.joint1_deg``, ``X [mm]``). Empty cells and other columns are allowed.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-import msgspec
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import pose_of
 from rejoint.arms.workspace import in_metres
-from rejoint.logs.runlog import AXES, read_parquet
+from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import CHANGED, MEGABYTE, reading, write_whole
+from rejoint.system.files import MEGABYTE, read_json, write_json
 from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
@@ -127,83 +120,50 @@ SHEET_MOST = 4 * MEGABYTE
 """Largest CSV file; chosen: ten thousand rows"""
 
 
-T = TypeVar("T")
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmFile:
+    """What a JSON file of one arm begins with."""
 
-FORMAT = 1
-_KEY = b"rejoint"
-_REMEDY = "measure again, or take another file"
+    arm: str
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasurementFile(ArmFile):
+    """Content of a file of measurements."""
+
+    measured: Measurements
+    session: MeasuringSession | None = None
+    """None: it is complete"""
+
+
+T = TypeVar("T", bound=ArmFile)
+
+
+def read_for(path: Path, arm: Arm, kind: type[T]) -> T:
+    """Read a JSON file of ``arm``; FileError for another one's."""
+    found = read_json(path, kind)
+    if (found.arm, found.joints) != (arm.name, arm.joint_names):
+        raise FileError(path, f"of arm {found.arm}, expected {arm.name}", "name the right arm")
+    return found
 
 
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
-    """Write measurements as Parquet; ``session``: progress."""
-    columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
-    for names, rows in zip(joint_columns(arm), (measured.position, measured.approach), strict=True):
-        columns |= dict(zip(names, rows.T, strict=True))
-    columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
-    about = {"frame": measured.frame, "source": measured.source, "session": msgspec.to_builtins(session)}
-    write_table(path, arm, "measurements", columns, about)
-
-
-def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read CSV, with ``frame`` and ``source``, or Parquet; FileError if unusable."""
-    if path.suffix.lower() != ".csv":
-        return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
-    return _from_csv(path, arm, frame, source)
+    """Write measurements as JSON; ``session``: progress."""
+    write_json(path, MeasurementFile(arm=arm.name, joints=arm.joint_names, measured=measured, session=session))
 
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
     """Read interrupted measurements and progress; None if complete."""
-    measured, session = read_table(path, arm, "measurements", partial(_measured, arm=arm))
-    return None if session is None else (measured, session)
+    found = read_for(path, arm, MeasurementFile)
+    return None if found.session is None else (found.measured, found.session)
 
 
-def _measured(
-    columns: dict[str, list[Any]], about: dict[str, Any], arm: Arm
-) -> tuple[Measurements, MeasuringSession | None]:
-    arrays = {name: np.array(values, dtype=float) for name, values in columns.items()}
-    session = msgspec.convert(about["session"], MeasuringSession | None)
-    return _assemble(arrays, arm, about["frame"], about["source"]), session
-
-
-def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Write Parquet with header ``about`` and a digest."""
-    table = pa.table(dict(columns))
-    header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
-    header["digest"] = _digest(table, header)
-    table = table.replace_schema_metadata({_KEY: json.dumps(header).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
-
-
-def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
-    """Build from a table's columns and header; FileError for another kind."""
-    with reading(path, f"not readable {what}", _REMEDY):
-        table = read_parquet(path, _REMEDY)
-        header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
-        if header.get("format") != FORMAT or header.get("what") != what:
-            raise FileError(path, f"no {what} of format {FORMAT}, but some other table", _REMEDY)
-        if header["arm"] != arm.name or tuple(header["joints"]) != arm.joint_names:
-            raise FileError(path, f"{what} of arm {header['arm']}, expected {arm.name}", "name the right arm")
-        if header.pop("digest") != _digest(table, header):
-            raise FileError(path, CHANGED, _REMEDY)
-        return build(table.to_pydict(), header)
-
-
-def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps([header, table.to_pydict()], sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
-    rows = len(columns["x"])
-    position, approach = (np.stack([columns[name] for name in names], axis=-1) for names in joint_columns(arm))
-    return Measurements(
-        position=position,
-        approach=approach,
-        point=np.stack([columns[axis] for axis in AXES], axis=-1),
-        sigma=columns.get("sigma", np.full(rows, NOISE)),
-        posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
-        frame=frame,
-        source=source,
-    )
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
+    """Read CSV, with ``frame`` and ``source``, or JSON; FileError if unusable."""
+    if path.suffix.lower() != ".csv":
+        return read_for(path, arm, MeasurementFile).measured
+    return _from_csv(path, arm, frame, source)
 
 
 BEYOND = np.radians(10.0)
@@ -234,10 +194,20 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
     lines = lines[seen]
     if not len(lines):
         raise FileError(path, "no line has a coordinate of the tool", "measure at least one of x_mm, y_mm and z_mm")
+    columns = {name: values[seen] for name, values in columns.items()}
+    position, approach, point = (np.stack([columns[one] for one in names], axis=-1) for names in (joints, came, AXES))
     try:
-        measured = _assemble({name: values[seen] for name, values in columns.items()}, arm, frame, source)
+        measured = Measurements(
+            position=position,
+            approach=approach,
+            point=point,
+            sigma=columns.get("sigma", np.full(len(lines), NOISE)),
+            posture=columns.get("posture", np.arange(len(lines))),
+            frame=frame,
+            source=source,
+        )
     except InputError as error:
-        raise FileError(path, str(error), _REMEDY) from error
+        raise FileError(path, str(error), "measure again, or take another file") from error
     _require_units(path, arm, measured, lines)
     return measured
 
