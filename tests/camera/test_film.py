@@ -77,7 +77,7 @@ def test_a_film_comes_back_from_its_file(tmp_path):
     assert back.unusable == film.unusable
     write_film(path, ARM, film, ended=True)
     assert read_film(path, ARM)[1]
-    with pytest.raises(FileError, match="views of arm mycobot280, expected other"):
+    with pytest.raises(FileError, match="of arm mycobot280, expected other"):
         read_film(path, replace(ARM, name="other"))
 
 

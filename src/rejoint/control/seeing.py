@@ -235,13 +235,13 @@ class Finishing:
         now, position = float(inputs.state.time[0]), inputs.state.position[0]
         self._told.append((now, position.copy()))
         missing = self._seen.missing(inputs)
-        if missing is None:
-            return self._base[None].copy() if self.state == "hold" else self._far(inputs, None)
-        if self.state == "hold" and self._is_off(now, missing):
-            self._begin("fine", now, inputs)
         if self.state == "hold":
-            return self._base[None].copy()
-        return self._fine(position, now, missing) if self.state == "fine" else self._far(inputs, missing)
+            if missing is None or not self._is_off(now, missing):
+                return self._base[None].copy()
+            self._begin("fine", now, inputs)
+        if self.state == "fine" and missing is not None:
+            return self._fine(position, now, missing)
+        return self._far(inputs, missing)
 
     def _begin_target(self) -> None:
         self.state = "far"

@@ -276,7 +276,7 @@ class TrialRunner:
     def _judge(self, driven: Driven) -> None:
         name, kind, ((s, r),), _ = driven.key
         where = f"set {s + 1}, repetition {r + 1}"
-        if driven.failed:
+        if driven.ended:  # by its command: whatever else trips the guard ends the comparison
             self._out[name] = f"gave a command that is not a number ({kind} protocol, {where})"
         elif missed_in_a_row(self._in_order("crossed", name)):
             self._out[name] = f"missed {MISSES} targets in a row ({where})"
@@ -316,7 +316,7 @@ class TrialRunner:
         name, kind, places, first = key
         sets, part = [s for s, _ in places], slice(first, first + self._step)
         targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
-        self._text, failed, protocol = f"{name}: {kind} protocol", False, self.settings.protocol
+        self._text, protocol = f"{name}: {kind} protocol", self.settings.protocol
 
         def see(cycle: Cycle) -> None:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
@@ -327,11 +327,11 @@ class TrialRunner:
             stopped = recording_of(error)
             if stopped is None or not bad_command(stopped):
                 raise
-            recording, failed = stopped, True
+            recording = stopped
         if not self.settings.batched:
             self._sent = recording.command[-1]
         both = self.settings.block > 0
-        driven = measure(robot.arm, recording, targets, protocol, key, failed=failed, model=self.model, both=both)
+        driven = measure(robot.arm, recording, targets, protocol, key, model=self.model, both=both)
         self.on_trial(driven, recording)
         return driven, recording
 

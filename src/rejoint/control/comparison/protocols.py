@@ -195,7 +195,6 @@ def measure(
     protocol: Protocol,
     key: Key,
     *,
-    failed: bool = False,
     model: ToolModel | None = None,
     both: bool = False,
 ) -> Driven:
@@ -207,7 +206,6 @@ def measure(
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
     return Driven(
         key=key,
-        failed=failed,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),
         cycles=int(recording.active.sum()),
         ended=tuple(", ".join(reason_names(int(flags))) for flags in recording.tripped if flags),

@@ -71,7 +71,6 @@ class Driven:
     reasons: dict[str, int]
     ended: tuple[str, ...]
     """why trials ended early, see `reason_names`"""
-    failed: bool = False
     source: str = ""
     """who drove it before the comparison"""
 
