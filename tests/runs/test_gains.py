@@ -28,7 +28,7 @@ from rejoint_lab.emulator.servers import on_port
 from servorobot import ARM, ServoRobot
 
 FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
-SEEN = Round(error=(0.0,) * 5, unrest=(0.0,) * 5, tool=0.0)
+SEEN = Round(error=np.zeros(5), unrest=np.zeros(5), tool=0.0)
 
 
 def found_by(run, address="emulated:so101"):
@@ -66,7 +66,9 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     spent = read_effort(run.folder)
     assert [stage.name for stage in spent.stages] == ["gains"]
     assert spent.total.moving > 0.0
-    assert read_json(run.folder.gains, GainsFound) == found
+    again = read_json(run.folder.gains, GainsFound)
+    assert (again.found, again.under, again.alone) == (found.found, found.under, found.alone)
+    np.testing.assert_array_equal(again.before.error, found.before.error)
     robot.history.clear()
     targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])
     plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))

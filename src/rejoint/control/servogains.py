@@ -217,13 +217,13 @@ LABOURS = 1.0
 Values = dict[str, tuple[int, ...]]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Round:
     """Result of a round over the targets."""
 
-    error: tuple[float, ...]
+    error: Array
     """(n,) [rad] mean error"""
-    unrest: tuple[float, ...]
+    unrest: Array
     """(n,) [rad] mean standard deviation at rest"""
     tool: float
     """[m] mean tool error by the encoders"""
@@ -267,7 +267,7 @@ def search(
                 f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
-        climb.error = np.array(first.error)
+        climb.error = first.error
         *others, last = servos.rungs()
         for rung in others:
             climb.rung(rung, first)
@@ -317,7 +317,7 @@ class _Climb:
                 self.gains = old
                 self.servos.tune(old)
                 continue
-            loud = np.array(seen.unrest) > np.maximum(LOUDER * np.array(first.unrest), QUIET * step)
+            loud = seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
             taken = trying & ~loud & (seen.error < self.error - GAIN * step)
             done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
             missed = trying & ~taken
@@ -330,10 +330,10 @@ class _Climb:
         if self.gains == last:
             return last, before
         seen, _ = self.drive(self.gains)
-        if seen is None or sum(seen.error) > sum(before.error):
+        if seen is None or seen.error.sum() > before.error.sum():
             self.gains, seen = last, before
             self.servos.tune(last)
-        self.error = np.array(seen.error)
+        self.error = seen.error
         return dict(self.gains), seen
 
     def drive(self, gains: Values, targets: Array | None = None) -> tuple[Round | None, Mask]:
@@ -357,7 +357,7 @@ class _Climb:
             tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
             found.append((np.abs(command[rows] - here).mean(axis=0), here.std(axis=0), tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
-        return Round(error=tuple(error.tolist()), unrest=tuple(unrest.tolist()), tool=float(tools)), watch.joints
+        return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints
 
 
 class _RoundWatch:

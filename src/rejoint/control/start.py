@@ -128,33 +128,25 @@ def check_ready(robot: Robot) -> None:
     if (state.time > first.time).any():  # virtual time stands still
         pause(LOOK)
         state = robot.read()
-    for problem in (_moving(robot.arm, first, state), _outside(robot.arm, state), _unwell(robot.arm, state)):
-        if problem:
-            raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
+    problem = _problem(robot.arm, first, state)
+    if problem:
+        raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
 
 
-def _moving(arm: Arm, first: JointState, state: JointState) -> str:
-    away = np.abs(state.position - first.position)
-    j = int(np.argmax(away.max(axis=0)))
-    if away[:, j].max() <= STILL:
-        return ""
-    return f"{arm.joint_names[j]} is moving by itself; wait until the arm rests, and end what else drives it"
-
-
-def _outside(arm: Arm, state: JointState) -> str:
+def _problem(arm: Arm, first: JointState, state: JointState) -> str:
+    away = np.abs(state.position - first.position).max(axis=0)
+    if away.max() > STILL:
+        name = arm.joint_names[int(np.argmax(away))]
+        return f"{name} is moving by itself; wait until the arm rests, and end what else drives it"
     believed = GuardLimits.of(arm, margin=-BEYOND)
-    beyond = (state.position < believed.lower) | (state.position > believed.upper)
-    if not beyond.any():
-        return ""
-    b, j = np.argwhere(beyond)[0]
-    low, angle, high = np.degrees([arm.lower[j], state.position[b, j], arm.upper[j]])
-    return (
-        f"{arm.joint_names[j]} stands at {angle:.1f} deg, outside its limits of {low:.0f} to {high:.0f} deg; bring it "
-        "inside by hand, or correct the arm's zero"
-    )
-
-
-def _unwell(arm: Arm, state: JointState) -> str:
+    beyond = np.argwhere((state.position < believed.lower) | (state.position > believed.upper))
+    if len(beyond):
+        b, j = beyond[0]
+        low, angle, high = np.degrees([arm.lower[j], state.position[b, j], arm.upper[j]])
+        return (
+            f"{arm.joint_names[j]} stands at {angle:.1f} deg, outside its limits of {low:.0f} to {high:.0f} deg; bring "
+            "it inside by hand, or correct the arm's zero"
+        )
     if state.fault is not None and state.fault.any():
         return say_faulty(arm.joint_names, np.asarray(state.fault.any(axis=0)), state.trouble)
     if state.temperature is None:
