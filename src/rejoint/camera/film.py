@@ -21,7 +21,7 @@ from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import (
     SHEET_MOST,
-    ArmFile,
+    ArmRecord,
     joint_columns,
     read_for,
     require_degrees,
@@ -123,7 +123,7 @@ def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilmFile(ArmFile):
+class FilmFile(ArmRecord):
     """Content of a file of pictures."""
 
     film: Film

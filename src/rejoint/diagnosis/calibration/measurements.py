@@ -121,7 +121,7 @@ SHEET_MOST = 4 * MEGABYTE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ArmFile:
+class ArmRecord:
     """What a JSON file of one arm begins with."""
 
     arm: str
@@ -129,7 +129,7 @@ class ArmFile:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MeasurementFile(ArmFile):
+class MeasurementFile(ArmRecord):
     """Content of a file of measurements."""
 
     measured: Measurements
@@ -137,7 +137,7 @@ class MeasurementFile(ArmFile):
     """None: it is complete"""
 
 
-T = TypeVar("T", bound=ArmFile)
+T = TypeVar("T", bound=ArmRecord)
 
 
 def read_for(path: Path, arm: Arm, kind: type[T]) -> T:
