@@ -30,7 +30,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
-from rejoint.robots import place_of
+from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import BLOCK, TABLE, FeetechBus
 from rejoint.robots.feetech.wire import FRAME
 from rejoint.runs.repair import connect
@@ -194,7 +194,7 @@ def joints(address, run):
         error, angle = np.array(found[1:]).T
         return f"tool {error.mean():.2f} mm (largest {error.max():.2f}), joints {np.degrees(angle.max()):.2f} deg"
 
-    with closing(place_of(address).open(arm=ARM, period=(1 / 30, 1 / 30))) as robot:
+    with closing(open_robot(address, arm=ARM, period=(1 / 30, 1 / 30))) as robot:
         print("as they are:", streamed(lambda goal: robot.step(goal[None]), lambda: robot.read().position[0]))
 
     def send(goal):

@@ -46,11 +46,11 @@ def test_a_family_of_another_package_is_found_by_its_scheme(install):
         (0.1, 0.1),
         False,
     )
-    opened, opening = place.open(seed=3)
-    assert opened is place
+    opened, opening = open_robot("x:left", seed=3)
+    assert opened.text == "x:left"
     assert (opening.arm.name, opening.seed, opening.period) == ("so101", 3, (0.1, 0.1))
     with pytest.raises(InputError, match="x:left is one arm"):
-        place.open(count=2)
+        open_robot("x:left", count=2)
 
 
 def test_an_unknown_scheme_lists_the_forms_of_all_families_and_who_is_broken(install):

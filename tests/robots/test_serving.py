@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import socket
 import threading
 import time
@@ -100,7 +101,9 @@ def advance(served, clock, position):
 
 def answering(served, relay=None):
     said: list[str] = []
-    return Answering(served, OrderLog(), relay or Relay(None), said.append), said
+    log = OrderLog(Path(os.devnull))
+    log.close()
+    return Answering(served, log, relay or Relay(None), said.append), said
 
 
 def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():

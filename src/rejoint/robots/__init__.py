@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import CATALOGUE, Arm, load_arm
 from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot, bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.registry import is_virtual, place_of, usable
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+from rejoint.system.numbers import as_period, as_seed
 
 
 def open_robot(
@@ -23,7 +26,8 @@ def open_robot(
 ) -> Robot:
     """Connect to the unguarded joints of the robot at ``address``; see `rejoint.connect` for an arm.
 
-    ``arm``: an arm, a name or a file. A myCobot is powered on and put into fresh mode; nothing moves.
+    ``arm``: an arm, a name or a file; ``period`` [s]. A myCobot is powered on and put into fresh mode; nothing moves.
+    AddressError, InputError, MissingExtraError.
 
     Examples
     --------
@@ -31,8 +35,21 @@ def open_robot(
     >>> state = robot.step(robot.read().position + 0.01)
     >>> robot.close()
     """
-    arm = load_arm(arm) if isinstance(arm, str | Path) else arm
-    return place_of(address).open(arm=arm, seed=seed, count=count, period=period, threads=threads)
+    place = place_of(address)
+    if not isinstance(arm, Arm):
+        arm = load_arm(place.default_arm if arm is None else arm)
+    if place.family.only and arm.name in CATALOGUE and arm.name != place.default_arm:
+        raise InputError(
+            f"at {place.family.scheme}: addresses there are arms of the kind {place.default_arm}, and this is about a "
+            f"{arm.name}; check the address, and whose run it is"
+        )
+    if count < 1:
+        raise InputError(f"a robot needs at least one arm, got count {count}")
+    if count != 1 and not place.virtual:
+        raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
+    require(address, *place.family.needs)
+    cycle = as_period(period) or place.default_period
+    return place.family.connect(place, Opening(arm=arm, seed=as_seed(seed), count=count, period=cycle, threads=threads))
 
 
 __all__ = [

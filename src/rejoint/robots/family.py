@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
-from rejoint.arms import CATALOGUE, Arm, load_arm
+from rejoint.arms import Arm
 from rejoint.control.robot import Robot
-from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.numbers import as_period, as_seed
 
 T = TypeVar("T")
 
@@ -105,35 +103,6 @@ class Place(Generic[T]):
             return arm
         require(self.text, *self.family.needs)
         return arm(self.detail)
-
-    def open(
-        self,
-        *,
-        arm: Arm | None = None,
-        seed: int = 0,
-        count: int = 1,
-        period: tuple[float, float] | None = None,
-        threads: int = 1,
-    ) -> Robot:
-        """Connect to the robot without motion; ``period`` [s].
-
-        AddressError, MissingExtraError.
-        """
-        arm = arm or load_arm(self.default_arm)
-        if self.family.only and arm.name in CATALOGUE and arm.name != self.default_arm:
-            raise InputError(
-                f"at {self.family.scheme}: addresses there are arms of the kind {self.default_arm}, and this is about "
-                f"a {arm.name}; check the address, and whose run it is"
-            )
-        if count < 1:
-            raise InputError(f"a robot needs at least one arm, got count {count}")
-        if count != 1 and not self.virtual:
-            raise InputError(f"{self.text} is one arm; only emulated robots come in batches, got count {count}")
-        require(self.text, *self.family.needs)
-        opening = Opening(
-            arm=arm, seed=as_seed(seed), count=count, period=as_period(period) or self.default_period, threads=threads
-        )
-        return self.family.connect(self, opening)
 
     def __str__(self) -> str:
         return self.text

@@ -312,19 +312,17 @@ class ServedArm(Mover, Reference):
 
 
 class OrderLog:
-    """Writes to ``path``, or only counts; FileError."""
+    """Writes to ``path``; FileError."""
 
-    def __init__(self, path: Path | None = None, *, say: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(self, path: Path, *, say: Callable[[str], object] = lambda _: None) -> None:
         self.path, self._say = path, say
         self.orders = 0
         """so far"""
-        self._file: FileIO | None = None
-        if path is not None:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = path.open("ab", buffering=0)
-            except OSError as error:
-                raise unwritable(path, error) from error
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: FileIO | None = path.open("ab", buffering=0)
+        except OSError as error:
+            raise unwritable(path, error) from error
 
     def ordered(self, command: int, payload: bytes, *, done: bool, why: str = "") -> int:
         """Write an order, whether it is carried out and why not; returns its number."""
@@ -438,7 +436,7 @@ class Answering:
             return self._refuse(request, _OTHER_FRAME.get(command) or self._served.note or _REASONS[found_error])
         note = self._served.note
         if note:
-            self._say_again(note, f"{NAMES[command]}: {note}.")
+            self.say_again(note, f"{NAMES[command]}: {note}.")
         number = self._log.ordered(command, payload, done=True, why=note)
         if command in MOVES:
             self._number = number
@@ -457,7 +455,7 @@ class Answering:
         if arrival.error > ARRIVED_LENGTH or arrival.short:
             cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
             cause = cause or "it came no nearer"
-            self._say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
+            self.say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
 
     def hold(self, why: str) -> bool:
         """Let the arm hold; whether it was on its way."""
@@ -471,10 +469,10 @@ class Answering:
     def _refuse(self, request: Frame, why: str) -> Frame:
         self._log.ordered(request.command, request.payload, done=False, why=why)
         line = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}"
-        self._say_again(line, line)
+        self.say_again(line, line)
         return Frame(request.command, flag(False))
 
-    def _say_again(self, about: str, line: str) -> None:
+    def say_again(self, about: str, line: str) -> None:
         """Say a line, unless one ``about`` the same was just said."""
         now = time.monotonic()
         if now - self._said.get(about, -AGAIN) >= AGAIN:
@@ -498,8 +496,6 @@ _REASONS = {
 }
 
 
-_REFUSALS = 10  # of further clients that are told one by one; a program that tries for ever fills no terminal
-
 _UNFINISHED = "Its last move was not at its end: a program waits for it with sync_send_angles or is_moving."
 
 Say = Callable[[str], object]
@@ -508,9 +504,9 @@ Say = Callable[[str], object]
 class _Clients(Conversation[Frame]):
     """Clients of an arm, one at a time."""
 
-    def __init__(self, answering: Answering, say: Say, listener: socket.socket | None = None) -> None:
+    def __init__(self, answering: Answering, say: Say, listener: socket.socket | None) -> None:
         super().__init__()
-        self._answering, self._say, self._listener, self._refused = answering, say, listener, 0
+        self._answering, self._say, self._listener = answering, say, listener
 
     def came(self, client: str) -> None:
         """Say that a client is there."""
@@ -539,9 +535,9 @@ class _Clients(Conversation[Frame]):
         with contextlib.suppress(OSError):
             connection, (host, port) = self._listener.accept()
             connection.close()
-            self._refused += 1
-            if self._refused <= _REFUSALS:
-                self._say(f"Refused a second client, {host}:{port}: one at a time drives the arm.")
+            self._answering.say_again(
+                "second client", f"Refused a second client, {host}:{port}: one at a time drives the arm."
+            )
 
 
 def _is_gone(handle: int) -> bool:

@@ -177,11 +177,6 @@ class Server(ABC):
         self.on_death: Callable[[], object] = lambda: None
         """called when a fault ends the server"""
 
-    @property
-    def ended(self) -> bool:
-        """Whether it serves no more, by a bug."""
-        return self.failure is not None
-
     def run(self) -> None:
         """Serve until `stop`, a signal or a fault."""
         try:

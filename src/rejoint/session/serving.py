@@ -133,7 +133,7 @@ def serve(
         try:
             with server:
                 session.observer.served(server.address)
-                _drive(session, served, log, lambda: over.is_set() or server.ended)
+                _drive(session, served, log, lambda: over.is_set() or server.failure is not None)
         except Interrupted as asked:
             say(f"{asked}. {' '.join(asked.__notes__)}")
         if server.failure is not None:

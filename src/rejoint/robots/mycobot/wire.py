@@ -98,17 +98,10 @@ _OVERHEAD = 2
 
 @dataclass(frozen=True)
 class Frame:
-    """One command or reply."""
+    """One command or reply of at most `MAX_PAYLOAD` bytes."""
 
     command: int
     payload: bytes = b""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.command <= 0xFF or len(self.payload) > MAX_PAYLOAD:
-            raise ValueError(
-                f"a frame holds an id of one byte and at most {MAX_PAYLOAD} payload bytes, "
-                f"got id {self.command} and {len(self.payload)} bytes"
-            )
 
 
 def encode(frame: Frame) -> bytes:

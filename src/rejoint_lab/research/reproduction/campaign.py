@@ -7,7 +7,6 @@ action.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -33,7 +32,7 @@ from rejoint.training.train import TrainingOptions, train
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI, COLOURS = 120, 64
+DPI = 100
 """of a figure; chosen"""
 
 
@@ -104,14 +103,9 @@ class Bench:
         return self.folder / "results" / f"{experiment}.json"
 
     def draw(self, figure: Figure, key: str) -> None:
-        """Save a figure of the page as a small PNG."""
-        from PIL import Image
-
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
-        small = Image.open(buffer).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        """Save a figure of the page."""
         path = self.folder / "figures" / f"{key}.png"
-        write_whole(path, lambda temporary: small.save(temporary, format="png", optimize=True))
+        write_whole(path, lambda temporary: figure.savefig(temporary, format="png", dpi=DPI, facecolor="white"))
 
 
 class Grid(NamedTuple):

@@ -11,7 +11,6 @@ from rejoint.control.controllers.observation import POINT_SCALE, Observation, la
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import WIDE, Series, curves, strokes_of, ways
-from rejoint.system.errors import FileError
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges, Ranges
 from rejoint.training.task import ReachTask
@@ -145,8 +144,6 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     """Judge the policies of a training: means (K,) over the episodes, with the ``updates`` (K,) of the policies."""
     folder = bench.training(name)
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
-    if not files:
-        raise FileError(folder.training, "no policies of the training's course", "delete it, run it again")
     files[max(files) + bench.scale.snapshot_every] = folder.policy
 
     def judge() -> Columns:
