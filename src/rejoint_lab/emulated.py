@@ -14,8 +14,9 @@ from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.feetech.gains import FULL, LIMIT, REGISTERS, RUNGS, Gains, Tuning, Values, duty_laws, for_all
 from rejoint.system.errors import InputError
+from rejoint_lab.family import has_gains
 from rejoint_lab.plant.plant import Plant, StsPlant, Truth
-from rejoint_lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
+from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class EmulatedRobot:
         self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
-        law = has_these_servos(arm)
+        law = has_gains(arm)
         if gains and not law:
             raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
         self.plant = (StsPlant if law else Plant)(arm, wears, seed=seed, truth=truth, **options)

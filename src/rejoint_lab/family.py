@@ -75,10 +75,9 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     )
 
 
-def _has_gains(arm: Arm) -> bool:
-    from rejoint_lab.plant.servo import has_these_servos
-
-    return has_these_servos(arm)
+def has_gains(arm: Arm) -> bool:
+    """Whether all servos of an ``arm`` have gains that can be set."""
+    return set(arm.servos) == {"STS3215"}
 
 
 EMULATED = Family(
@@ -89,6 +88,6 @@ EMULATED = Family(
     default_arm=_profile_arm,
     default_period=_PERIOD,
     virtual=True,
-    tunable=_has_gains,
+    tunable=has_gains,
     needs=(SIMULATOR,),
 )

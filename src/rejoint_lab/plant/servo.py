@@ -13,7 +13,7 @@ import numpy as np
 from numba import float64, int64, njit, uint64, vectorize
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -232,8 +232,3 @@ class Channel(NamedTuple):
         unit = uniform(keys[:, None], cycle[:, None] * _DRAWS + np.arange(_DRAWS))
         low, high = np.array([self.latency, self.age, self.period]).T
         return Delays(*(low + unit * (high - low)).T)
-
-
-def has_these_servos(arm: Arm) -> bool:
-    """Whether all joints of ``arm`` have such servos."""
-    return set(arm.servos) == {"STS3215"}

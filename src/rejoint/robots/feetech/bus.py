@@ -513,7 +513,7 @@ class Gripper:
         """[%]"""
         self.opened: float | None = None
         """[%] last reading"""
-        self._ask, self._number, self._low, self._high = ask, number, low, high
+        self._ask, self._number, self._counts = ask, number, (low, high)
         self._sent: float | None = None
         self._silent = 0
 
@@ -535,10 +535,10 @@ class Gripper:
         if self._silent >= MOST_SILENT:
             return
         try:
-            if self.goal is not None and self.goal != self._sent:
-                self._send(self.goal)
-            else:
+            if self.goal is None or self.goal == self._sent:
                 self._read()
+            else:
+                self._send(self.goal)
             self._silent = 0
         except RobotError:
             self._silent += 1
@@ -546,13 +546,12 @@ class Gripper:
     def _read(self) -> None:
         data = self._ask(READ, bytes([self._number, TABLE["position"].address, 2]))
         if data is not None:
-            share = (int.from_bytes(data, "little") - self._low) / (self._high - self._low)
-            self.opened = min(max(100.0 * share, 0.0), 100.0)
+            self.opened = float(np.interp(int.from_bytes(data, "little"), self._counts, (0.0, 100.0)))
 
     def _send(self, goal: float) -> None:
         if self._sent is None:
             self._write("torque limit", int(SOFT * FULL))
-        self._write("goal", round(self._low + min(max(goal, 0.0), 100.0) / 100.0 * (self._high - self._low)))
+        self._write("goal", round(np.interp(goal, (0.0, 100.0), self._counts)))
         self._sent = goal
 
     def _write(self, name: str, value: int) -> None:

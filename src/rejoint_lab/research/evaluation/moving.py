@@ -123,17 +123,10 @@ def played(path: Path, rate: float) -> Stream:
 def _row(case: str, path: str, found: Columns) -> MovingRow:
     own = {name: values[STANDARD.index(path) :: len(STANDARD), CASES.index(case)] for name, values in found.items()}
     after = "_after" * (case == STREAM)
-    rms = own[f"rms{after}"]
-    error = spread(rms, np.arange(len(rms)))
+    error = spread(own[f"rms{after}"], np.arange(len(own["lag"])))
     assert error is not None  # noqa: S101 - every arm has an error along the way
-    return MovingRow(
-        case=case,
-        path=path,
-        error=error,
-        largest=float(own[f"largest{after}"].max()),
-        lag=float(np.median(own["lag"])),
-        stopped=int(own["stopped"].sum()),
-    )
+    largest, lag, stopped = own[f"largest{after}"].max(), np.median(own["lag"]), own["stopped"].sum()
+    return MovingRow(case=case, path=path, error=error, largest=float(largest), lag=float(lag), stopped=int(stopped))
 
 
 def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
