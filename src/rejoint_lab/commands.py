@@ -112,7 +112,9 @@ def evaluate(
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
     with call.progress("evaluate") as update:
-        found = run(arm, _contestants(arm, names, policy, gains), chosen, family, out.resolve(), update)
+        found = run(
+            arm, _contestants(arm, [*names, *map(str, policy or ())], gains), chosen, family, out.resolve(), update
+        )
     return _show(call, found, out / "evaluation.json")
 
 
@@ -128,11 +130,11 @@ def calibrate(
     threads: int = 2,
 ) -> object:
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
-    arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
+    arm = _arm(call)
     from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations
     from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
 
-    (one,) = _contestants(arm, [] if is_file else [controller], [Path(controller)] if is_file else [])
+    (one,) = _contestants(arm, [controller])
     names = [] if variants == "all" else controller_names(variants)
     conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
@@ -228,16 +230,14 @@ def _arm(call: Call) -> Arm:
     return load_arm(call.pick.arm or "mycobot280")
 
 
-def _contestants(
-    arm: Arm, names: list[str] | tuple[str, ...], policies: list[Path] | None, gains: Path | None = None
-) -> list[Contestant]:
+def _contestants(arm: Arm, words: list[str], gains: Path | None = None) -> list[Contestant]:
+    """Return controllers by name, or by the file of a policy."""
     from rejoint_lab.research.evaluation.evaluate import classical, learned
 
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
-    found = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policies or []]
-    if not found:
+    if not words:
         raise InputError("no controller takes part; name --controllers or give a --policy")
-    return found
+    return [learned(Path(word), arm) if word.endswith(".onnx") else classical(word, tuned) for word in words]
 
 
 def _show(call: Call, found: Evaluation, file: Path) -> dict[str, object]:

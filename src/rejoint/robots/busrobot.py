@@ -78,26 +78,26 @@ class Continuity:
             return
         if self._doubted is not None and time - self._doubted < DOUBT:
             time = self._doubted
-        jumped, *earlier = (self._beyond(one, time, position) for one in reversed(self._accepted))
-        then, before = self._accepted[-1]
-        sudden = self._beyond((then, before), min(time, then + SURE), position)
+        (earlier, first), (then, before) = self._accepted[0], self._accepted[-1]
+        gone, elapsed = np.abs(position - before), time - then
+        jumped, sudden = gone > self._reach(elapsed), gone > self._reach(min(elapsed, SURE))
         agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
         self._doubted = time if jumped.any() else None
-        doubtful = jumped.any() and earlier and not (agreed and not earlier[0].any())
-        if doubtful or (sudden.any() and not agreed):
+        if jumped.any() and len(self._accepted) > 1:  # two answers are sure
+            agreed = agreed and bool((np.abs(position - first) <= self._reach(time - earlier)).all())
+        if sudden.any() and not agreed:
             self._candidate = position
             i = int(np.argmax(jumped if jumped.any() else sudden))
             says = "cannot have jumped" if jumped.any() else "is said, once, to have gone"
             raise ImpossibleReplyError(
                 f"joint {i + 1} {says} from {np.degrees(before[i]):.1f} to {np.degrees(position[i]):.1f} deg in "
-                f"{time - then:.3f} s"
+                f"{elapsed:.3f} s"
             )
         self._candidate = None
 
-    def _beyond(self, accepted: tuple[float, Array], time: float, position: Array) -> Mask:
-        """Return which joints (n,) cannot have gone from an ``accepted`` answer to ``position``."""
-        then, before = accepted
-        return np.abs(position - before) > self._max_speed * max(time - then, 0.0) + JUMP_SLACK
+    def _reach(self, elapsed: float) -> Array:
+        """Return how far (n,) [rad] joints may seem to go in ``elapsed`` [s]."""
+        return self._max_speed * max(elapsed, 0.0) + JUMP_SLACK
 
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take an answer; return its age [s]: how long it should have changed.
