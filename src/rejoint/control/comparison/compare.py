@@ -164,8 +164,7 @@ class TrialRunner:
         self.shape = sets, settings.repetitions, count
         self._step = settings.block or count
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}
-        self._out: dict[str, str] = {}  # why a controller is not driven any further
-        self._left_out: dict[str, str] = {}  # why it never took part
+        self._out: dict[str, str] = {}  # why a controller is not driven any further, or never took part
         kinds = 1 if settings.block else len(KINDS)
         self._done, self._total, self._text = 0, len(self.controllers) * kinds * int(np.prod(self.shape)), ""
         self._sent: Array | None = None
@@ -178,7 +177,8 @@ class TrialRunner:
             self._side_by_side()
         else:
             self._in_turns()
-        parts = {name: self._columns(name) for name in self.controllers if name not in self._left_out}
+        left_out = [name for name in self._out if not self._trials[name]]
+        parts = {name: self._columns(name) for name in self.controllers if name not in left_out}
         rows = tuple(
             row_of(name, found, settings.protocol, self._trials[name], out=self._out.get(name, ""))
             for name, found in parts.items()
@@ -191,7 +191,7 @@ class TrialRunner:
             batched=settings.batched,
             protocol=settings.protocol,
             rows=rows,
-            left_out=tuple(self._left_out.values()),
+            left_out=tuple(self._out[name] for name in left_out),
             block=settings.block,
             orientations=tuple(words),
         )
@@ -244,7 +244,7 @@ class TrialRunner:
         self._advance(self._total - self._done)
 
     def _left(self) -> list[str]:
-        return [name for name in self.controllers if name not in self._out and name not in self._left_out]
+        return [name for name in self.controllers if name not in self._out]
 
     def _columns(self, name: str) -> Columns:
         return collect(self._trials[name], self.shape, self.settings.protocol)
@@ -264,7 +264,7 @@ class TrialRunner:
         driven = self.ledger.done.get(key)
         for _ in range(0 if driven else 1 + REPEATS):
             self._to_rest(robot)
-            if name in self._left_out:  # its period does not suit, as the first motion has shown
+            if name in self._out:  # its period does not suit, as the first motion has shown
                 return
             driven, recording = self._drive(robot, key)
             if recording.gaps().max(initial=0.0) < LONG_GAP:
@@ -296,9 +296,9 @@ class TrialRunner:
                 check_controller_period(controller, period)
                 require_gains(robot, controller)
             except ContractError as error:
-                if not self.settings.leave_out or len(self._left_out) == len(self.controllers) - 1:
+                if not self.settings.leave_out or len(self._left()) == 1:
                     raise
-                self._left_out[name] = f"{name} did not take part: {error}."
+                self._out[name] = f"{name} did not take part: {error}."
 
     # --- a trial ------------------------------------------------------------------------------
 
