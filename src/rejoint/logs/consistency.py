@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from rejoint.arms import Arm
 from rejoint.logs.columns import FEWEST, NORMALISED_MOST, RecordedMotion, turn_bits, unit_by_steps
@@ -80,6 +79,8 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
 
 def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag | None:
     """Lag by what the command's velocity leaves unexplained of the joints', at each lag."""
+    from scipy.signal import fftconvolve  # here, since it takes a second to load
+
     width = max(round(max(_WINDOW, 4 * period) / step), 2)
     speed, asked = ((one[width:] - one[:-width]) / (width * step) for one in (moved, held))
     joints = np.sqrt(np.mean(asked**2, axis=0)) > _MOVING
