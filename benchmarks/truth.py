@@ -2,9 +2,11 @@
 
     python -m benchmarks truth
     python -m benchmarks truth --arms 10 --masses 0.15
+    python -m benchmarks truth --plant --arms 12 --seed 100
 
 Arms around a worn one move as in a diagnosis; readings are rounded to encoder steps and jitter. They are twins
 themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
+With `--plant` they are emulated worn arms, of another structure than any twin.
 """
 
 import time
@@ -12,15 +14,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from rejoint.arms import Arm, mycobot280
+from rejoint.arms import Arm, gravity_torque, mycobot280
 from rejoint.arms.inverse import solve_position
-from rejoint.diagnosis.excitation import Excitation, plan_excitation
+from rejoint.diagnosis.excitation import Excitation, plan_excitation, record
 from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.identify import identify
-from rejoint.twin.parameters import STICTION, TwinParameters, pack
+from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters, pack
 from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import Draw, Simulation
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import RAMP_SHARE
+from rejoint_lab.plant.wear import lifting_torque, load_wear
 
 WORN = TwinParameters(
     stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5],
@@ -37,6 +42,8 @@ SPREAD = 0.25
 """Standard deviation of the logarithm of each parameter"""
 PERIOD, JITTER, STEP = 0.03, 0.002, 0.005
 """[s] of control, of the answers, of the simulation"""
+SPEED_FILTER = 0.01
+"""[s] by which an emulated servo knows its speed late: of its derivative gain that takes inertia away"""
 
 
 def worn(arm: Arm, rng: np.random.Generator) -> TwinParameters:
@@ -81,7 +88,62 @@ def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator, plan: Exci
     return RunLog.of(times, command, position, arm=arm, label="excitation")
 
 
-def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
+def emulated(arm: Arm, seeds: range, masses: float) -> list[tuple[list[RunLog], TwinParameters]]:
+    """Emulate worn arms, every other with links of other masses; return logs, and the twin that each should have.
+
+    A twin's damping contains back-EMF, its dry friction that by the mean load; its delay the servo's cycle.
+    """
+    wears, bodies, found = [], [], []
+    for seed in seeds:
+        body = heavier(arm, np.random.default_rng([7, seed]), masses if seed % 2 else 0.0)
+        wear = load_wear(f"worn?seed={seed}", arm)
+        bodies.append(body)
+        wears.append(replace(wear, torque_limit=np.maximum(wear.torque_limit, 1.03 * lifting_torque(wear, body))))
+    robot = EmulatedRobot(arm, wears, seed=1, bodies=bodies, tells_load=False)
+    for wear, body, logs in zip(wears, bodies, record(robot, seed=0), strict=True):
+        load = np.abs(gravity_torque(body, logs.excitation.position)).mean(axis=0)
+        truth = TwinParameters(
+            stiffness=wear.position_gain,
+            damping=wear.damping_gain + wear.torque_limit / robot.plant.joints["no_load_speed"][0],
+            coulomb=wear.coulomb + wear.load_friction * load,
+            armature=wear.reflected_inertia - SPEED_FILTER * wear.damping_gain,
+            torque_limit=wear.torque_limit,
+            offset=wear.offset,
+            delay=0.021,
+            ramp_speed=RAMP_SHARE * arm.max_speed.min(),
+        )
+        found.append(([logs.excitation, logs.targets], truth))
+    return found
+
+
+def cover(arms: int, masses: float, seed: int) -> None:
+    """Print for each parameter of emulated worn arms how often its interval holds what was injected."""
+    arm, rows = mycobot280(), []
+    for logs, truth in emulated(arm, range(seed, seed + arms), masses):
+        twin = identify(arm, logs, threads=1)
+        off = pack(twin.parameters) - pack(truth)
+        rows.append(np.stack([off, np.sqrt(np.diag(twin.covariance)), np.asarray(twin.identified)]))
+        print(
+            f"held out {np.degrees(twin.held_out.twin.joint):.2f} deg, {1e3 * twin.held_out.twin.tcp:.1f} mm",
+            flush=True,
+        )
+    for p in PARAMETERS:
+        off, sigma, known = np.array(rows)[:, :, Layout(arm.joints).at(p.name)].swapaxes(0, 1)
+        off, sigma = off[known > 0.0], sigma[known > 0.0]
+        if len(off):
+            inside = 100 * np.mean(np.abs(off) < 1.96 * sigma)
+            print(
+                f"{p.name:13} identified {len(off):3}, within the intervals {inside:3.0f} %, "
+                f"off by {np.median(np.abs(off)):.3f} in the median, sigma {np.median(sigma):.3f}"
+            )
+
+
+def main(arms: int = 6, masses: float = 0.15, seed: int = 0, plant: bool = False) -> None:
+    (cover if plant else recover)(arms, masses, seed)
+
+
+def recover(arms: int, masses: float, seed: int) -> None:
+    """Print how far off the twins of twins are."""
     arm, inside, scales, seconds, residual = mycobot280(), [], [], [], []
     for number in range(seed, seed + arms):
         rng = np.random.default_rng(number)

@@ -86,7 +86,7 @@ def test_the_intervals_are_not_merely_wide(distances):
     assert np.sqrt(np.mean(z**2)) > 0.3
     for names, _, sigma in distances:
         assert sigma[names == "stiffness.shoulder_lift"] < 0.3  # 0.1 to 0.15 of it for masses that are not known
-        assert sigma[names == "coulomb.shoulder_lift"] < 0.3
+        assert sigma[names == "coulomb.shoulder_lift"] < 0.4  # 0.2 of it for friction at rest
 
 
 def test_a_plant_with_play_and_flex_is_predicted_on_motion_the_fit_has_not_seen():

@@ -57,7 +57,6 @@ class Fit:
 
     vector: Array
     """(k,)"""
-    cost: float
     iterations: int
     converged: bool
     at_bound: NDArray[np.bool_]
@@ -247,7 +246,6 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
     weights = problem.weights(residual)
     return Fit(
         vector=x,
-        cost=float(problem.costs(x[None], residual[None], weights)[2][0]),
         iterations=iteration,
         converged=converged,
         at_bound=fixed & ~problem.frozen,

@@ -270,20 +270,17 @@ def fitted_twin(
         acceleration=replay.acceleration,
         table=table,
     )
-    return replace(twin, notes=tuple(_notes(twin, found, held)))
+    return replace(twin, notes=tuple(_notes(twin, found)))
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
     """(n,) [N m] largest gravity torque held, less friction."""
-    largest = np.zeros(arm.joints)
-    for log in logs:
-        still = np.abs(measured_velocity(log)) < STILL_SPEED
-        held = np.where(still, np.abs(gravity_torque(arm, log.position)) - coulomb, 0.0)
-        largest = np.maximum(largest, held.max(axis=0))
-    return largest
+    speed = np.concatenate([measured_velocity(log) for log in logs])
+    load = np.abs(gravity_torque(arm, np.concatenate([log.position for log in logs]))) - coulomb
+    return np.asarray(np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0))
 
 
-def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:
+def _notes(twin: Twin, found: Fit) -> list[str]:
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(
@@ -295,15 +292,10 @@ def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:
     pressed = [name for name, at in zip(twin.names, found.at_bound, strict=True) if at]
     if pressed:
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
-    rivals = [held_out.no_twin, *([held_out.healthy_twin] if held_out.healthy_twin else [])]
-    if held_out.twin.joint > min(rival.joint for rival in rivals):
+    if held_out.twin.joint > min(rival.joint for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
         )
-    weak = twin.parameters.torque_limit < 1.1 * held
-    if weak.any():
-        names = ", ".join(name for name, is_weak in zip(twin.joint_names, weak, strict=True) if is_weak)
-        notes.append(f"torque limit close to the gravity torque held in the log: {names}")
     return notes
 
 

@@ -32,7 +32,7 @@ REACH = 2.0
 """Standard deviations for the loss's curvature; chosen"""
 LEAST_SHARE = 0.01
 """Least share of the curvature along a flat loss; chosen"""
-SCALE_STEP = float(np.log(SCALES[-2]))
+SCALE_STEP = SCALES[-2]
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
 
@@ -52,7 +52,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
 def _scale(problem: Problem, x: Array) -> Array:
     """Covariance (k, k) of each joint's common scale, by the ladder and by the prior's gravity."""
     owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
-    up, down = problem.rescaled(x, (np.exp(0.5 * SCALE_STEP), np.exp(-0.5 * SCALE_STEP)))
+    up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
     steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0)])
     return np.asarray(steps.T @ steps * (owner[:, None] == owner))
 

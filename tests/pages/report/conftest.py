@@ -102,7 +102,7 @@ def twin(arm):
         identified=identified,
         held_out=HeldOut(seconds=30.0, no_twin=error(10), healthy_twin=error(8), twin=error(1)),
         fit_seconds=90.0,
-        notes=("torque limit close to the gravity torque held in the log: joint3",),
+        notes=("held at a physical bound: torque_limit.joint3",),
     )
 
 

@@ -57,10 +57,10 @@ class ChainBatch:
         ``gravity_scale``: a number or (m,). ``stiction``: static over kinetic friction, a number or (m, n).
         """
         chosen = slice(None) if ids is None else ids
-        values = [getattr(parameters, name) for name in ROWS]
-        values.append(parameters.damping - back_emf(self.arm, parameters))
-        for row, value in zip(self._parameters, values, strict=True):
-            row[chosen] = value
+        *rows, gain = self._parameters
+        for row, name in zip(rows, ROWS, strict=True):
+            row[chosen] = getattr(parameters, name)
+        gain[chosen] = parameters.damping - back_emf(self.arm, parameters)
         for row, term in zip(self._terms, friction_terms(parameters, stiction), strict=True):
             row[chosen] = term
         self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)
