@@ -50,8 +50,8 @@ LEAST = 0.04
 """[kg] that counts as a load at least (chosen)"""
 UNSEEN = 3.0
 """Factor on torque limits that a twin never saw (chosen)"""
-RUBBING, BELIEVED = 0.1, 0.85
-"""Friction over load, and usable share of a twin's torque limit (chosen)"""
+RUBBING = 0.1
+"""Friction over load (chosen)"""
 _NAMED = 5  # targets that a line names
 
 
@@ -92,7 +92,7 @@ def believed_motors(twin: Twin) -> Motors:
     own = twin.parameters
     seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
     limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
-    usable = (BELIEVED * own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
+    usable = (own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
     return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit), own.damping)
 
 
