@@ -21,8 +21,8 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller
+from rejoint.control.seeing import Finishing, Seen
 from rejoint.control.start import move
-from rejoint.session.motions import watched
 from rejoint_lab.emulated import EmulatedEye
 
 TIMES = (2.0, 3.0, 3.95)
@@ -49,7 +49,8 @@ def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye
     start = move(robot, arm.rest)
     correction: Modelled = Modelled(arm, known)
     if eye:
-        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed))
+        seen = Seen(arm, known, eye=EmulatedEye(robot, seed=seed))
+        controller, correction = Finishing(arm, controller, seen), seen
     targets = arm.targets.sample(np.random.default_rng(seed), (1, count))
     schedule = Schedule(dwell=4.0, sent=start.command[-1])
     return errors(run(robot, controller, TargetSequence(robot.arm, targets, correction=correction), schedule))

@@ -317,7 +317,7 @@ def healthy(count: int) -> Array:
             while firmware.moving and firmware.time < LONGEST * (row * count + k + 1):
                 firmware.advance(0.1)
             firmware.advance(0.5)
-            errors[row, k] = 1e3 * np.linalg.norm(np.asarray(firmware.true_tcp) - goal[:3, 3])
+            errors[row, k] = 1e3 * np.linalg.norm(firmware.plant.true_tcp()[0] - goal[:3, 3])
     return errors
 
 
