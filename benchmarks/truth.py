@@ -1,22 +1,18 @@
-"""Twins of arms whose parameters are known: how far off they are, and whether their intervals say so.
+"""Twins of emulated worn arms, whose parameters are known: how far off they are, and whether their intervals say so.
 
     python -m benchmarks truth
-    python -m benchmarks truth --arms 10 --masses 0.15
-    python -m benchmarks truth --plant --arms 12 --seed 100
+    python -m benchmarks truth --arms 6 --masses 0.3
 
-Arms around a worn one move as in a diagnosis; readings are rounded to encoder steps and jitter. They are twins
-themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
-With `--plant` they are emulated worn arms, of another structure than any twin.
+Every other arm has links of other masses than the fit assumes. Their structure is another than any twin's.
 """
 
-import time
 from dataclasses import replace
 
 import numpy as np
 
 from rejoint.arms import Arm, gravity_torque, mycobot280
 from rejoint.arms.inverse import solve_position
-from rejoint.diagnosis.excitation import Excitation, plan_excitation, record
+from rejoint.diagnosis.excitation import Excitation, record
 from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.identify import identify
@@ -116,7 +112,7 @@ def emulated(arm: Arm, seeds: range, masses: float) -> list[tuple[list[RunLog], 
     return found
 
 
-def cover(arms: int, masses: float, seed: int) -> None:
+def main(arms: int = 12, masses: float = 0.15, seed: int = 100) -> None:
     """Print for each parameter of emulated worn arms how often its interval holds what was injected."""
     arm, rows = mycobot280(), []
     for logs, truth in emulated(arm, range(seed, seed + arms), masses):
@@ -136,37 +132,3 @@ def cover(arms: int, masses: float, seed: int) -> None:
                 f"{p.name:13} identified {len(off):3}, within the intervals {inside:3.0f} %, "
                 f"off by {np.median(np.abs(off)):.3f} in the median, sigma {np.median(sigma):.3f}"
             )
-
-
-def main(arms: int = 6, masses: float = 0.15, seed: int = 0, plant: bool = False) -> None:
-    (cover if plant else recover)(arms, masses, seed)
-
-
-def recover(arms: int, masses: float, seed: int) -> None:
-    """Print how far off the twins of twins are."""
-    arm, inside, scales, seconds, residual = mycobot280(), [], [], [], []
-    for number in range(seed, seed + arms):
-        rng = np.random.default_rng(number)
-        truth = worn(arm, rng)
-        other = heavier(arm, rng, masses)
-        logs = [excite(other, truth, rng, plan) for plan in (plan_excitation(arm, seed=0), to_targets(arm))]
-        began = time.process_time()
-        twin = identify(arm, logs, threads=1)
-        seconds.append(time.process_time() - began)
-        off = pack(twin.parameters) - pack(truth)
-        known = np.asarray(twin.identified)
-        inside.append(np.mean(np.abs(off[known]) < 1.96 * np.sqrt(np.diag(twin.covariance))[known]))
-        scales.append(np.abs(off[: arm.joints]))
-        residual.append(np.degrees(twin.held_out.twin.joint))
-        listed = ", ".join(f"{100 * value:.0f}" for value in scales[-1])
-        print(
-            f"arm {number}: {known.sum()} identified, {100 * inside[-1]:.0f} % of them within 95 % intervals; "
-            f"stiffness off by {listed} %; held out {residual[-1]:.3f} deg",
-            flush=True,
-        )
-    loaded = np.array([1, 2])
-    print(
-        f"within the intervals: {100 * np.mean(inside):.0f} %. Stiffness off by {100 * np.median(scales):.0f} % in the "
-        f"middle, joints 2 and 3 by {100 * np.median(np.array(scales)[:, loaded]):.0f} %, the worst by "
-        f"{100 * np.max(scales):.0f} %. Held out {np.mean(residual):.3f} deg. {np.mean(seconds):.1f} s of processor."
-    )

@@ -89,10 +89,12 @@ def test_work_that_goes_on_though_its_interruption_was_swallowed_hears_it_as_it_
 
 def test_a_second_signal_does_not_cut_the_last_line_short():
     ended = run(
-        "import rejoint.cli as cli\ntold = cli._say_notes\n"
-        "def again(error):\n    os.kill(os.getpid(), signal.SIGTERM)\n    told(error)\n"
+        "import io\nimport rejoint.cli as cli\n"
+        "class Again(io.TextIOWrapper):\n"
+        "    def write(self, text):\n        os.kill(os.getpid(), signal.SIGTERM)\n        return super().write(text)\n"
         "def app(**_):\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(30)\n"
-        "cli.app, cli._say_notes = app, again\nsys.argv = ['rejoint']\ncli.main()\n"
+        "sys.stderr = Again(sys.stderr.buffer, line_buffering=True)\n"
+        "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
     )
     assert ended.returncode == 143
     assert ended.stderr == "error: interrupted by SIGTERM\n"
