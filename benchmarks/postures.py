@@ -59,8 +59,6 @@ from rejoint_lab.research.evaluation.family import (
 
 ROUNDS, WAYS, PERIOD = 5, 100, 0.025
 """Sets of boxes per arm, ways of each set, and the control period [s]"""
-FAMILY = ArmFamily(arms=4, targets=30, seed=9)
-"""Worn arms of each kind that are driven"""
 GROWN = 0.005
 """[m] by which the judge's capsules are thicker"""
 NEAR = 2e-3
@@ -72,8 +70,9 @@ TOUCH = 1e-4
 """[m] of depth from which two count as in contact (chosen: the planner rounds by less)"""
 
 
-def main() -> None:
-    """Print the tables."""
+def main(arms: int = 4, targets: int = 30, seed: int = 9) -> None:
+    """Print the tables; as many ``targets`` for each of the driven ``arms`` of the family ``seed``."""
+    family = ArmFamily(arms=arms, targets=targets, seed=seed)
     for arm in (mycobot280(), so101()):
         begin = process_time()
         choose_postures(arm, arm.targets.sample(np.random.default_rng(0), (1,)) + 0.1, arm.rest)
@@ -87,9 +86,9 @@ def main() -> None:
         _ways("no boxes", [arm] * ROUNDS)
         _ways("three boxes", boxed)
         with TemporaryDirectory() as folder:
-            twins = own_twins(arm, FAMILY.wear_seeds, Path(folder), FAMILY.seed)
-        _driven("no boxes", arm, twins)
-        _driven("three boxes", boxed[0], twins)
+            twins = own_twins(arm, family.wear_seeds, Path(folder), seed)
+        _driven("no boxes", arm, family, twins)
+        _driven("three boxes", boxed[0], family, twins)
 
 
 def _goals(arm: Arm) -> None:
@@ -226,24 +225,24 @@ def _ways(title: str, arms: list[Arm]) -> None:
     _tell("planned", found)
 
 
-def _driven(title: str, arm: Arm, twins: list[Twin]) -> None:
+def _driven(title: str, arm: Arm, family: ArmFamily, twins: list[Twin]) -> None:
     """Drive worn arms to targets anywhere; print the contacts of the planned and of the driven ways."""
     variant, judge = find_variant("anywhere"), Judge(arm)
-    targets, ways = targets_anywhere(arm, FAMILY, twins)
+    targets, ways = targets_anywhere(arm, family, twins)
     plan_of = schedule("hold", Protocol(hold=3.0), keep_going=True)
     controller = classical("feedforward").make(arm, twins)
-    recording = run(open_family(arm, variant, FAMILY), controller, TargetSequence(arm, targets, ways=ways), plan_of)
+    recording = run(open_family(arm, variant, family), controller, TargetSequence(arm, targets, ways=ways), plan_of)
     planned = [judge.nearest(_dense(way)) for row in ways for way in row]
     driven, late = [], []
-    for b in range(FAMILY.arms):
-        for k in range(FAMILY.targets):
+    for b in range(family.arms):
+        for k in range(family.targets):
             rows = recording.active[:, b] & (recording.target_index[:, b] == k)
             position, time = recording.position[rows, b], recording.time[rows, b]
             driven.append(judge.nearest(_filled(position)))
             off = np.linalg.norm(tcp_position(arm, position) - targets[b, k], axis=-1) > NEAR
             late.append(time[off].max(initial=time[0]) - time[0] - ways[b][k].duration)
     print(f"  within 2 mm for good: {np.median(late):.2f} s (median) after the planned motion's own time")
-    print(f"  driven, {title}: {FAMILY.arms} worn arms, {np.count_nonzero(recording.tripped)} stopped by the guard")
+    print(f"  driven, {title}: {family.arms} worn arms, {np.count_nonzero(recording.tripped)} stopped by the guard")
     _tell("planned", planned)
     _tell("driven", driven)
 
