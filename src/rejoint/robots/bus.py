@@ -265,7 +265,7 @@ def asked(question: Callable[[], T], place: object) -> T:
 
 
 def connected(error: RobotError) -> None:
-    """Raise ``error`` if the connection broke: whoever reopens it asks again."""
+    """Raise ``error`` if the connection broke; the caller reopens it and asks again."""
     if isinstance(error, ConnectionLostError):
         raise error
 

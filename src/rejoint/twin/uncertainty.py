@@ -2,7 +2,7 @@
 
 The jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015),
 with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
-are too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip looks like
+are too narrow: a third of such 95 % intervals held the truth of twins of known arms. Stick-slip looks like
 curvature, so the curvature comes from the loss itself.
 
 What a fit holds fixed, links and friction at rest, widens it too ("consider" covariance, Schmidt 1966; Bierman 1977,
