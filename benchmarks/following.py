@@ -3,9 +3,8 @@
     python -m benchmarks following --arms 64 --first 0
 
 Arms are drawn, driven through their diagnosis, and then by every controller to targets of their own; where encoders
-break, once more with the same noise and a fault. Three monitors look on and stop nothing, so that all of them see the
-same motion: one that knows what a run folder tells of its arm, the lines of load over error and at which pushes joints
-stand by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told nothing but
+break, once more with the same noise and a fault. Two monitors look on and stop nothing, so that both see the same
+motion: one that knows at which pushes joints stand by the arm's own diagnosis, and one that is told nothing but
 positions.
 
 ``--first`` is added to all seeds: constants are chosen with
@@ -26,7 +25,7 @@ from rejoint.arms import Array, mycobot280
 from rejoint.control.controllers.catalogue import SHELF, make_controller
 from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard, warm_up
-from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines, standing_bands
+from rejoint.control.monitor import Bands, Following, standing_bands
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure
@@ -66,7 +65,7 @@ TARGETS, DWELL = 4, 2.5
 """Targets of a run, and [s] for each"""
 FAR = 0.030
 """[m] off its way that the tool may be before the trip"""
-MONITORS = ("diagnosed", "diagnosed, no load told", "positions alone")
+MONITORS = ("diagnosed", "positions alone")
 THREADS = 2
 
 
@@ -155,14 +154,6 @@ def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedR
     return robot
 
 
-@dataclass(frozen=True)
-class Diagnosed:
-    """What run folders hold of B arms."""
-
-    servos: Knowledge
-    bands: Bands
-
-
 def recorded(wears: list[Wear], wire: str, seed: int, first: int = 0) -> list[DiagnosisLogs | None]:
     """Drive each arm through its diagnosis; None for one in which the guard ends it."""
     try:
@@ -175,21 +166,16 @@ def recorded(wears: list[Wear], wire: str, seed: int, first: int = 0) -> list[Di
         return recorded(wears[:half], wire, seed, first) + recorded(wears[half:], wire, seed, first + half)
 
 
-def diagnosed(wears: list[Wear], wire: str, seed: int) -> Diagnosed:
+def diagnosed(wears: list[Wear], wire: str, seed: int) -> Bands:
     """See what the logs of each arm's diagnosis tell; of one that was ended nothing is known."""
-    unknown, found, bands = Knowledge(gain=np.ones(ARM.joints), within=np.inf), [], []
+    bands = []
     for logs in recorded(wears, wire, seed):
         pair = () if logs is None else (logs.excitation, logs.targets)
-        found.append(servo_lines(ARM, pair) or unknown)
         law = 2 * [np.full(ARM.joints, np.nan)] if logs is None else measure(ARM, logs.excitation).balance
         bands.append(standing_bands(ARM, pair, *law))
 
-    def stacked(name: str) -> Array:
-        return np.array([np.broadcast_to(getattr(servos, name), ARM.joints) for servos in found])
-
-    servos = Knowledge(gain=stacked("gain"), offset=stacked("offset"), within=stacked("within"), noise=stacked("noise"))
     fields = ("slope", "offset", "reach", "width", "lifted")
-    return Diagnosed(servos, Bands(**{name: np.array([getattr(one, name) for one in bands]) for name in fields}))
+    return Bands(**{name: np.array([getattr(one, name) for one in bands]) for name in fields})
 
 
 @dataclass(frozen=True)
@@ -204,7 +190,7 @@ class Driven:
     """(T, B) [s]"""
 
 
-def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, faults: Faults | None = None) -> Driven:
+def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Bands, faults: Faults | None = None) -> Driven:
     """Drive a batch with nobody but the guard, and see what the monitors say."""
     count = len(wears)
     robot = opened(wears, wire, seed)
@@ -212,8 +198,7 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
     goals = ARM.targets.sample(np.random.default_rng(seed), (count, TARGETS))
     state, sent = robot.read(), robot.read().position
     watchers = [
-        Following(ARM, state, sent, known.servos, bands=known.bands),
-        Following(ARM, state, sent, bands=known.bands),
+        Following(ARM, state, sent, known),
         Following(ARM, state, sent),
     ]
     trip, joint = np.full((len(watchers), count), np.inf), np.full((len(watchers), count), -1)
@@ -225,7 +210,7 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
         index, begun = index + renewed, np.where(renewed, state.time, begun)
         path.append(robot.true_tcp()), clock.append(state.time.copy())
         for m, watcher in enumerate(watchers):
-            bad = watcher.check(state if m == 0 else replace(state, load=None), sent, aimed)
+            bad = watcher.check(replace(state, load=None), sent, aimed)
             if bad is not None:
                 new = bad.any(axis=-1) & np.isinf(trip[m])
                 trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]

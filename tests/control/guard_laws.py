@@ -140,7 +140,9 @@ def check(limits: GuardLimits, case: Case) -> Guarded:
     at_home = (good.sent >= bounds[0]) & (good.sent <= bounds[1])
     fine |= ((good.command == good.sent) & at_home).all(axis=-1)  # a hold is always allowed
     free = (clearances(limits, np.where(fine[:, None], good.command, good.sent)) >= least + GAP_ROUNDING).all(axis=-1)
-    assert not (fine & free & changed).any(), "an acceptable command passes unchanged"
+    away = (clearances(limits, good.state.position) > limits.near + 0.04).all(axis=-1)
+    away |= (np.abs(good.state.position - good.sent) < np.radians(0.9)).all(axis=-1)
+    assert not (fine & free & away & changed).any(), "an acceptable command passes unchanged"
     _check_again(limits, case, out, ok)
     return out
 
@@ -202,11 +204,12 @@ def _check_holds(limits: GuardLimits, case: Case, out: Guarded, tripped: np.ndar
 def _check_again(limits: GuardLimits, case: Case, out: Guarded, ok: np.ndarray) -> None:
     """Asked for its own answer, the guard has nothing to add.
 
-    But where a contact stops an arm whose last command was too far ahead or outside: each joint is pulled back anew.
+    But where a contact stops an arm that is not where it was sent, or whose last command was outside: each joint is
+    pulled back anew.
     """
     again, sent = guard(limits, out.command, *case[1:]), case.sent
     with np.errstate(invalid="ignore", over="ignore"):
-        home = np.abs(sent - case.state.position) <= limits.max_lead
+        home = np.abs(sent - case.state.position) < np.radians(0.9)
         home &= (sent >= limits.lower) & (sent <= limits.upper)
     settled = ok & (home.all(axis=-1) | ((out.reasons & _CLEARANCE) == 0))
     np.testing.assert_array_equal(again.command[settled], out.command[settled])

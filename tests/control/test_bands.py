@@ -82,7 +82,7 @@ def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_o
         friction = wear.stiction[:3] / wear.position_gain[:3]
         assert (bands.width[:3] > 0.5 * friction).all()
         assert (bands.width[:3] < 2.5 * friction + np.radians(0.5)).all()
-        assert not doubted(ARM, (logs.excitation, logs.targets), bands=bands).any()
+        assert not doubted(ARM, (logs.excitation, logs.targets), bands).any()
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from rejoint.control import compiled
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
-from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following, Knowledge
+from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following
 from rejoint.control.recording import recording_of
 from rejoint.control.start import play
 from rejoint.system.errors import GuardTripError
@@ -51,8 +51,11 @@ def stuck(wear, joint, lead_deg):
 
 
 def known(wears):
-    gain = np.array([wear.position_gain / wear.torque_limit for wear in wears])
-    return replace(GuardLimits.of(ARM), servos=Knowledge(gain=gain, within=0.03))
+    """Limits with the bands that a diagnosis would give."""
+    names = "position_gain", "stiction", "torque_limit"
+    gain, friction, most = (np.array([getattr(wear, name) for wear in wears]) for name in names)
+    bands = Bands(slope=1.0 / gain, offset=0.0 * gain, reach=most / gain, width=2.0 * friction / gain)
+    return replace(LIMITS, bands=bands)
 
 
 def targets(count, number=2, seed=5):
@@ -60,34 +63,6 @@ def targets(count, number=2, seed=5):
 
 
 DWELL = Schedule(dwell=2.0, keep_going=True)
-
-
-def broken_runs(blind, count=25):
-    """Record whole arms and, with the same noise, broken ones; returns both, the joints and when they broke."""
-    rng, wears = np.random.default_rng(11 + blind), worn(count, 40)
-    at, joint = rng.uniform(0.5, 2.0, count), rng.integers(0, 4, count)
-    recordings = []
-    for broken in (False, True):
-        robot = Breaking(ARM, wears, seed=3).break_at(at if broken else np.full(count, np.inf), joint, blind=blind)
-        law = make_controller("integrator", ARM)
-        recordings.append(run(robot, law, targets(count), DWELL, limits=known(wears)))
-    return *recordings, joint, at
-
-
-@pytest.mark.parametrize("blind", [False, True])
-def test_every_dead_encoder_trips_and_hardly_any_tool_is_off_its_way_by_then(blind):
-    whole, broken, _, at = broken_runs(blind)
-    assert (whole.tripped == 0).all()
-    assert (broken.tripped == Reason.NOT_FOLLOWING).all()
-    off = []
-    for b in range(len(at)):
-        mine = np.flatnonzero(broken.active[:, b])  # leading the joints of other arms back takes rows of its own
-        cycle = np.flatnonzero(broken.reasons[mine, b] & Reason.NOT_FOLLOWING)[0]
-        assert broken.time[mine[cycle], b] >= at[b], "not before it broke"
-        off.append(np.linalg.norm(broken.true_tcp[mine[cycle], b] - whole.true_tcp[cycle, b]))
-    # Blind servos are noticed late by some, see docs/faults.md; frozen ones are not.
-    assert np.count_nonzero(np.array(off) > 0.030) <= (8 if blind else 0)
-    assert np.median(off) < 0.015
 
 
 @pytest.mark.parametrize("kind", ["worn", "healthy", "play-in-loop", "stuck"])
@@ -105,9 +80,10 @@ def test_arms_that_are_only_worn_or_stuck_do_not_trip(kind, controller):
 def test_the_error_names_joint_and_cause_and_the_joint_goes_back_to_its_balance():
     wears = worn(1)
     robot = Breaking(ARM, wears, seed=1).break_at([0.5], [1], blind=True)
-    with pytest.raises(GuardTripError, match=r"not following.*joint2: the command moved .* the reading 0") as caught:
+    with pytest.raises(
+        GuardTripError, match=r"not following.*joint2: the command moved .* the reading 0.* at a push"
+    ) as caught:
         run(robot, make_controller("integrator", ARM), targets(1), Schedule(dwell=5.0), limits=known(wears))
-    assert "encoder is dead; do not drive" in str(caught.value)
     assert caught.value.exit_code == 3
     recording = recording_of(caught.value)
     trip = np.flatnonzero(recording.reasons[:, 0] & Reason.NOT_FOLLOWING)[0]
@@ -230,18 +206,10 @@ def test_an_excitation_finds_stuck_joints_and_is_not_ended_by_them(tells_load):
     assert (np.ptp(recording.position[:, :, 0], axis=0) < np.radians(1.0)).all()
 
 
-def test_an_excitation_is_ended_by_a_blind_joint_where_the_load_tells():
-    wears = worn(1)
-    robot = Breaking(ARM, wears, seed=4).break_at([1.0], [0], blind=True)
-    with pytest.raises(GuardTripError, match="joint1"):
-        play(robot, swing, 6.0, limits=known(wears))
-    assert robot.plant.time[0] < 2.5
-
-
-def follow(load_of, steps=120, knowledge=None, count=1):
+def follow(load_of, steps=120, count=1):
     """Raise the command of joint 1 by 0.1 deg a cycle over a reading that stands; ``load_of`` (lead) is told."""
     state = state_of(np.tile(REST, (count, 1)))
-    watch, found = Following(ARM, state, state.position, knowledge), []
+    watch, found = Following(ARM, state, state.position), []
     for k in range(1, steps):
         lead = np.zeros((count, 6))
         lead[:, 0] = np.radians(0.1 * (k - 1))
@@ -249,18 +217,6 @@ def follow(load_of, steps=120, knowledge=None, count=1):
         now = replace(state, time=np.full(count, 0.025 * k), load=told)
         found.append(watch.check(now, REST + lead, np.ones(count, dtype=bool)))
     return watch, found
-
-
-SERVOS = Knowledge(gain=np.full(6, 10.0))
-
-
-def test_a_load_in_proportion_to_the_command_is_a_stuck_joint_and_one_that_falls_behind_a_turning_one():
-    assert all(bad is None for bad in follow(lambda lead: np.minimum(10.0 * lead, 1.0), knowledge=SERVOS)[1])
-    assert all(bad is None for bad in follow(lambda lead: 10.0 * lead, 30, SERVOS)[1])
-    _, found = follow(lambda lead: np.minimum(10.0 * lead, 0.1), knowledge=SERVOS)
-    first = next(k for k, bad in enumerate(found) if bad is not None)
-    assert found[first].tolist() == [[True, False, False, False, False, False]]
-    assert first * 0.1 < 3.0, "caught within 4 deg of command"
 
 
 def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged():
@@ -293,14 +249,6 @@ def test_an_arm_that_is_at_once_where_it_is_sent_and_stands_there_is_never_judge
             sent = sent + np.clip(goal - sent, -np.radians(8.0), np.radians(8.0))
 
 
-def test_a_repeated_answer_is_no_news():
-    watch, _ = follow(lambda lead: 10.0 * lead, 20, SERVOS)
-    before = watch._tracks.copy()
-    again = state_of(REST, 0.025 * 19, load=np.ones((1, 6)))
-    watch.check(again, REST[None] + 0.5, np.ones(1, dtype=bool))
-    assert (watch._tracks == before).all()
-
-
 def bands_of(width_deg, **changes):
     flat = {"slope": np.zeros(6), "offset": np.zeros(6), "reach": np.full(6, np.inf)}
     return Bands(**{**flat, **changes}, width=np.full(6, np.radians(width_deg)))
@@ -310,7 +258,7 @@ def pushed(lead_deg, bands, *, before_deg=0.0, period=0.025, cycles=200, moves=(
     """When [s] a joint is overdue that leads by so much from 0.5 s on, and stands but for the cycles ``moves``."""
     state = state_of(REST)
     third, position = np.arange(6) == 2, REST.copy()
-    watch = Following(ARM, state, (REST + np.radians(before_deg) * third)[None], bands=bands)
+    watch = Following(ARM, state, (REST + np.radians(before_deg) * third)[None], bands)
     for k in range(1, cycles):
         position = position + ARM.encoder_step * (k in moves) * third
         sent = position + np.radians(lead_deg if (k - 1) * period >= 0.5 else before_deg) * third
@@ -339,24 +287,16 @@ def test_a_joint_that_stands_is_overdue_the_sooner_the_harder_it_is_pushed(sign,
 
 @pytest.mark.parametrize("period", [0.02, 0.025, 0.05])
 @pytest.mark.parametrize("stall", [0.0, 0.05, 0.1, 0.2])
-@pytest.mark.parametrize("told", [True, False])
-def test_a_whole_joint_whose_command_was_acknowledged_late_is_believed(period, stall, told):
+def test_a_whole_joint_whose_command_was_acknowledged_late_is_believed(period, stall):
     """The wire stalls: a command is acknowledged when the next reading is due, and its joint sets off 20 ms later."""
     third, way, stalled = np.arange(6) == 2, np.radians(10.0), 20
     clocks = period * np.arange(40) + stall * (np.arange(40) > stalled)
     arrives = clocks[stalled + 1] if stall else clocks[stalled] + 0.013
-    state = state_of(REST, load=np.zeros((1, 6)) if told else None)
-    watch, gone = Following(ARM, state, REST[None], SERVOS if told else None, bands=bands_of(1.0)), 0.0
+    state = state_of(REST)
+    watch, gone = Following(ARM, state, REST[None], bands_of(1.0)), 0.0
     for k, clock in enumerate(clocks[1:], 1):
         gone = np.clip((clock - 0.013 - arrives - 0.02) * np.radians(100.0), 0.0, way)
-        there = clock - 0.013 > arrives  # a load is 13 ms old as well, and its servo gives it at once
-        load = SERVOS.gain * third * (way * there - gone) if told else None
-        now = replace(
-            state,
-            time=np.full(1, clock),
-            position=(REST + gone * third)[None],
-            load=None if load is None else load[None],
-        )
+        now = replace(state, time=np.full(1, clock), position=(REST + gone * third)[None])
         sent = REST + way * third * (k > stalled)
         assert watch.check(now, sent[None], np.zeros(1, dtype=bool)) is None, f"at {clock:.3f} s"
     assert gone == way

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
+from rejoint.arms import Box, Motors, gravity_torque, link_inertia, mycobot280, plan, tcp_position
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.goal import LEAD, beginning_at, pace, waiting, with_ways
+from rejoint.control.goal import UNKNOWN, beginning_at, lead, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
@@ -35,13 +35,28 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
         now = reference.advance(state, since)
         place = way.at(float(since[0])) + share * (end[0] - way.goal)
         np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
-        np.testing.assert_allclose(now.goal[0], way.at(since[0] + LEAD) + place - way.at(since[0]), atol=1e-9)
+        np.testing.assert_allclose(now.goal[0], way.at(since[0] + UNKNOWN.delay) + place - way.at(since[0]), atol=1e-9)
         assert now.since[0] == 0.0
         assert not now.arrived[0]
     late = reference.advance(state, np.array([way.duration + 0.5]))
     assert late.arrived[0]
     np.testing.assert_array_equal(late.goal, end)
     np.testing.assert_allclose(late.since, 0.5)
+
+
+def test_a_servo_follows_a_way_by_the_lead_of_its_own_inverse():
+    many, mass, step = np.ones(6), link_inertia(ARM, ARM.rest) + 0.02, 2e-4
+    stiffness, damping = 8.0 * many, 0.5 * many
+    motors = Motors(9.0 * many, 9.0 * many, damping, 0.0 * many, 0.02 * many, stiffness, 0.02)
+    way = plan(ARM, ARM.rest, ARM.rest + np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 60.0]), motors=motors)
+    q, speed, worst = way.start.copy(), 0.0 * many, 0.0
+    for now in np.arange(0.0, way.duration + 0.5, step):
+        sent = max(now - motors.delay, 0.0)
+        pull = way.at(sent) + lead(ARM, way, sent, 1.0) - q
+        speed = speed + step * (stiffness * pull - damping * speed) / mass
+        q, worst = q + step * speed, max(worst, abs(q - way.at(now)).max())
+    assert worst < np.radians(1.5)
+    np.testing.assert_allclose(q, way.goal, atol=np.radians(0.05))
 
 
 def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():

@@ -130,14 +130,14 @@ def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
-    """Inertias (n,) [kg m^2] about each joint axis, of all that it moves, at ``q`` (n,) [rad]."""
+    """Inertias (..., n) [kg m^2] about each joint axis, of all that it moves, at ``q`` (..., n) [rad]."""
     f = frames(arm, q)
-    com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
+    com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
-    own = np.einsum("ji,kil,jl->jk", f.axis, inertia, f.axis)
-    lever = np.cross(f.axis[:, None, :], com[None, :, :] - f.position[:, None, :])
+    own = np.einsum("...ji,...kil,...jl->...jk", f.axis, inertia, f.axis)
+    lever = np.cross(f.axis[..., :, None, :], com[..., None, :, :] - f.position[..., :, None, :])
     about = own + arm.mass * (lever**2).sum(axis=-1)
-    return np.triu(about).sum(axis=1)
+    return np.triu(about).sum(axis=-1)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, contact
-from rejoint.arms.kinematics import gravity_torque, tcp_position
+from rejoint.arms.kinematics import gravity_torque, link_inertia, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
@@ -25,7 +25,7 @@ interpolate = Late("scipy.interpolate")
 
 RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
-CLEARANCE = 0.010
+CLEARANCE = 0.012
 """[m] margin of links (chosen: with half of it, worn arms come nearer than 5 mm)"""
 LOW = 0.001
 """[m] margin above floors of a myCobot 280 (chosen)"""
@@ -275,11 +275,14 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
 def _limits(arm: Arm, way: Array, motors: Motors | None, speed: float) -> Array:
     """Limits (3, n) of speed, acceleration and jerk on the way (k, n)."""
     fastest = _SPEED * speed * arm.max_speed
+    acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
     if motors is not None:
         torque, lifted = _torques(arm, way[None], 4 * _PARTS)
         left = motors.limit - np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
         fastest = np.clip(left / np.maximum(motors.damping, 1e-9), SLOWEST * fastest, fastest)
-    acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
+        inertia = link_inertia(arm, np.linspace(way[:-1], way[1:], _PARTS)).max(axis=(0, 1))
+        spare = (left - 0.5 * motors.damping * fastest) / (motors.armature + inertia)  # half way to full speed
+        acceleration = np.clip(spare, SLOWEST * acceleration, acceleration)
     return np.stack([fastest, acceleration, acceleration / EASE])
 
 

@@ -28,9 +28,9 @@ redundancy = Late("rejoint.arms.redundancy")
 
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
-CLEARANCE, SPACIOUS = 0.006, 0.015
-"""[m] least clearance, twice that between links (chosen: capsules 5 mm thicker touch nothing); and sufficient clearance
-of a myCobot 280 (chosen)"""
+CLEARANCE, APART, SPACIOUS = 0.010, 0.016, 0.015
+"""[m] least clearance to the ground and to boxes, and between links (chosen: worn arms keep 5 mm, though joints that
+break loose fall); and sufficient clearance of a myCobot 280 (chosen)"""
 STEP = 0.004
 """[m] of a myCobot 280: motion between checks of a way (chosen)"""
 POOL, DRAWN = 8000, 40000
@@ -65,6 +65,14 @@ class Motors(NamedTuple):
     """(n,) [N m] surely lifted, against friction"""
     damping: Array | float = 0.0
     """(n,) [N m s/rad] torque that is lost with speed"""
+    coulomb: Array | float = 0.0
+    """(n,) [N m] friction"""
+    armature: Array | float = 0.0
+    """(n,) [kg m^2]"""
+    stiffness: Array | float = np.inf
+    """(n,) [N m/rad] of the servos"""
+    delay: float = 0.09
+    """[s] command to effect (chosen for unknown servos, which damping makes late: worn ones by 0.07 to 0.15 s)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -308,7 +316,7 @@ def _least(arm: Arm) -> Array:
     """Least distances (c,) [m]; smaller between usually close links."""
     apart = usual_distances(arm)
     kept = np.full(apart.shape[1], CLEARANCE)
-    kept[: len(collision_shape(arm).pairs)] *= 2.0
+    kept[: len(collision_shape(arm).pairs)] = APART
     usual = np.minimum(kept, 0.5 * np.median(apart, axis=0))
     least = np.where(np.ptp(apart, axis=0) < 1e-6, -np.inf, np.maximum(usual, 0.0))
     boxes = len(collision_shape(arm).moving) * len(arm.keep_out)

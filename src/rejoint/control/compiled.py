@@ -23,24 +23,8 @@ AFTER = 1
 """Commands after one that has arrived"""
 STILL = 2
 """Equal readings of a stationary joint"""
-STRIKES = 2
-"""Cycles in a row with a load off by `MARGIN`"""
-PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
-"""[rad] travel below which it takes more cycles"""
-MARGIN = 0.03
-"""Share of the largest torque"""
-SUDDEN, LIGHT = 0.08, np.radians(2.0)
-"""Share that is too much for one cycle, in joints that stick by less than this [rad]"""
-COUNTS = 1.1
-"""Encoder steps between the servo's and the reported reading"""
-STEADY, STEADY_COUNTS = 12, 0.3
-"""Cycles that average encoder flicker, and its steps"""
-STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
-"""Share of the largest torque, and multiple of noise, for so long"""
-SURE = 1.5
-"""Allowed deviations of the expected load"""
 LEAST_GAIN, FULL = 3.0, 0.9
-"""[1/rad] Growth of a load with its command that shows a stuck joint where no line is known, and most of the torque"""
+"""[1/rad] Growth of a load with its command that shows a stuck joint, and most of the torque"""
 MOST, AND = 1.5, np.radians(0.2)
 """Allowed multiple of the largest push in the diagnosis, plus [rad]"""
 LATE = 2
@@ -53,21 +37,18 @@ TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
         ("home", "f8"), ("moved", "f8"),
-        ("gain", "f8"), ("offset", "f8"), ("within", "f8"), ("noise", "f8"),
-        ("load", "f8"), ("before", "f8"), ("expected", "f8"),
-        ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("late", "i8"),
+        ("before", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
+        ("still", "i8"), ("moves", "i8"), ("late", "i8"),
     ]
 )  # fmt: skip
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
-``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with ``noise``; the gain is known
-``within`` a share, infinite: unknown; ``before``: load at the last change of the reading. Following errors beyond
-``reach`` [rad] push no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings
-beyond it; ``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
+``home``. ``before``: load at the last change of the reading. Following errors beyond ``reach`` [rad] push no harder.
+``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings beyond it; ``pushed`` [rad s],
+``due`` [rad s^2]: integrals of the excess."""
 
-FINE, UNKNOWN, TURNING, OVERDUE = range(4)
-"""Verdicts: nothing to doubt; stationary, nothing tells why; turning by load; overdue by push"""
+FINE, UNKNOWN, OVERDUE = range(3)
+"""Verdicts: nothing to doubt; stationary, nothing tells why; overdue by push"""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 
@@ -82,28 +63,7 @@ def _follow(track, now, position, command, load):  # noqa: ANN001, ANN202
     track.moves += 1
     track.moved = max(track.moved, abs(position - track.home))
     track.position, track.held, track.since, track.travel, track.before = position, command, now, 0.0, load
-    track.still = track.strikes = track.steady = 0
-
-
-@njit(cache=True)
-def _turns(track, load, low, high, step):  # noqa: ANN001, ANN202
-    """Whether a ``load`` is off its line for leads from ``low`` to ``high`` [rad]: far at once, else for a while."""
-    lead, reading = 0.5 * (low + high), step * track.gain
-    least = min(max(track.gain * low + track.offset, -1.0), 1.0)
-    most = min(max(track.gain * high + track.offset, -1.0), 1.0)
-    if low < COUNTS * step:  # the dead zone of the servo
-        least = min(least, 0.0)
-    if high > -COUNTS * step:
-        most = max(most, 0.0)
-    track.load, track.expected = load, 0.5 * (least + most)
-    off = max(least - load, load - most) - np.hypot(track.within * track.gain * lead, SURE * track.noise)
-    track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
-    steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
-    track.steady = track.steady + 1 if steady else 0
-    if abs(track.travel) > PUSHED:
-        sudden = off > SUDDEN + COUNTS * reading and track.stuck < LIGHT
-        return sudden or track.strikes >= STRIKES or track.steady >= STEADY
-    return track.strikes >= UNPUSHED_STRIKES or track.steady >= STEADY
+    track.still = 0
 
 
 @njit(cache=True)
@@ -127,8 +87,8 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
     return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
 
 
-@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, float64, int64[:, ::1]), **OPTIONS)
-def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001, ANN201
+@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, int64[:, ::1]), **OPTIONS)
+def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN201
     """Take a reading and give a ``verdict`` (B, n).
 
     ``clock`` (2, B) [s]: now, and time of the command. ``reading`` (4, B, n): position and command [rad], load (NaN:
@@ -157,10 +117,6 @@ def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001
             track = tracks[i, j]
             _follow(track, now[i], position[i, j], sent[i, reach, j], load[i, j])
             stands = track.still >= STILL
-            if track.within < np.inf and not np.isnan(load[i, j]):
-                turns = stands and not unsettled and _turns(track, load[i, j], low, high, step)
-                verdict[i, j] = TURNING if turns else FINE
-                continue
             grown = (load[i, j] - track.before) * np.sign(track.travel)  # NaN: no load
             pushes = grown >= LEAST_GAIN * abs(track.travel) or load[i, j] * np.sign(track.travel) >= FULL
             verdict[i, j] = UNKNOWN if stands and not pushes else FINE

@@ -13,19 +13,20 @@ from functools import lru_cache
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, link_inertia, plan
 from rejoint.arms.collision import usual_distances
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
+from rejoint.control.moving.posture import TURNING
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] lags behind a way between which the arm slows down, and the least share of its speed (chosen: a worn joint lags
 by 8 deg at full speed; with twice these lags an arm cut a corner by 7 mm)"""
-LEAD = 0.09
-"""[s] by which goals on a way lead it (chosen: worn servos are 0.07 to 0.15 s late)"""
+SHARE = 0.5
+"""Share of the friction that goals on a way compensate (chosen: a fit mistakes it for stiffness)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
 """[rad] lags between which the others go on without a stuck joint: that may lighten it (chosen)"""
 PATIENCE, STOPPED = (20.0, 10.0), 6.0
@@ -33,12 +34,14 @@ PATIENCE, STOPPED = (20.0, 10.0), 6.0
 ROOM, LEAST = 0.1, 0.3
 """[m] of a myCobot 280: clearance below which those lags shrink in proportion, and their least share (chosen by
 `python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
-STOP, LAST, _REST = 0.010, 0.9, 12
+STOP, LAST, _REST = 0.012, 0.9, 12
 """[m] clearance that the others keep on the rest of the way while a joint is stuck, and share of a way after which they
 wait for it (chosen)"""
-AHEAD, BRAKING, RESERVE = 0.05, 0.22, 0.005
+AHEAD, BRAKING, RESERVE = 0.05, 0.22, 0.007
 """[s] over which the approach to obstacles is measured; least time [s] to a clearance of the [m] after it (chosen
 likewise: with 0.35 s ways took up to 0.3 s longer)"""
+UNKNOWN = Motors(np.array(np.inf), np.array(np.inf))
+"""Motors of an arm without a twin"""
 
 
 Ways = Sequence[Sequence[JointTrajectory]]
@@ -82,6 +85,16 @@ def beginning_at(arm: Arm, way: JointTrajectory, position: Array) -> JointTrajec
         with suppress(PlanningError):
             return plan(arm, position, way.goal, motors=way.motors, speed=way.speed)
     return way
+
+
+def lead(arm: Arm, way: JointTrajectory, since: float, pace: float) -> Array:
+    """Lead (n,) [rad] of the goal on a way, ``since`` [s] its begin, at a ``pace``: by the inverse of its servos."""
+    motors = way.motors or UNKNOWN
+    here, late = way.at(since), since + pace * motors.delay
+    speed, acceleration = pace * way.at(late, 1), pace**2 * way.at(late, 2)
+    mass = motors.armature + link_inertia(arm, here)
+    torque = SHARE * motors.coulomb * np.tanh(speed / TURNING) + mass * acceleration + motors.damping * speed
+    return np.asarray(way.at(late) - here + torque / motors.stiffness)
 
 
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:

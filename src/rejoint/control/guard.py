@@ -2,7 +2,7 @@
 
 Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
 lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
-a hold is always allowed. The guard judges the commanded posture.
+a hold is always allowed. The guard judges the commanded posture, and what a step does to the measured one, which sags.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.arm import frozen
-from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape
+from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape, usual_distances
 from rejoint.arms.kinematics import chain_of
 from rejoint.arms.workspace import length_size
-from rejoint.control.monitor import Bands, Following, Knowledge
+from rejoint.control.monitor import Bands, Following
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
@@ -30,6 +30,8 @@ compiled = Late("rejoint.control.limiting")
 
 Reasons = NDArray[np.uint16]
 
+NEAR = 0.007
+"""[m] between measured bodies (chosen: links that are 5 mm thicker touch nothing)"""
 RAMP = 0.018
 """[s] to full speed (chosen: the shortest trained period)"""
 
@@ -79,6 +81,7 @@ class Rules(NamedTuple):
     max_speed: Array
     max_acceleration: Array
     floors: Array
+    near: Array
     max_lead: float
     max_period: float
     max_age: float
@@ -117,10 +120,9 @@ class GuardLimits:
     """[deg C] (chosen: 5 below the usual 70)"""
     range_margin: float = np.radians(10.0)
     """[rad] of readings outside the limits (chosen)"""
-    servos: Knowledge | None = None
     bands: Bands | None = None
     gains: Mapping[str, tuple[int, ...]] | None = None
-    """of `servos` and `bands`; None: any"""
+    """of `bands`; None: any"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):
@@ -140,6 +142,12 @@ class GuardLimits:
         shape = collision_shape(self.arm)
         none = shape._replace(pairs=shape.pairs[:0], places=shape.places[:0], moving=shape.moving[:0])
         return shape if self.collisions else none
+
+    @cached_property
+    def near(self) -> Array:
+        """(c,) [m] below which no command brings measured bodies nearer; heights above floors are not looked at."""
+        usual = 0.5 * np.median(usual_distances(self.arm), axis=0) if self.collisions else np.zeros(0)
+        return frozen(np.append(np.full(self.arm.joints, -np.inf), np.minimum(NEAR, usual)))
 
     @cached_property
     def rules(self) -> Rules:
@@ -186,15 +194,11 @@ def guard(
     """Limit a ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
     ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
-    the limits if ``sent`` is. InputError for different shapes.
+    the limits if ``sent`` is. InputError for another shape.
     """
-    shape, ages, periods = (len(command), limits.arm.joints), np.shape(state.age), np.shape(period)
-    given = [array.shape for array in (command, sent, speed, state.position)]
-    if set(given) != {shape} or ages != shape[:1] or periods not in ((), (1,), shape[:1]):
-        raise InputError(
-            f"guard: command, last command, its speed and positions {given}, ages {ages}, periods {periods}; expected "
-            f"{shape} and {shape[:1]} each"
-        )
+    shape = (len(sent), limits.arm.joints)
+    if np.shape(command) != shape:
+        raise InputError(f"guard: a command of shape {np.shape(command)}, expected {shape}: arms, joints")
     asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
     times, out = np.empty((2, len(command))), np.empty((2, *shape))
     times[0], times[1] = state.age, period

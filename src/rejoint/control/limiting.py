@@ -9,10 +9,15 @@ from numba import float64, int64, njit, types, uint16, void
 from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OPTIONS, OUT1, OUT3, SHAPE, clearances
 from rejoint.control.guard import Reason, Rules
 
-RULES = types.NamedTuple((*[IN1] * 5, *[float64] * 4, int64), Rules)
+RULES = types.NamedTuple((*[IN1] * 6, *[float64] * 4, int64), Rules)
 
 TOLERANCE = 1e-9
 """[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
+FOLLOWS = float(np.radians(1.0))
+"""[rad] off the last command within which an arm follows (chosen)"""
+APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
+"""[m] by which a joint's step may always bring measured bodies nearer; share of what is left to the least distance that
+it may take; [m] to it from which steps are looked at; and share of a step below which there is none (chosen)"""
 
 _NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
 _LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
@@ -87,6 +92,35 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     return found
 
 
+@njit(**OPTIONS)
+def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
+    """Shorten steps to ``out`` (n,) that bring the measured arm too near to something, or too fast; returns flags.
+
+    A step takes at most `CLOSING` of the distance that is left (a discrete control barrier: Agrawal and Sreenath 2017),
+    and goes on to no joint position that is too near. Each joint alone, since others may be stuck. ``asked`` (4, n).
+    """
+    last, position, found = asked[1], asked[3], 0
+    if (np.abs(position - last) < FOLLOWS).all():  # the commanded posture tells
+        return found
+    here = clearances(chain, shape, rules.floors, position.copy().reshape(1, -1))[0]
+    if (here > rules.near + WATCHED).all():
+        return found
+    least = np.minimum(here - APPROACH, here - CLOSING * (here - rules.near))
+    moved, least_ahead = np.empty((2, len(out))), np.minimum(here, rules.near)
+    for j in range(len(out)):
+        moved[0], moved[1], share = position, position, 1.0
+        while share > 0.0:
+            step = share * (out[j] - last[j])
+            moved[0, j], moved[1, j] = position[j] + step, last[j] + step
+            there = clearances(chain, shape, rules.floors, moved)
+            if (there[0] >= here - APPROACH).all() or ((there[0] >= least) & (there[1] >= least_ahead)).all():
+                break
+            share = 0.5 * share if share > SHORTEST else 0.0
+        if share < 1.0:
+            out[j], found = last[j] + share * (out[j] - last[j]), _COLLISION
+    return found
+
+
 @njit(void(CHAIN, SHAPE, RULES, IN3, IN2, uint16[::1], OUT3), **OPTIONS)
 def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN201
     """Fill ``out`` (2, B, n) with commands and their speeds, and add to ``reasons`` (B,), which begin with trips.
@@ -102,6 +136,7 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
             _hold(chain, rules, asked[b], out[0, b])
         else:
             found[b] = _limit(rules, asked[b], elapsed[b], out[0, b])
+            found[b] |= _keep_away(chain, shape, rules, asked[b], out[0, b])
     clear = clearances(chain, shape, rules.floors, out[0])
     for b in range(arms):
         command, last = out[0, b], asked[b, 1]

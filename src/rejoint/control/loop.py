@@ -28,9 +28,9 @@ from rejoint.control.guard import (
     warm_up,
 )
 from rejoint.control.monitor import Following
-from rejoint.control.recording import GAP, Cycle, OnCycle, Recording, attach, look_of, recorded
+from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, attach, recorded
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, turned_off
+from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, part_of, turned_off
 from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
@@ -185,11 +185,12 @@ class RunState:
     def __post_init__(self) -> None:
         robot, limits, count, sent = self.robot, self.limits, self.robot.count, self.schedule.sent
         self.cycles: list[Cycle] = []
-        self.look = look_of(robot, self.controller.name, limits)
+        shown = part_of(robot, LookedAt)
+        self.look = None if shown is None else shown.onlooker(self.controller.name, limits)
         self.state = state = own(robot.read())
         told = np.array(state.position if sent is None else sent, dtype=float)
         self.sent = in_force(state, told)
-        self.following = Following(limits.arm, state, self.sent, limits.servos, bands=limits.bands)
+        self.following = Following(limits.arm, state, self.sent, limits.bands)
         self.stillness = Stillness(state, self.sent, limits.arm.encoder_step)
         self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
@@ -442,10 +443,9 @@ def trip_error(b: int, run_state: RunState) -> GuardTripError:
         details.append(run_state.following.describe(b, run_state.unbelieved[b]))
     if Reason.NOT_FINITE in flags:
         details.append("a command or a measured position is not a number; check the controller and the connection")
-    where = (
-        f"arm {b} at {run_state.state.time[b] - run_state.set_at[b]:.2f} s into target {int(run_state.index[b]) + 1}"
-    )
-    return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")
+    since, which = run_state.state.time[b] - run_state.set_at[b], f" of arm {b + 1}" * (len(state.position) > 1)
+    where = f"{since:.2f} s into target {int(run_state.index[b]) + 1}{which}"
+    return GuardTripError(", ".join(reason_names(int(flags))), f"{'; '.join(details)} ({where})")
 
 
 def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:

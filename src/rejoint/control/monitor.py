@@ -5,7 +5,7 @@ Constants without a source are chosen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,28 +43,6 @@ _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chos
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Knowledge:
-    """Load lines of servos, from `servo_lines`."""
-
-    gain: Array
-    """(n,) or (B, n) [1/rad] torque share per radian"""
-    offset: Array | float = 0.0
-    """(n,) [rad] unloaded joint minus command"""
-    within: Array | float = 0.2
-    """(n,) largest relative error of ``gain``; infinite: unknown"""
-    noise: Array | float = 0.02
-    """(n,) deviation of loads from the line"""
-
-
-def states_of(log: RunLog) -> Iterator[JointState]:
-    """Yield the state in each row."""
-    for row in range(len(log)):
-        rows = slice(row, row + 1)
-        load = None if log.servo_load is None else log.servo_load[rows]
-        yield JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Bands:
     """Friction bands from `standing_bands`: pushes at which joints do not move; (n,) or (B, n).
 
@@ -91,15 +69,7 @@ class Bands:
 class Following:
     """Monitors B arms; one `check` per cycle."""
 
-    def __init__(
-        self,
-        arm: Arm,
-        state: JointState,
-        sent: Array,
-        knowledge: Knowledge | None = None,
-        *,
-        bands: Bands | None = None,
-    ) -> None:
+    def __init__(self, arm: Arm, state: JointState, sent: Array, bands: Bands | None = None) -> None:
         """Begin at ``state`` after ``sent`` (B, n) [rad]."""
         self._bands = bands
         shape = state.position.shape
@@ -107,7 +77,7 @@ class Following:
         self._tracks = np.zeros(shape, compiled.TRACK)
         self._tracks["position"] = self._tracks["home"] = state.position
         self._tracks["held"] = sent
-        self._tracks["reach"] = self._tracks["width"] = self._tracks["within"] = np.inf
+        self._tracks["reach"] = self._tracks["width"] = np.inf
         self._tracks["since"] = state.time[:, None]
         if bands is not None:  # a stuck joint may go from one end of its band to the other
             self._tracks["reach"], self._tracks["width"], self._tracks["stuck"] = (
@@ -115,14 +85,10 @@ class Following:
                 bands.width,
                 2 * bands.width,
             )
-        if knowledge is not None:
-            for name in ("gain", "within", "noise"):
-                self._tracks[name] = getattr(knowledge, name)
-            self._tracks["offset"] = knowledge.gain * knowledge.offset
         self._sent_at = np.repeat(state.time[:, None], compiled.HISTORY, axis=1)
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], compiled.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
-        self._nothing, self._told = np.zeros(shape), np.zeros(shape, dtype=bool)
+        self._nothing = np.zeros(shape)
         self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
@@ -131,7 +97,6 @@ class Following:
         Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
         """
         load = np.full_like(self._nothing, np.nan) if state.load is None else state.load
-        self._told = np.isfinite(self._tracks["within"]) & np.isfinite(load)
         balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         compiled.watch(
             self._tracks,
@@ -139,15 +104,14 @@ class Following:
             self._sent,
             np.array([state.time, self._last]),
             np.array([state.position, sent, load, balance]),
-            self._arm.encoder_step,
             self._verdict,
         )
         self._last = state.time.copy()
         worst = self._verdict.max()
         if worst < compiled.UNKNOWN:
             return None
-        bad: Mask = self._verdict >= compiled.TURNING
-        late: Mask = (self._tracks["late"] > 0) | (self._tracks["strikes"] > 0)
+        bad: Mask = self._verdict == compiled.OVERDUE
+        late: Mask = self._tracks["late"] > 0
         if self._bands is None:
             travelled, more = self._travelled(state.position, sent)
             late = late | more
@@ -167,9 +131,9 @@ class Following:
         return excused
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
-        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings, without load line."""
+        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings."""
         held = self._tracks["held"]
-        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None] & ~self._told
+        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
@@ -185,7 +149,7 @@ class Following:
         tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
         tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
         tracks["since"][where] = state.time[where, None]
-        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "late"):
+        for name in ("travel", "pushed", "due", "still", "late"):
             tracks[name][where] = 0
         self._verdict[where] = compiled.FINE
         self._last = np.where(where, state.time, self._last)
@@ -242,19 +206,12 @@ class Following:
             f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
             f"{self._last[b] - track['since']:.2f} s, the reading 0"
         )
-        if self._verdict[b, j] == compiled.TURNING:
-            return (
-                f"{seen}; its servo gives {100 * track['load']:.0f} % of its torque, and one that stands would give "
-                f"{100 * track['expected']:.0f} %: the joint turns and its encoder is dead; do not drive the arm "
-                f"before servo and cable of {name} are replaced"
-            )
         if self._verdict[b, j] == compiled.OVERDUE:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
             seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
-            f"{seen}; no load tells whether it is stuck, held or loaded more than in its diagnosis, or its encoder is "
-            f"dead; if nothing holds or loads the arm, support it, switch it off, turn {name} by hand and see whether "
-            "its reading changes"
+            f"{seen}; it is held or stuck, or its encoder is dead: support the arm, switch it off, turn {name} by hand "
+            "and see whether its reading changes"
         )
 
 
@@ -264,8 +221,10 @@ STILL = 4
 """rows of a constant reading"""
 AT_REST = np.radians(0.1)
 """[rad] allowed change of commands (chosen: an encoder count)"""
+COUNTS = 1.1
+"""Encoder steps between the servo's and the reported reading"""
 FULL = 0.9
-"""Share of full torque that tells no line"""
+"""Share of full torque that tells no slope"""
 USABLE = 0.5
 """Largest relative error of a slope"""
 SURE = 4.0
@@ -281,20 +240,18 @@ PER_MEDIAN = 1.4826
 """Standard deviation over median absolute residual, normal"""
 
 
-def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
-    """Fit the load lines of an arm's servos; None without loads.
+def load_slopes(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array] | None:
+    """Fit loads over leads of stationary joints: slopes (n,) [1/rad], relative errors (n,); None: unknown.
 
-    A servo's torque is proportional to its error: loads of stationary joints lie on a line over command minus reading.
+    A servo's torque is proportional to its error. An infinite error: unknown.
     """
     told = [(log, log.servo_load) for log in logs if log.servo_load is not None]
     if not told:
         return None
     rows = [_standing(arm, log, load) for log, load in told]
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
-    gain, offset, within, noise = np.array(lines).T
-    known = Knowledge(gain=gain, offset=offset / gain, within=np.where(within < USABLE, within, np.inf), noise=noise)
-    known = replace(known, within=np.where(doubted(arm, logs, known), np.inf, known.within))
-    return known if np.isfinite(known.within).any() else None
+    slope, error = np.array(lines).T
+    return (slope, np.where(error < USABLE, error, np.inf)) if (error < USABLE).any() else None
 
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -304,7 +261,7 @@ def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray
     moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
     last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
     stands = np.arange(len(log))[:, None] - last >= STILL
-    dead = compiled.COUNTS * arm.encoder_step
+    dead = COUNTS * arm.encoder_step
     told = np.abs(load) < FULL  # not where it is NaN
     return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
 
@@ -320,32 +277,34 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
     return low, high
 
 
-def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
     lead, load = lead[use], load[use]
-    unknown = (1.0, 0.0, np.inf, 1.0)
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
-        return unknown
+        return 1.0, np.inf
     weight = np.ones_like(lead)
     for _ in range(_ROUNDS):
         slope, offset = np.polyfit(lead, load, 1, w=np.sqrt(weight)).tolist()
         off = np.abs(load - slope * lead - offset)
         noise = max(PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
-    return unknown if slope <= 0.0 else (slope, offset, LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise)
+    return (slope, LEAST_ERROR + SURE * noise / (slope * float(lead.std()))) if slope > 0.0 else (1.0, np.inf)
 
 
-def doubted(
-    arm: Arm, logs: Sequence[RunLog], knowledge: Knowledge | None = None, bands: Bands | None = None
-) -> NDArray[np.bool_]:
+def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> NDArray[np.bool_]:
     """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``."""
     found = np.zeros(arm.joints, dtype=bool)
     for log in logs:
-        states = states_of(log)
-        following = Following(arm, next(states), log.command[:1], knowledge, bands=bands)
-        for row, state in enumerate(states):
-            bad = following.check(state, log.command[row : row + 1], np.zeros(1, dtype=bool))
+        following = Following(arm, _state(log, 0), log.command[:1], bands)
+        for row in range(1, len(log)):
+            bad = following.check(_state(log, row), log.command[row - 1 : row], np.zeros(1, dtype=bool))
             found |= False if bad is None else bad[0]
     return found
+
+
+def _state(log: RunLog, row: int) -> JointState:
+    rows = slice(row, row + 1)
+    load = None if log.servo_load is None else log.servo_load[rows]
+    return JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
 
 
 HELD = 0.05
@@ -372,7 +331,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     lifted = np.max([_lifted(log, balance) for log, balance in zip(logs, balances, strict=True)], axis=0)
     reach, width = _narrowest(arm, logs, balances)
     found = replace(found, lifted=lifted, reach=reach, width=np.where(known, width, np.inf))
-    return replace(found, width=np.where(doubted(arm, logs, bands=found), np.inf, found.width))
+    return replace(found, width=np.where(doubted(arm, logs, found), np.inf, found.width))
 
 
 def _lifted(log: RunLog, balance: Array) -> Array:

@@ -17,7 +17,7 @@ from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, LEAD, PATIENCE, STOPPED, Ways, beginning_at, nearest_postures, waiting
+from rejoint.control.goal import LAGS, PATIENCE, STOPPED, Ways, beginning_at, lead, nearest_postures, waiting
 from rejoint.control.robot import ControlInput, JointState, Mask
 from rejoint.system.errors import InputError
 
@@ -176,7 +176,7 @@ class TargetSequence(Reference):
         return changed
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
-        """See `Reference`. The correction of the aim grows along the way; the goal leads it by `LEAD`."""
+        """See `Reference`. The correction of the aim grows along the way; the goal has a `lead`."""
         goal, target, ways = self._goal, self._aim, self._ways
         if not ways:
             return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)
@@ -186,14 +186,13 @@ class TargetSequence(Reference):
         moving = since < duration
         if moving.any():
             goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
-            lead = np.zeros_like(goal)
+            leads = np.zeros_like(goal)
             for b in rows:
                 way, now = ways[b], max(float(since[b]), 0.0)
-                here, ahead = way.at(np.array([now, now + LEAD * self._pace[b]]))
-                goal[b] = here + now / duration[b] * (self._goal[b] - way.goal)
-                lead[b] = ahead - here
+                goal[b] = way.at(now) + now / duration[b] * (self._goal[b] - way.goal)
+                leads[b] = lead(self._arm, way, now, self._pace[b])
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
-            goal += lead
+            goal += leads
         at_end = np.where(moving, 0.0, since - duration)
         return Setpoint(goal, target, at_end, ~moving, self._turn, self._place, self._aim)
 

@@ -16,9 +16,10 @@ from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
+from rejoint.control.controllers.law import NOMINAL_PERIOD
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
-from rejoint.control.monitor import servo_lines, standing_bands
+from rejoint.control.monitor import standing_bands
 from rejoint.control.moving.posture import joint_weights
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, gains_in_force, stiffness_under
@@ -93,7 +94,9 @@ def believed_motors(twin: Twin) -> Motors:
     seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
     limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
     usable = (own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
-    return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit), own.damping)
+    usable = np.maximum(usable, 0.1 * own.torque_limit)
+    late = float(own.delay) + 0.5 * NOMINAL_PERIOD
+    return Motors(limit, usable, own.damping, own.coulomb, own.armature, own.stiffness, late)
 
 
 def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
@@ -167,18 +170,14 @@ def _standing(log: RunLog) -> NDArray[Any]:
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
-    """Guard's limits, with friction bands and load lines if ``robot`` is the run's own.
-
-    No load lines where a servo reports its gains: its loads are of its loop and fit any reading.
-    """
+    """Guard's limits, with friction bands if ``robot`` is the run's own."""
     limits = GuardLimits.of(arm)
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
     told = None if run is None else run.diagnosis
     if run is None or told is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
-    logs, arm, gains = [read_log(path) for path in paths], laden(run), told.servo_gains
-    lines = servo_lines(arm, logs) if gains is None else None  # else the load is the loop's, and fits any reading
-    return replace(limits, bands=standing_bands(arm, logs, *told.measurement.balance), servos=lines, gains=gains)
+    bands = standing_bands(laden(run), [read_log(path) for path in paths], *told.measurement.balance)
+    return replace(limits, bands=bands, gains=told.servo_gains)
 
 
 def _is_own(run: Run, robot: str) -> bool:
