@@ -196,8 +196,12 @@ class ArmHistory:
     @property
     def state(self) -> str:
         """State in a word or two."""
-        row = self.newest
-        return "tolerance reached" if row.over else REPAIRED if row.kind == REPAIR else row.state
+        return state_of(self.newest)
+
+
+def state_of(row: HistoryRow) -> str:
+    """State of an arm by its newest row."""
+    return "tolerance reached" if row.over else REPAIRED if row.kind == REPAIR else row.state
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:

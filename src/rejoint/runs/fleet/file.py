@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime, time, timedelta
-from itertools import chain
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 from msgspec.structs import asdict
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from rejoint.arms import CATALOGUE
+from rejoint.arms import CATALOGUE, Arm
 from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
@@ -29,8 +31,8 @@ HORIZON = 400
 
 _SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):(\d\d)\s*-\s*(\d\d):(\d\d)\s*")
 _DATES = re.compile(r"\s*(\d{4}-\d\d-\d\d)(?:\s+to\s+(\d{4}-\d\d-\d\d))?\s*")
-_DAY, _MINUTE = timedelta(days=1), timedelta(minutes=1)
-_FULL = 24 * 60  # minutes of a day
+_MINUTE, _MONDAY = timedelta(minutes=1), datetime(2001, 1, 1)
+_DAY, _WEEK = 24 * 60, 7 * 24 * 60  # minutes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,60 +41,59 @@ class Hours:
 
     spans: tuple[tuple[int, int], ...] = ()
     """first minute of the week and number of minutes; (): always open"""
-    closed: tuple[tuple[date, date], ...] = ()
-    """first and last day without motion"""
+    closed: tuple[tuple[int, int], ...] = ()
+    """first and last minute without motion, from `_MONDAY`"""
+
+    def _open(self, now: datetime, minutes: int) -> NDArray[np.bool_]:
+        """Whether the arm may move, for some ``minutes`` from that of ``now``."""
+        minute = (now - _MONDAY) // _MINUTE + np.arange(minutes)
+        found = np.full(minutes, not self.spans)
+        for first, length in self.spans:
+            found |= (minute - first) % _WEEK < length
+        for first, last in self.closed:
+            found &= (minute < first) | (minute > last)
+        return found
 
     def is_open(self, now: datetime) -> bool:
         """Whether the arm may move at ``now``."""
-        if any(first <= now.date() <= last for first, last in self.closed):
-            return False
-        minute = _FULL * now.weekday() + 60 * now.hour + now.minute
-        return not self.spans or any((minute - first) % (7 * _FULL) < length for first, length in self.spans)
+        return bool(self._open(now, 1)[0])
 
     def begins(self, now: datetime) -> datetime | None:
         """Return ``now`` if a motion may begin, else when it may next; None beyond `HORIZON`."""
-        times = chain([now], self._changes(now))
-        return next((at for at in times if all(self.is_open(at + one * _MINUTE) for one in range(ROOM))), None)
-
-    def _changes(self, now: datetime) -> Iterator[datetime]:
-        minutes = {0, *(edge % _FULL for first, length in self.spans for edge in (first, first + length))}
-        for day in range(HORIZON):
-            midnight = datetime.combine(now.date() + day * _DAY, time())
-            for minute in sorted(minutes):
-                if (one := midnight + timedelta(minutes=minute)) > now:
-                    yield one
+        room = sliding_window_view(self._open(now, HORIZON * _DAY), ROOM)
+        first = next(iter(np.flatnonzero(room.all(axis=1)).tolist()), None)
+        return now.replace(second=0, microsecond=0) + first * _MINUTE if first else None if first is None else now
 
 
 def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:
     """Read ``Mon-Fri 08:00-18:00`` and ``2026-12-24 to 2027-01-06``; ValueError names a wrong text."""
-    return Hours(
-        spans=tuple(one for text in spans for one in _span(text)), closed=tuple(_dates(text) for text in closed)
-    )
+    return Hours(spans=tuple(one for text in spans for one in _span(text)), closed=tuple(map(_dates, closed)))
 
 
 def _span(text: str) -> list[tuple[int, int]]:
     """Read the hours of one or several days: ``Fri 22:00-06:00`` ends on Saturday."""
     found = _SPAN.fullmatch(text)
-    names = [] if found is None else [found[1], found[2] or found[1]]
-    if found is None or not all(name.title() in DAYS for name in names):
+    names = [] if found is None else [found[1].title(), (found[2] or found[1]).title()]
+    if found is None or not {*names} <= {*DAYS}:
         raise ValueError(f"expected hours such as Mon-Fri 08:00-18:00 (days {', '.join(DAYS)}), found {text[:40]!r}")
     first, last = (60 * int(found[i]) + int(found[i + 1]) for i in (3, 5))
-    if first >= _FULL or last > _FULL or int(found[4]) > 59 or int(found[6]) > 59 or first == last:
+    if first >= _DAY or last > _DAY or int(found[4]) > 59 or int(found[6]) > 59 or first == last:
         raise ValueError(f"expected two different times from 00:00 to 24:00, found {text[:40]!r}")
-    day, end = (DAYS.index(name.title()) for name in names)
-    length = (last - first) % _FULL or _FULL
-    return [((day + i) % 7 * _FULL + first, length) for i in range((end - day) % 7 + 1)]
+    day, end = map(DAYS.index, names)
+    length = (last - first) % _DAY or _DAY
+    return [((day + i) % 7 * _DAY + first, length) for i in range((end - day) % 7 + 1)]
 
 
-def _dates(text: str) -> tuple[date, date]:
+def _dates(text: str) -> tuple[int, int]:
     found = _DATES.fullmatch(text)
     try:
-        first, last = (date.fromisoformat(one) for one in (found[1], found[2] or found[1])) if found else (None, None)
+        days = [datetime.fromisoformat(one) for one in (found[1], found[2] or found[1])] if found else []
     except ValueError:
-        first = last = None
-    if first is None or last is None or first > last:
+        days = []
+    if not days or days[0] > days[1]:
         raise ValueError(f"expected a day such as 2026-12-24, or 2026-12-24 to 2027-01-06, found {text[:40]!r}")
-    return first, last
+    first, last = ((day - _MONDAY) // _MINUTE for day in days)
+    return first, last + _DAY - 1
 
 
 FOLDER = "runs"
@@ -142,6 +143,11 @@ class FleetArm:
         return place_of(self.address).virtual
 
     @property
+    def built(self) -> Arm:
+        """The arm; InputError, FileError."""
+        return arm_of(self.address, self.description)
+
+    @property
     def resource(self) -> str:
         """Cluster resource of computers that reach this arm."""
         return f"arm-{self.name}"
@@ -174,20 +180,18 @@ def read_fleet(path: Path | str) -> Fleet:
     """Read FLEET.toml; FileError names the wrong key."""
     place = Path(path)
     top = read_toml(place, _FleetTable, "check the path of the file with the arms")
-    home = place.resolve().parent  # other processes stand in other folders
-    arms: dict[str, FleetArm] = {}
-    spots: dict[str, str] = {}
+    home, arms = place.resolve().parent, dict[str, FleetArm]()  # other processes stand in other folders
     for table in top.arm:
         try:
             arm = _arm(table, top, home)
             spot = place_of(arm.address).spot
-            if arm.name in arms:
+            if any(arm.name == other.name for other in arms.values()):
                 raise ValueError("two arms have this name")
-            if spot in spots:
-                raise ValueError(f"address {arm.address!r} is that of {spots[spot]}, too")
+            if spot in arms:
+                raise ValueError(f"address {arm.address!r} is that of {arms[spot].name}, too")
         except (ValueError, FileError) as error:
             raise FileError(place, f"arm {table.name[:40]!r}: {error}", "correct the file") from error
-        arms[arm.name], spots[spot] = arm, arm.name
+        arms[spot] = arm
     return Fleet(path=place, folder=_place(home, top.folder), arms=tuple(arms.values()))
 
 
@@ -195,14 +199,13 @@ def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
     """ValueError (as InputError is), FileError."""
     if plain_name(table.name) != table.name:
         raise ValueError("expected a name of letters, digits, dots and dashes, such as bench-3")
-    description = table.description
-    if description is not None and description not in CATALOGUE:
-        description = str(_place(home, description))
-    arm_of(table.address, description)
     shared = {name: getattr(top, name) for name in _SharedTable.__struct_fields__}
     said = {name: value for one in (shared, asdict(table)) for name, value in one.items() if value is not None}
-    hours = read_hours(said.pop("hours", ()), said.pop("closed", ()))
-    return FleetArm(**said | {"description": description, "hours": hours})
+    if table.description is not None and table.description not in CATALOGUE:
+        said["description"] = str(_place(home, table.description))
+    arm = FleetArm(**said | {"hours": read_hours(said.get("hours", ()), said.pop("closed", ()))})
+    arm.built  # noqa: B018 - what cannot be built is refused now
+    return arm
 
 
 def _place(home: Path, text: str) -> Path:

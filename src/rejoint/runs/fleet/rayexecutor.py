@@ -1,4 +1,4 @@
-"""An executor on Ray: tasks on a cluster, and an actor for each moving real arm. Ray retries nothing."""
+"""An executor on Ray: tasks on a cluster, those that move a real arm at its computer. Ray retries nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.fleet.campaign import Work, WorkOutcome, do_work
+from rejoint.runs.fleet.campaign import HELD, ROBOT, Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
@@ -23,61 +23,33 @@ from rejoint.system.stopping import check, install, noted
 STORE = 80 * 2**20
 """[bytes] of Ray's object store; chosen: Ray's minimum"""
 
-PULSE = 0.5
-"""[s] between questions whether to hold an arm; chosen"""
-SILENCE = 10.0
-"""[s] without an answer until an arm is held; chosen"""
+
+PULSE, SILENCE = 0.5, 10.0
+"""[s] between questions to the cluster, and without an answer until an arm is held; chosen"""
 
 
-class Holds:
-    """An actor that stores which arms to hold."""
-
-    def __init__(self) -> None:
-        self._names: set[str] = set()
-
-    def hold(self, name: str) -> None:
-        """Ask for a hold."""
-        self._names.add(name)
-
-    def wanted(self, name: str) -> bool:
-        """Whether to hold an arm."""
-        return name in self._names
-
-    def over(self, name: str) -> None:
-        """Forget an arm."""
-        self._names.discard(name)
+def _drive(work: Work) -> WorkOutcome:
+    """Do a task; `ray.cancel`, SIGTERM and a silent cluster bring its arm to a hold."""
+    install()
+    over = threading.Event()
+    if work.held:
+        threading.Thread(target=_watch, args=(over,), daemon=True).start()
+    try:
+        return do_work(work)
+    finally:
+        over.set()
 
 
-class ArmHolder:
-    """An actor with a real arm's only connection, for one task."""
-
-    def __init__(self) -> None:
-        install()  # so that being ended brings the arm to a hold
-
-    def do(self, work: Work, holds: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
-        """Move the arm; hold it on request or without an answer."""
-        stop = threading.Event()
-        thread = threading.Thread(target=_watch, args=(holds, work.arm.name, stop), daemon=True)
-        thread.start()
-        try:
-            return do_work(work)
-        finally:
-            stop.set()
-            thread.join(PULSE)
-            holds.over.remote(work.arm.name)
-
-
-def _watch(holds: Any, name: str, stop: threading.Event) -> None:  # noqa: ANN401
+def _watch(over: threading.Event) -> None:
+    """End this process as by SIGTERM where the cluster does not answer before work is ``over``."""
     import ray
 
-    while not stop.wait(PULSE):
-        try:
-            wanted = ray.get(holds.wanted.remote(name), timeout=SILENCE)
-        except Exception:  # noqa: BLE001 - whatever it is, the call has ended
-            wanted = True
-        if wanted and not stop.is_set():
-            os.kill(os.getpid(), signal.SIGTERM)
-            return
+    while not over.wait(PULSE):
+        alarm = threading.Timer(SILENCE, os.kill, (os.getpid(), signal.SIGTERM))
+        alarm.daemon = True
+        alarm.start()
+        ray.nodes()
+        alarm.cancel()
 
 
 class RayExecutor:
@@ -93,43 +65,38 @@ class RayExecutor:
     ) -> None:
         """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         require("rejoint fleet", "fleet")
-        real = [arm for arm in arms if not arm.virtual]
-        self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
-        self._ray = _begun(address, cpus, {arm.resource: 1.0 for arm in real})
-        try:
-            self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
-            self._require_reached(real, address)
-            self._holds = self._ray.remote(num_cpus=0)(Holds).remote()
-            self._work = self._ray.remote(max_retries=0)(do_work)
-            self._arm = self._ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(ArmHolder)
-        except BaseException:
+        real = {arm.resource for arm in arms if not arm.virtual}
+        self._training_cpus, self._running = training_cpus, dict[Any, Work]()
+        self._ray = _begun(address, cpus, dict.fromkeys(real, 1.0))
+        missing = sorted(real - self._ray.cluster_resources().keys())
+        if missing:
             self.close()
-            raise
+            raise InputError(
+                f"no computer of the cluster {address} has the resource {' and '.join(missing)}; on the one "
+                f"that reaches that arm, run: ray start --address={address} --num-cpus=0 "
+                f"--resources='{{\"{missing[0]}\": 1}}'"
+            )
+        self._task = self._ray.remote(max_retries=0)(_drive)
 
     def begin(self, work: Work) -> None:
-        """Start a task, in an actor at the arm's computer if a real arm moves."""
-        self._holds.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
-        if not work.held:
-            cpus = self._training_cpus if work.step == "train" else 1.0
-            task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
-            self._running[task.remote(work)] = work, None
-            return
-        holder = self._arm.options(resources={work.arm.resource: 1.0}).remote()
-        self._running[holder.do.remote(work, self._holds)] = work, holder
+        """Start a task, at the arm's computer if a real arm moves."""
+        cpus = 0.0 if work.held else self._training_cpus if work.step == "train" else 1.0
+        resources = {work.arm.resource: 1.0} if work.held else {}
+        task = self._task.options(num_cpus=cpus, resources=resources, name=f"{work.arm.name}:{work.step}")
+        self._running[task.remote(work)] = work
 
     def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome]]:
         """Return ended tasks within ``timeout`` [s]."""
-        references = list(self._running)
-        if not references:
+        if not self._running:
             return []
-        ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
-        if ready:
-            ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
+        ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=timeout)
         return [self._ended(reference) for reference in ready]
 
     def hold(self, work: Work) -> None:
-        """Ask for a hold of the arm."""
-        self._holds.hold.remote(work.arm.name)
+        """Interrupt a task, so that its arm holds."""
+        for reference, running in self._running.items():
+            if running is work:
+                self._ray.cancel(reference)
 
     def close(self) -> None:
         """Release all processes; a cluster stays."""
@@ -137,27 +104,17 @@ class RayExecutor:
             self._ray.shutdown()
 
     def _ended(self, reference: Any) -> tuple[Work, WorkOutcome]:  # noqa: ANN401 - of Ray
-        work, holder = self._running.pop(reference)
+        work, ray = self._running.pop(reference), self._ray.exceptions
         try:
-            found: WorkOutcome = self._ray.get(reference)
-        except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = WorkOutcome(problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
-        except self._ray.exceptions.RayError as error:
-            found = WorkOutcome(problem=type(error).__name__, lost=True)
-        if holder is not None:
-            self._ray.kill(holder)
-        return work, found
-
-    def _require_reached(self, arms: Sequence[FleetArm], address: str | None) -> None:
-        known = self._ray.cluster_resources()
-        missing = [arm for arm in arms if arm.resource not in known]
-        if missing:
-            names = ", ".join(arm.name for arm in missing)
-            one = missing[0].resource
-            raise InputError(
-                f"no computer of the cluster {address} says that it reaches {names}; on the one that does, run: "
-                f"ray start --address={address} --num-cpus=0 --resources='{{\"{one}\": 1}}'"
-            )
+            return work, self._ray.get(reference)
+        except ray.TaskCancelledError:  # before it had begun
+            return work, WorkOutcome(problem=HELD)
+        except ray.RayTaskError as error:  # before the work had begun: another version there, say
+            line = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+            return work, WorkOutcome(problem=f"a bug: {line}", code=1, trace=str(error))
+        except ray.RayError as error:
+            look = ": look at the arm, then go on" if work.held else ""
+            return work, WorkOutcome(problem=f"its process was lost ({type(error).__name__}){look}", code=ROBOT)
 
 
 def has_token() -> bool:
@@ -219,7 +176,3 @@ def _own_signals() -> Iterator[None]:
     finally:
         if main:
             signal.signal = set_handler
-
-
-def _last_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[-1]
