@@ -10,8 +10,8 @@ from pathlib import Path
 import typer
 
 BENCHMARKS = (
-    "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "policy", "diagnosis",
-    "identification", "truth", "emulator", "serve", "kills", "seeing", "feetech", "moving", "shelf",
+    "plant", "step", "control", "guard", "postures", "following", "training", "policy", "diagnosis",
+    "identification", "truth", "emulator", "serve", "kills", "seeing", "feetech", "dynamixel", "moving", "shelf",
     "elimination", "payload", "years",
 )  # fmt: skip
 """Modules beside this one; each has a `main`"""

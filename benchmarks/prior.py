@@ -22,8 +22,8 @@ from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.calibrating import SIGMA, fitted, measure
-from rejoint_lab.research.evaluation.family import WORN, ArmFamily, TrialArms, open_family, try_on
+from rejoint_lab.research.evaluation.evaluate import SIGMA, fitted, measure
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 
 FIRST, TARGETS = 10, 4
 WORN_ON, BUMPED = 1.3, np.radians(2.0)
@@ -62,10 +62,5 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
         print(f"{change}, {arms} arms")
         for name, calibrations in found.items():
             drive = partial(make_controller, "feedforward")
-            trial = TrialArms(
-                open=partial(changed, change, family),
-                targets=targets,
-                wear_seeds=family.wear_seeds,
-                calibrations=calibrations,
-            )
-            corrected(name, try_on(arm, trial, drive, family), calibrations)
+            opened = partial(changed, change, family)
+            corrected(name, try_on(arm, opened, drive, family, (targets, None), calibrations), calibrations)

@@ -20,7 +20,14 @@ from rejoint_lab.family import SIMULATOR
 if TYPE_CHECKING:
     from rejoint_lab.research.evaluation.evaluate import Contestant, Evaluation
 
-SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
+SERVED = {
+    "mycobot280": ("A myCobot 280", "worn"),
+    "so101": ("An SO-101", "so101"),
+    "koch": ("A Koch v1.1", "worn"),
+    "wx250s": ("A WidowX 250S", "worn"),
+    "vx300s": ("A ViperX 300S", "worn"),
+    "omx": ("An OpenMANIPULATOR-X", "worn"),
+}
 """How the arms that can be served are called, and their usual wear profile"""
 DIED = 1
 """Exit code after the fault ``die``"""
@@ -40,14 +47,14 @@ def emulate(
 ) -> object:
     """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
     require("rejoint emulate", SIMULATOR)
-    from rejoint_lab.emulator import feetech, firmware, servers
+    from rejoint_lab.emulator import dynamixel, feetech, firmware, servers
     from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
 
     chosen = load_arm(arm)
     if chosen.name not in SERVED:
         raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
     name, profile = SERVED[chosen.name]
-    wear, on_bus, faults = wear or profile, chosen.name == "so101", parse_faults(fault, chosen.joints)
+    wear, on_bus, faults = wear or profile, bool(chosen.servos), parse_faults(fault, chosen.joints)
     for one in () if on_bus else SERVO_BUS:
         if one in faults:
             raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
@@ -56,12 +63,16 @@ def emulate(
         if truth is not None:
             stack.callback(truth.close)
         session: servers.EmulatedConversation[Any]
-        if on_bus:
+        known: dict[str, Any] = {"seed": seed, "faults": faults, "log": truth}
+        if chosen.name in dynamixel.FITTINGS:
+            chain = dynamixel.build_arm(chosen, wear, seed=seed, resistance=size_of(faults, "sag"))
+            session = dynamixel.XSession(chain, **known)
+        elif on_bus:
             servos = feetech.build_arm(chosen, wear, seed=seed, resistance=size_of(faults, "sag"))
-            session = feetech.BusSession(servos, seed=seed, faults=faults, log=truth)
+            session = feetech.StsSession(servos, **known)
         else:
             computer = firmware.build_firmware(chosen, wear, seed=seed)
-            session = servers.WireSession(computer, seed=seed, faults=faults, log=truth)
+            session = servers.WireSession(computer, **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)
@@ -111,11 +122,9 @@ def evaluate(
     names = {"all": KNOWN, "none": ()}.get(controllers, controller_names(controllers))
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
+    contestants, file = _contestants(arm, [*names, *map(str, policy or ())], gains), out.resolve() / "evaluation.json"
     with call.progress("evaluate") as update:
-        found = run(
-            arm, _contestants(arm, [*names, *map(str, policy or ())], gains), chosen, family, out.resolve(), update
-        )
-    return _show(call, found, out / "evaluation.json")
+        return _show(call, run(arm, contestants, chosen, family, file, update), file)
 
 
 @takes("arm")
@@ -131,17 +140,18 @@ def calibrate(
 ) -> object:
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm = _arm(call)
-    from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations
+    from rejoint_lab.research.evaluation.evaluate import evaluate_calibrations
     from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
 
     (one,) = _contestants(arm, [controller])
     names = [] if variants == "all" else controller_names(variants)
     conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
+    file = out.resolve() / "calibration.json"
     with call.progress("calibrate") as update:
-        found, accused = evaluate_calibrations(arm, conditions, one, family, out.resolve(), update)
+        found, accused = evaluate_calibrations(arm, conditions, one, family, file, update)
     write_json(out / "wrong-points.json", accused)
-    shown = _show(call, found, out / "calibration.json")
+    shown = _show(call, found, file)
     rows = [(one.condition, f"{100 * one.wrong.value:.0f} %", f"{100 * one.right.value:.0f} %") for one in accused]
     call.table("One wrong point among ten, 5 to 10 mm off", ["condition", "wrong one named", "right one named"], rows)
     return shown | {"accused": accused}
@@ -212,15 +222,14 @@ def reproduce(
             folder=folder.resolve(), arm=mycobot280(), seed=seed, scale=scale, threads=threads, on_progress=update
         )
         found = run_experiments(bench, chosen, lambda one: call.say(one.title))
-    for one, finished in zip(chosen, found, strict=True):
-        call.table(one.title, ["", "ours", "paper"], finished.numbers)
+    for name, finished in found.items():
+        call.table(chosen[name].title, ["", "ours", "paper"], finished.numbers)
     page = write_page(bench)
     call.result(str(page))
-    names = ("experiment", "what", "ours", "paper")
     rows = [
-        dict(zip(names, (one.name, *row), strict=True))
-        for one, finished in zip(chosen, found, strict=True)
-        for row in finished.numbers
+        {"experiment": name, "what": what, "ours": ours, "paper": paper}
+        for name, finished in found.items()
+        for what, ours, paper in finished.numbers
     ]
     return {"page": page, "run": folder, "numbers": rows}
 
@@ -245,5 +254,5 @@ def _show(call: Call, found: Evaluation, file: Path) -> dict[str, object]:
 
     for table in terminal_tables(found):
         call.table(*table)
-    call.result(f"All of it: {file.resolve()}")
+    call.result(f"All of it: {file}")
     return {"out": file.parent, "best": found.best, "rows": found.rows, "pairs": found.pairs}

@@ -1,7 +1,4 @@
-"""SAC, TD3 and DDPG by skrl on the task of PPO, with privileged critics.
-
-Haarnoja et al. 2018, arXiv:1812.05905; Fujimoto et al. 2018, arXiv:1802.09477; Lillicrap et al. 2016, arXiv:1509.02971.
-"""
+"""SAC by skrl on the task of PPO, with privileged critics (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
 from __future__ import annotations
 
@@ -14,13 +11,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from skrl.agents.torch import Agent
-from skrl.agents.torch.ddpg import DDPG, DDPG_CFG
 from skrl.agents.torch.sac import SAC, SAC_CFG
-from skrl.agents.torch.td3 import TD3, TD3_CFG
 from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, Model
-from skrl.resources.noises.torch import GaussianNoise
 from torch import Tensor, nn
 from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
@@ -46,7 +39,7 @@ from rejoint.training.train import (
 from rejoint.twin.twin import Twin
 
 _REPORT_EVERY = 32  # control cycles
-_LOG_STD = (-5.0, 0.5)  # bounds of SAC's noise, before squashing (chosen)
+_LOG_STD = (-5.0, 0.5)  # bounds of the noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
 
 
@@ -55,32 +48,16 @@ def bounded(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
-class BoundedActor(DeterministicMixin, Model):  # type: ignore[misc]
-    """Deterministic policy: PPO's perceptron, and tanh."""
+class SquashedActor(Model):  # type: ignore[misc]
+    """PPO's perceptron and tanh, with Gaussian noise by observation before it (Haarnoja et al. 2018, appendix C)."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
-        Model.__init__(self, observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
-        DeterministicMixin.__init__(self)
+        super().__init__(observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
         self.net = perceptron((observation_size, *layers, joints))
-        _shrink(self.net[-1])
-
-    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Actions (N, n)."""
-        return torch.tanh(self.net(inputs["observations"])), {}
-
-    def network(self) -> nn.Sequential:
-        """Policy as layers."""
-        return nn.Sequential(*self.net, nn.Tanh())
-
-
-class SquashedActor(BoundedActor):
-    """Gaussian policy through tanh, with noise by observation (Haarnoja et al. 2018, appendix C)."""
-
-    def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
-        super().__init__(observation_size, joints, layers)
         self.log_std = nn.Linear(layers[-1], joints)
-        _shrink(self.log_std)
         with torch.no_grad():
+            for parameter in (*self.net[-1].parameters(), *self.log_std.parameters()):
+                parameter.mul_(LAST_LAYER_SCALE)
             self.log_std.bias.fill_(_FIRST_LOG_STD)
         self.spread = float(np.exp(_FIRST_LOG_STD))
         """mean sigma of the last actions, before tanh"""
@@ -94,6 +71,14 @@ class SquashedActor(BoundedActor):
         action = squashed.rsample()
         density: Tensor = squashed.log_prob(action)  # type: ignore[no-untyped-call]
         return action, {"log_prob": density.sum(dim=-1, keepdim=True)}
+
+    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Mean actions (N, n)."""
+        return torch.tanh(self.net(inputs["observations"])), {}
+
+    def network(self) -> nn.Sequential:
+        """Mean policy as layers."""
+        return nn.Sequential(*self.net, nn.Tanh())
 
 
 class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
@@ -111,17 +96,10 @@ class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
         return self.net(torch.cat(parts, dim=-1)), {}
 
 
-def _shrink(layer: nn.Module) -> None:
-    with torch.no_grad():
-        for parameter in layer.parameters():
-            parameter.mul_(LAST_LAYER_SCALE)
-
-
 @dataclass(frozen=True, kw_only=True)
 class OffPolicySettings:
     """Settings beyond those of PPO's preset."""
 
-    algorithm: str
     preset: Preset = DEFAULT
     cycles: int = 3840
     """two million transitions; chosen"""
@@ -134,25 +112,24 @@ class OffPolicySettings:
     """control cycles before the first gradient step"""
     learning_rate: float = 5e-4
     polyak: float = 0.01
-    noise: tuple[float, float] = (0.3, 0.05)
-    """sigma of the exploration noise (TD3, DDPG), first and last"""
     seed: int = 0
     agents: int = 512
     threads: int = 2
 
 
-ALGORITHMS = {
-    "sac": (SAC, SAC_CFG, SquashedActor),
-    "td3": (TD3, TD3_CFG, BoundedActor),
-    "ddpg": (DDPG, DDPG_CFG, BoundedActor),
-}
+def trainer(name: str, seed: int) -> Trainer:  # noqa: ARG001 - the entry point of several learners has a name
+    """Trainer of the entry point ``sac``."""
+    settings = OffPolicySettings(seed=seed)
+    return lambda arm, twin, out, on_progress: train_offpolicy(
+        arm, twin, out=out, settings=settings, on_progress=on_progress
+    )
 
 
 def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
-    recipe, files, name = know_stiffness(settings.preset, arm, twin), RunFolder(out), settings.algorithm
+    recipe, files = know_stiffness(settings.preset, arm, twin), RunFolder(out)
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
     torch.manual_seed(settings.seed)
@@ -163,18 +140,19 @@ def train_offpolicy(
             done = []
             for cycle in range(first, min(first + _REPORT_EVERY, settings.cycles)):
                 done.append(seen := _interact(agent, task, settings, cycle, seen))
-            curve.append(_point(agent, settings, cycle + 1, done, curve, time.perf_counter() - began))
+            last, wall_s = curve[-1] if curve else None, time.perf_counter() - began
+            curve.append(_point(agent, settings, cycle + 1, done, last, wall_s))
             on_progress((cycle + 1) / settings.cycles, describe(curve[-1]))
     write_curves(files.curves, curve)
-    export_policy(files.policy, agent.policy.network(), policy_contract(arm, twin, recipe, settings.seed, name))
-    return training_result(files, name, settings.seed, curve)
+    export_policy(files.policy, agent.policy.network(), policy_contract(arm, twin, recipe, settings.seed, "sac"))
+    return training_result(files, "sac", settings.seed, curve)
 
 
 Seen = dict[str, Tensor]
 """`Transition` of a control cycle"""
 
 
-def _interact(agent: Agent, task: ReachTask, settings: OffPolicySettings, cycle: int, before: Seen) -> Seen:
+def _interact(agent: SAC, task: ReachTask, settings: OffPolicySettings, cycle: int, before: Seen) -> Seen:
     """Act, record and learn for one control cycle."""
     clock = {"timestep": cycle, "timesteps": settings.cycles}
     with torch.no_grad():
@@ -197,17 +175,17 @@ def _interact(agent: Agent, task: ReachTask, settings: OffPolicySettings, cycle:
 
 
 def _point(
-    agent: Agent, settings: OffPolicySettings, cycle: int, done: list[Seen], curve: list[CurvePoint], wall_s: float
+    agent: SAC, settings: OffPolicySettings, cycle: int, done: list[Seen], last: CurvePoint | None, wall_s: float
 ) -> CurvePoint:
-    """Sum up the control cycles ``done`` since the last point."""
+    """Sum up the control cycles ``done`` since the ``last`` point."""
     distance = torch.cat([one["distance"][one["truncated"] | one["terminated"]] for one in done]).numpy()
     losses = {key: float(np.mean(values)) for key, values in agent.tracking_data.items() if values}
     agent.tracking_data.clear()
     return CurvePoint(
         step=cycle * settings.agents,
         reward=float(np.mean([one["reward"].mean() for one in done])),
-        **ends(distance, distance < REACHED_DISTANCE, curve[-1] if curve else None),
-        noise=agent.policy.spread if settings.algorithm == "sac" else noise_at(settings, cycle),
+        **ends(distance, distance < REACHED_DISTANCE, last),
+        noise=agent.policy.spread,
         learning_rate=settings.learning_rate,
         policy_loss=losses.get("Loss / Policy loss", 0.0),
         value_loss=losses.get("Loss / Critic loss", 0.0),
@@ -215,46 +193,19 @@ def _point(
     )
 
 
-def trainer(name: str, seed: int) -> Trainer:
-    """Trainer of one of the `ALGORITHMS`."""
-    settings = OffPolicySettings(algorithm=name, seed=seed)
-    return lambda arm, twin, out, on_progress: train_offpolicy(
-        arm, twin, out=out, settings=settings, on_progress=on_progress
-    )
-
-
-def noise_at(settings: OffPolicySettings, cycle: int) -> float:
-    """Exploration noise of TD3 and DDPG."""
-    return float(np.interp(cycle, (0, settings.cycles), settings.noise))
-
-
-def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
-    n, size, privileged = task.arm.joints, task.observer.size, task.privileged_size
-    ppo, kind = settings.preset.ppo, settings.algorithm
-    algorithm, configuration, actor = ALGORITHMS[kind]
-    models: dict[str, Model] = {"policy": actor(size, n, ppo.actor_layers)}
-    for suffix in ("",) if kind == "ddpg" else ("_1", "_2"):
-        for role in ("critic", "target_critic"):
-            models[f"{role}{suffix}"] = ActionCritic(size, privileged, n, ppo.critic_layers)
-    options: dict[str, Any] = {"initial_entropy_value": 0.01}  # chosen: rewards are about 0.1 a cycle
-    if kind != "sac":
-        models["target_policy"] = actor(size, n, ppo.actor_layers)
-        options = {
-            "exploration_noise": GaussianNoise,
-            "exploration_noise_kwargs": {"mean": 0.0, "std": 1.0},
-            "exploration_scheduler": lambda timestep, _: noise_at(settings, timestep),
-        }
-    if kind == "td3":
-        options |= {"smooth_regularization_noise": GaussianNoise, "smooth_regularization_clip": 0.2}
-        options["smooth_regularization_noise_kwargs"] = {"mean": 0.0, "std": 0.1}
-    agent = algorithm(
+def _make_agent(task: ReachTask, settings: OffPolicySettings) -> SAC:
+    n, size, privileged, ppo = task.arm.joints, task.observer.size, task.privileged_size, settings.preset.ppo
+    models: dict[str, Model] = {"policy": SquashedActor(size, n, ppo.actor_layers)}
+    for role in ("critic_1", "target_critic_1", "critic_2", "target_critic_2"):
+        models[role] = ActionCritic(size, privileged, n, ppo.critic_layers)
+    agent = SAC(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
         observation_space=unbounded(size),
         state_space=unbounded(privileged),
         action_space=bounded(n),
         device="cpu",
-        cfg=configuration(
+        cfg=SAC_CFG(
             gradient_steps=settings.gradient_steps,
             batch_size=settings.batch,
             discount_factor=ppo.discount,
@@ -262,8 +213,8 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
             learning_rate=settings.learning_rate,
             learning_starts=settings.warm_up,
             grad_norm_clip=ppo.gradient_clip,
+            initial_entropy_value=0.01,  # chosen: rewards are about 0.1 a cycle
             experiment={"write_interval": 0, "checkpoint_interval": 0},
-            **options,
         ),
     )
     agent.init()

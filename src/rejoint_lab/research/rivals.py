@@ -33,7 +33,7 @@ from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.controllers.law import Pace, dls_step, limit_position, null_space
 from rejoint.control.loop import run
-from rejoint.control.robot import ControlInput, Controller, Mask
+from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.system.progress import Progress
@@ -94,14 +94,31 @@ ANCHORED = SCHEDULED | {
 }
 
 
-class ScheduledController:
+class TunedLaw:
+    """What the tuned laws share: gains, nominal stiffness, and joint speeds smoothed over about two cycles."""
+
+    def __init__(self, arm: Arm, gains: Gains) -> None:
+        self._arm, self._gains, self._pace = arm, SimpleNamespace(**gains), Pace()
+        self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
+        self._position = self._speed = np.zeros((0, arm.joints))
+
+    def tick(self, state: JointState) -> tuple[Array, Array]:
+        """Time (B, 1) [s] since the last reading, and joint speeds (B, n) [rad/s]."""
+        elapsed, position = self._pace.tick(state.time)[:, None], state.position.copy()
+        if len(self._position) != len(position):
+            self._position, self._speed = position, np.zeros_like(position)
+        speed = (position - self._position) / np.where(elapsed > 0.0, elapsed, 1.0)
+        self._speed = np.where(elapsed > 0.0, 0.5 * speed + 0.5 * self._speed, self._speed)
+        self._position = position
+        return elapsed, self._speed
+
+
+class ScheduledController(TunedLaw):
     """The law; ``anchored`` to the goal posture (feed-forward) or not."""
 
     def __init__(self, arm: Arm, gains: Gains, *, anchored: bool) -> None:
-        self.name = "tuned-feedforward" if anchored else "tuned-integrator"
-        self._arm, self._gains, self._anchored = arm, SimpleNamespace(**gains), anchored
-        self._pace, self._speed = Pace(), JointSpeed()
-        self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
+        super().__init__(arm, gains)
+        self.name, self._anchored = "tuned-feedforward" if anchored else "tuned-integrator", anchored
         self._start = self._raised = self._integral = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -115,8 +132,7 @@ class ScheduledController:
         goal = inputs.goal[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
         idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
-        carry = np.broadcast_to(gains.carry, (len(sent), 1))[where]
-        share = np.broadcast_to(gains.feedforward, (len(sent), 1))[where]
+        carry, share = (np.broadcast_to(one, (len(sent), 1))[where] for one in (gains.carry, gains.feedforward))
         self._integral[where] = carry * (self._integral[where] - idle)
         self._start[where] = sent[where] - self._integral[where]
         self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
@@ -124,8 +140,7 @@ class ScheduledController:
     def command(self, inputs: ControlInput) -> Array:
         """Command (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
-        elapsed = self._pace.tick(inputs.state.time)[:, None]
-        speed = self._speed.observe(measured, elapsed)
+        elapsed, speed = self.tick(inputs.state)
         seen = dls_step(arm, measured + gains.prediction * speed, inputs.target)
         distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
         rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
@@ -145,23 +160,6 @@ class ScheduledController:
         return limit_position(arm, self._integral + passing)
 
 
-class JointSpeed:
-    """Joint speeds, smoothed over about two cycles."""
-
-    def __init__(self) -> None:
-        self._position = self._speed = np.zeros((0, 0))
-
-    def observe(self, position: Array, elapsed: Array) -> Array:
-        """Speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
-        if self._position.shape != position.shape:
-            self._position, self._speed = position.copy(), np.zeros_like(position)
-        news = elapsed > 0.0
-        difference = (position - self._position) / np.where(news, elapsed, 1.0)
-        self._speed = np.where(news, 0.5 * difference + 0.5 * self._speed, self._speed)
-        self._position = position.copy()
-        return self._speed
-
-
 _UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
 
 ADAPTIVE: dict[str, Interval] = {
@@ -177,15 +175,13 @@ ADAPTIVE: dict[str, Interval] = {
 }
 
 
-class AdaptiveController:
+class AdaptiveController(TunedLaw):
     """Tomei's law for position servos."""
 
     name = "adaptive"
 
     def __init__(self, arm: Arm, gains: Gains) -> None:
-        self._arm, self._gains = arm, SimpleNamespace(**gains)
-        self._pace, self._speed = Pace(), JointSpeed()
-        self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
+        super().__init__(arm, gains)
         self._regressor = self._estimate = np.zeros((3, 0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -202,10 +198,8 @@ class AdaptiveController:
 
     def command(self, inputs: ControlInput) -> Array:
         """Goal posture with its compensation, (B, n) [rad]."""
-        gains, measured = self._gains, inputs.state.position
-        elapsed = self._pace.tick(inputs.state.time)[:, None]
-        speed = self._speed.observe(measured, elapsed)
-        error = inputs.goal - measured
+        gains, (elapsed, speed) = self._gains, self.tick(inputs.state)
+        error = inputs.goal - inputs.state.position
         outside = np.sign(error) * np.maximum(np.abs(error) - gains.dead_zone, 0.0)
         size = np.linalg.norm(error / gains.scale, axis=-1, keepdims=True)
         drive = outside / (1.0 + size**2) - gains.damping * speed * (np.abs(outside) > 0.0)

@@ -1,12 +1,18 @@
-import json
-
 import numpy as np
 from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import IntegratorController
-from rejoint_lab.research.evaluation.evaluate import Contestant, evaluate, outcome_path, summarise, terminal_tables
+from rejoint.system.files import read_json
+from rejoint_lab.research.evaluation.evaluate import (
+    Contestant,
+    Evaluation,
+    evaluate,
+    outcome_path,
+    summarise,
+    terminal_tables,
+)
 from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, keep, open_family
 
 ARM = mycobot280()
@@ -15,7 +21,7 @@ FAMILY = ArmFamily(arms=3, targets=2)
 
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
     few, many = ArmFamily(arms=2), ArmFamily(arms=5)
-    np.testing.assert_array_equal(family_targets(ARM, few, 3), family_targets(ARM, many, 3)[:2])
+    np.testing.assert_array_equal(family_targets(ARM, few), family_targets(ARM, many)[:2])
     loaded = [open_family(ARM, find_variant("payload"), family) for family in (few, many)]
     for _ in range(5):
         some, more = (robot.step(robot.read().position) for robot in loaded)
@@ -35,7 +41,7 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
     result = summarise("an arm", FAMILY, {"worn": "worn arms"}, outcomes, {"p"})
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
-    assert result.on("worn")[2].seeds == 1
+    assert [row.seeds for row in result.rows] == [1, 1, 1]
     tables = terminal_tables(result)
     assert len(tables) == 2
     assert tables[1][2][0][1] == "p against fast"
@@ -60,24 +66,23 @@ def test_outcomes_survive_the_disk(tmp_path):
     assert len(made) == 4, "a damaged file is made again"
 
 
-def test_the_same_command_takes_over_what_is_done(tmp_path):
+def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_result(tmp_path):
     made = []
 
     def make(arm, _twins):
         made.append(arm)
         return IntegratorController(arm)
 
-    one = Contestant(name="mine", make=make, identity="1")
+    one, file = Contestant(name="mine", make=make, identity="1"), tmp_path / "evaluation.json"
     family = ArmFamily(arms=2, targets=1, crossings=1, protocol=Protocol(hold=1.5, dwell=2.0))
     variants, seen = [find_variant("worn")], []
-    first = evaluate(ARM, [one], variants, family, tmp_path, lambda *report: seen.append(report))
+    first = evaluate(ARM, [one], variants, family, file, lambda *report: seen.append(report))
     assert len(made) == 2  # holds and crossings
-    again = evaluate(ARM, [one], variants, family, tmp_path, lambda *_: None)
+    again = evaluate(ARM, [one], variants, family, file, lambda *_: None)
     assert len(made) == 2
-    assert again == first
-    evaluate(ARM, [one._replace(identity="2")], variants, family, tmp_path, lambda *_: None)
+    assert again == first == read_json(file, Evaluation)
+    assert first.rows[0].controller == "mine"
+    evaluate(ARM, [one._replace(identity="2")], variants, family, file, lambda *_: None)
     assert len(made) == 4
     assert outcome_path(tmp_path, "worn", one.name).exists()
-    stored = json.loads((tmp_path / "evaluation.json").read_text())
-    assert stored["rows"][0]["controller"] == "mine"
     assert seen[0][0] == 0

@@ -5,8 +5,7 @@ import pytest
 from evaluation_samples import outcome
 
 from rejoint.control.comparison.result import Protocol
-from rejoint.system.statistics import wilson
-from rejoint_lab.research.evaluation.evaluate import FAR, make_row, together
+from rejoint_lab.research.evaluation.evaluate import make_row, together
 
 
 def test_a_row_counts_what_it_says():
@@ -33,20 +32,3 @@ def test_a_row_counts_what_it_says():
     assert row.success.value == pytest.approx(4 / 6)
     assert row.crossing_error.mean.value == pytest.approx(66e-3 / 6)
     assert row.cycle_time.mean.value == pytest.approx((3.0 + 22.0 + 21.0) / 3)
-
-
-def test_targets_of_one_arm_do_not_count_as_independent():
-    """Arms that fail at all their targets or at none: the interval is that of so many arms."""
-    settled = np.repeat(np.where(np.arange(20) < 5, 9.0, 0.3)[:, None], 8, axis=1)
-    row = make_row("worn", "x", together([outcome(settled)]), Protocol())
-    arms = wilson(5, 20)
-    assert row.outside.value == 0.25
-    assert row.outside.low == pytest.approx(arms.low, abs=0.01)
-    assert row.outside.high == pytest.approx(arms.high, abs=0.01)
-
-
-def test_a_hold_fails_beyond_five_millimetres_and_not_at_them():
-    at, beyond = np.full((1, 1), 1e3 * FAR), np.full((1, 1), np.nextafter(1e3 * FAR, 6.0))
-    assert FAR == 0.005
-    for settled, share in ((at, 0.0), (beyond, 1.0)):
-        assert make_row("worn", "x", together([outcome(settled)]), Protocol()).outside.value == share

@@ -35,7 +35,7 @@ def bench(tmp_path_factory):
 def test_every_experiment_finds_something_and_the_page_shows_it(bench):
     page = write_page(bench)
     text = page.read_text(encoding="utf-8")
-    for experiment in EXPERIMENTS:
+    for experiment in EXPERIMENTS.values():
         assert f"## {experiment.title}" in text
     assert "Not run yet" not in text
     for paper in (
@@ -66,10 +66,10 @@ def test_trainings_and_trials_are_kept(bench):
     kept = [*bench.folder.rglob("*.onnx"), *bench.folder.rglob("*.parquet")]
     before = {path: path.stat().st_mtime_ns for path in kept}
     chosen = choose(["fig-9", "table-3", "fig-12"])
-    results = [(bench.folder / "results" / f"{one.name}.json").read_text() for one in chosen]
+    results = [(bench.folder / "results" / f"{name}.json").read_text() for name in chosen]
     run_experiments(bench, chosen, str)
     assert {path: path.stat().st_mtime_ns for path in kept} == before
-    assert [(bench.folder / "results" / f"{one.name}.json").read_text() for one in chosen] == results
+    assert [(bench.folder / "results" / f"{name}.json").read_text() for name in chosen] == results
     with pytest.raises(InputError, match="give another --run"):
         run_experiments(replace(bench, seed=1), chosen, str)
 

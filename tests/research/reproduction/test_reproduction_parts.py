@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.system.errors import InputError, RejointError
+from rejoint.system.errors import RejointError
 from rejoint_lab.research.reproduction import models
 from rejoint_lab.research.reproduction.campaign import (
-    EXPERIMENTS,
     QUICK,
     WORN,
     Bench,
     Experiment,
-    choose,
     finish_trainings,
 )
 
@@ -25,13 +23,6 @@ def test_the_command_line_runs_and_refuses(tmp_path, cli):
     assert {row["experiment"] for row in found["numbers"]} == {"table-1"}
     assert (tmp_path / "run" / "reproduction.md").exists()
     assert "table-4" in cli("research", "reproduce", "table-9", code=2).err
-
-
-def test_experiments_are_chosen_by_any_of_their_names_in_the_paper_s_order():
-    assert [one.name for one in choose(["fig-13", "fig-9"])] == ["fig-9", "table-4"]
-    assert choose([]) == EXPERIMENTS
-    with pytest.raises(InputError, match="known: algorithm-1"):
-        choose(["fig-99"])
 
 
 def test_overshoot_and_error_of_a_known_path():
@@ -59,7 +50,6 @@ def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
 
 def test_text_and_numbers_are_formats_of_what_is_measured():
     experiment = Experiment(
-        name="x",
         title="X",
         measure="none.at_all",
         text=("It is {a:.1f}.",),

@@ -1,6 +1,6 @@
 """Controllers that take part in an evaluation, their trials on many arms, and what is concluded from them.
 
-Intervals resample whole arms.
+Intervals resample whole arms. Calibrations take part like controllers: each arm is measured and calibrated first.
 """
 
 from __future__ import annotations
@@ -8,10 +8,11 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,16 +31,31 @@ from rejoint.control.controllers.catalogue import (
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.robot import Controller
+from rejoint.control.start import play
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.fit import fit
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, part
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, Labels, Spread, bootstrap_mean, clustered_share
+from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share, spread, wilson
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.family import ArmFamily, OnTargets, Variant, keep, own_twins, try_controller
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.research.evaluation.family import (
+    ArmFamily,
+    Variant,
+    family_targets,
+    keep,
+    open_family,
+    own_twins,
+    targets_anywhere,
+    try_on,
+)
 from rejoint_lab.research.rivals import GAINS, RIVALS, make_rival
 
 
@@ -52,7 +68,10 @@ class Contestant(NamedTuple):
     """from the twins of the arms, if they have any"""
     identity: str
     """changes with everything that the behaviour depends on, except the software"""
-    learned: bool = False
+    ours: bool = False
+    """whether it is compared with all others, and is no rival itself"""
+    calibrations: Callable[[Variant], Sequence[Calibration]] = lambda _: ()
+    """of each arm, where they correct its targets"""
 
 
 KNOWN = (*BASELINES, *RIVALS, SHELF)
@@ -61,40 +80,42 @@ KNOWN = (*BASELINES, *RIVALS, SHELF)
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
-    identity, on_twins = name, {FeedforwardController.name: _raised, PREDICTIVE: planned}.get(name)
-    made: Callable[[Arm], Controller] = partial(make_controller, name)
-    if name == SHELF:
-        made, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
-    elif name in RIVALS:
-        own = dict((gains or {}).get(name, GAINS[name]))
-        made, identity = partial(make_rival, name, gains=own), f"{name} {sorted(own.items())}"
-    elif name not in (*BASELINES, PREDICTIVE):
+    if name not in (*KNOWN, PREDICTIVE):
         raise InputError(f"no controller is called {name!r}; known: {', '.join(KNOWN)}, and --policy FILE")
-    return Contestant(
-        name, lambda arm, twins: on_twins(arm, twins) if twins and on_twins else made(arm), identity, name == SHELF
-    )
+    own = (gains or {}).get(name, GAINS.get(name, {}))
+    shelf = _digest(*(shelf_path(arm) for arm in shelf_arms())) if name == SHELF else ""
+
+    def make(arm: Arm, twins: Sequence[Twin]) -> Controller:
+        if name in RIVALS:
+            return make_rival(name, arm, own)
+        if name == PREDICTIVE and twins:
+            return planned(arm, twins)
+        return make_controller(name, arm, stiffness=_stiffness(twins) if twins else None)
+
+    return Contestant(name, make, f"{name} {sorted(own.items())} {shelf}", ours=name == SHELF)
 
 
 def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:
     """Predictive control on the arms' own twins, with the generic policy or, without one, the feed-forward."""
-    holder = shelf_controller(arm) if arm.name in shelf_arms() else _raised(arm, twins)
-    return PredictiveController.of(arm, twins, holder)
+    known = arm.name in shelf_arms()
+    return PredictiveController.of(
+        arm, twins, shelf_controller(arm) if known else FeedforwardController(arm, _stiffness(twins))
+    )
 
 
-def _raised(arm: Arm, twins: Sequence[Twin]) -> FeedforwardController:
-    """Feed-forward with the stiffness of the arms' own twins."""
-    return FeedforwardController(arm, np.stack([twin.parameters.stiffness for twin in twins]))
+def _stiffness(twins: Sequence[Twin]) -> Array:
+    return np.stack([twin.parameters.stiffness for twin in twins])
 
 
 def learned(path: Path, arm: Arm) -> Contestant:
     """Policy from a file; FileError or ContractError for a wrong one."""
     contract = load_policy(path, arm).contract
     name = f"policy {contract.preset}{' on its twin' if contract.twin_digest else ''} #{contract.seed}"
-    return Contestant(name, lambda arm, _: load_policy(path, arm), _digest(path.read_bytes()), learned=True)
+    return Contestant(name, lambda arm, _: load_policy(path, arm), _digest(path), ours=True)
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
+def _digest(*files: Path) -> str:
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def group_of(name: str) -> str:
@@ -102,66 +123,50 @@ def group_of(name: str) -> str:
     return name.partition(" #")[0]
 
 
-class Trials(NamedTuple):
-    """The trials of a contestant under one condition."""
-
-    identity: str
-    """changes with everything that the results depend on"""
-    drive: Callable[[OnTargets], Columns]
-
-
 def evaluate(
     arm: Arm,
     contestants: Sequence[Contestant],
     variants: Sequence[Variant],
     family: ArmFamily,
-    folder: Path,
+    file: Path,
     on_progress: Progress,
 ) -> Evaluation:
-    """Evaluate on all variants; InputError for two contestants of one name."""
+    """Evaluate on all variants and write the JSON ``file``, with outcomes as Parquet, and twins, beside it.
+
+    An outcome of the same contestant and family is taken over. InputError for two contestants of one name.
+    """
     names = [one.name for one in contestants]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
+    twins = cache(lambda: own_twins(arm, family.wear_seeds, file.parent, family.seed))
+    anywhere = cache(lambda: targets_anywhere(arm, family, twins()))
+    each, outcomes = family.arms * (family.targets + family.crossings), dict[tuple[str, str], Columns]()
 
-    def drive(variant: Variant, one: Contestant, on_targets: OnTargets) -> Columns:
-        twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.twins else []
-        return try_controller(arm, variant, lambda arm: one.make(arm, twins), family, on_targets, twins)
+    def drive(variant: Variant, one: Contestant, ahead: Progress) -> Columns:
+        known = twins() if variant.twins else ()
+        targets, ways = family_targets(arm, family, variant.draw), None
+        if variant.anywhere:
+            targets[:, : family.targets], ways = anywhere()
+        return try_on(
+            arm,
+            partial(open_family, arm, variant, family),
+            lambda arm: one.make(arm, known),
+            family,
+            (targets, ways),
+            one.calibrations(variant),
+            lambda done: ahead(done / each, ""),
+        )
 
-    trials = {
-        (variant.name, one.name): Trials(f"{variant!r}, {one.identity}", partial(drive, variant, one))
-        for variant in variants
-        for one in contestants
-    }
-    policies = {group_of(one.name) for one in contestants if one.learned}
+    pairs = list(product(variants, contestants))
+    for place, (variant, one) in enumerate(pairs):
+        ahead = part(on_progress, place / len(pairs), (place + 1) / len(pairs), f"{variant.name}: {one.name}")
+        ahead(0.0, "")
+        identity = repr((arm.name, variant, one.identity, family))
+        path = outcome_path(file.parent, variant.name, one.name)
+        outcomes[variant.name, one.name] = keep(path, identity, partial(drive, variant, one, ahead))
     meanings = {variant.name: variant.meaning for variant in variants}
-    return conclude(arm, meanings, trials, policies, family, folder / "evaluation.json", on_progress)
-
-
-def conclude(
-    arm: Arm,
-    meanings: dict[str, str],
-    trials: Mapping[tuple[str, str], Trials],
-    learned: Collection[str],
-    family: ArmFamily,
-    file: Path,
-    on_progress: Progress,
-) -> Evaluation:
-    """Drive ``trials`` of condition and contestant, sum up and write the JSON ``file``, outcomes as Parquet beside it.
-
-    An outcome of the same identity and family is taken over. ``meanings`` say what conditions are; the groups
-    ``learned`` are no rivals.
-    """
-    outcomes, each = {}, family.arms * (family.targets + family.crossings)
-    for place, ((where, name), one) in enumerate(trials.items()):
-
-        def report(done: int, text: str = f"{where}: {name}", place: int = place) -> None:
-            on_progress((place + done / each) / len(trials), text)
-
-        report(0)
-        identity = repr((arm.name, one.identity, family))
-        outcomes[where, name] = keep(outcome_path(file.parent, where, name), identity, partial(one.drive, report))
-    result = summarise(arm.name, family, meanings, outcomes, learned)
+    result = summarise(arm.name, family, meanings, outcomes, {group_of(one.name) for one in contestants if one.ours})
     write_json(file, result)
     return result
 
@@ -198,8 +203,8 @@ class Pair:
     variant: str
     controller: str
     rival: str
-    differences: dict[str, Estimate | None]
-    """[m] or [s] mean differences by column, negative where the controller is better; never: the hold's length"""
+    differences: dict[str, Spread | None]
+    """[m] or [s] by column, negative where the controller is better; never: the hold's length"""
     worst_true: float | None
     """[m] that of the settled true error on the arm where it is largest"""
 
@@ -215,12 +220,8 @@ class Evaluation:
     """of the variants, in words"""
     rows: tuple[VariantRow, ...]
     best: dict[str, str]
-    """per variant, the rival that is soonest within the narrowest distance"""
+    """per variant, the rival that is soonest within the narrowest distance, else the nearest"""
     pairs: tuple[Pair, ...]
-
-    def on(self, variant: str) -> list[VariantRow]:
-        """Rows of a variant."""
-        return [row for row in self.rows if row.variant == variant]
 
 
 def summarise(
@@ -228,33 +229,31 @@ def summarise(
     family: ArmFamily,
     meanings: dict[str, str],
     outcomes: Mapping[tuple[str, str], Columns],
-    learned: Collection[str],
+    ours: Collection[str],
 ) -> Evaluation:
     """Compute every number of an evaluation.
 
-    ``outcomes``: results (T, K) of T trials by variant and contestant, see `try_on`; ``meanings`` and ``learned`` as in
-    `conclude`.
+    ``outcomes``: results (T, K) of T trials by variant and contestant, see `try_on`; ``meanings`` of the variants;
+    the groups ``ours`` are compared with all others.
     """
     members: dict[tuple[str, str], list[Columns]] = {}
     for (variant, name), found in outcomes.items():
         members.setdefault((variant, group_of(name)), []).append(found)
     pooled = {at: together(found) for at, found in members.items()}
-    rows = tuple(make_row(*key, found, family.protocol) for key, found in pooled.items())
-    rivals = {one: [row for row in rows if row.variant == one and row.controller not in learned] for one in meanings}
-    pairs = (
-        make_pair((variant, group), rival, (ours, theirs), family.protocol)
-        for (variant, group), ours in pooled.items()
-        for (where, rival), theirs in pooled.items()
-        if group in learned and where == variant and rival != group
-    )
+    rows = tuple(make_row(*at, found, family.protocol) for at, found in pooled.items())
+    rivals = sorted((row for row in rows if row.controller not in ours), key=_late, reverse=True)
     return Evaluation(
         arm=arm,
         software=__version__,
         family=family,
         meanings=meanings,
         rows=rows,
-        best={variant: min(some, key=_late).controller for variant, some in rivals.items() if some},
-        pairs=tuple(pairs),
+        best={row.variant: row.controller for row in rivals},
+        pairs=tuple(
+            make_pair(one, rival, pooled, family.protocol)
+            for one, rival in product(pooled, pooled)
+            if one[1] in ours and one[0] == rival[0] and one != rival
+        ),
     )
 
 
@@ -265,7 +264,7 @@ def together(found: Sequence[Columns]) -> Columns:
 
 def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) -> VariantRow:
     """Summarise the results (T, seeds, K) of a controller."""
-    arms = _arms(found)
+    arms: Labels = np.unique(found["arm"], return_inverse=True)[1].ravel()
     row, held = summarise_trials(controller, found, arms, protocol), found["held"] == 1.0
     outside = np.where(held, ~(found["settled"] <= FAR), np.nan).ravel()
     hit = inside(found).ravel()
@@ -286,71 +285,55 @@ def inside(found: Columns) -> Array:
     return np.where(np.isfinite(error), hit, np.nan)
 
 
-def make_pair(where: tuple[str, str], rival: str, results: tuple[Columns, Columns], protocol: Protocol) -> Pair:
-    """Compare the controller of ``where`` with a rival: each seed with each, on the same arm and target."""
-    arms, apart = np.unique(_arms(results[0])), dict[str, Array]()
-    ours, theirs = (found | {"cycle_time": cycle_times(found)[..., None]} for found in results)
-    for name in ("settled", "settled_true", *protocol.stay_names, "cycle_time"):
-        # Arms stay the first axis, so that a resampled arm brings all its seeds along.
-        apart[name] = (ours[name][:, :, None] - theirs[name][:, None]).reshape(len(arms), -1)
+def make_pair(
+    one: tuple[str, str], rival: tuple[str, str], pooled: Mapping[tuple[str, str], Columns], protocol: Protocol
+) -> Pair:
+    """Compare two variants' controllers: each seed (A, seeds, K) with each, on the same arm and target."""
+    ours, theirs = (pooled[at] | {"cycle_time": cycle_times(pooled[at])[..., None]} for at in (one, rival))
+    apart = {  # arms stay the first axis, so that a resampled arm brings all its seeds along
+        name: (ours[name][:, :, None] - theirs[name][:, None]).reshape(len(ours[name]), -1)
+        for name in ("settled", "settled_true", *protocol.stay_names, "cycle_time")
+    }
+    largest = np.ma.masked_invalid(apart["settled_true"]).mean(axis=1).max()
     return Pair(
-        variant=where[0],
-        controller=where[1],
-        rival=rival,
-        differences={name: difference(values) for name, values in apart.items()},
-        worst_true=worst(apart["settled_true"]),
+        variant=one[0],
+        controller=one[1],
+        rival=rival[1],
+        differences={name: spread(some.ravel(), np.indices(some.shape)[0].ravel()) for name, some in apart.items()},
+        worst_true=None if largest is np.ma.masked else float(largest),
     )
 
 
-def difference(apart: Array, *, seed: int = 0) -> Estimate | None:
-    """Mean of differences (A, K) on A arms over what both have."""
-    arms = np.repeat(np.arange(len(apart)), apart.shape[1])
-    return bootstrap_mean(apart.ravel(), arms, seed=seed) if np.isfinite(apart).any() else None
-
-
-def worst(apart: Array) -> float | None:
-    """Largest mean of differences (A, K) of one arm."""
-    largest = np.ma.masked_invalid(apart).mean(axis=1).max()
-    return None if largest is np.ma.masked else float(largest)
-
-
-def _arms(found: Columns) -> Labels:
-    """Return the number of the arm of each result (T, seeds, K), flat."""
-    return np.unique(found["arm"], return_inverse=True)[1].ravel()
-
-
 def _late(row: VariantRow) -> tuple[float, float]:
-    """Rank of a rival: who is soonest within the narrowest distance, else the nearest."""
     return row.stays[-1].median or np.inf, np.inf if row.settled is None else row.settled.mean.value
 
 
-COLUMNS: dict[str, Callable[[VariantRow], Cell]] = {
-    "95 % below, encoders [mm]": lambda row: _p95(row.settled, 3),
-    "95 % below, true [mm]": lambda row: _p95(row.settled_true, 2),
-    "farther than 5 mm [%]": lambda row: measured(row.outside, 100.0),
-}
+COLUMNS = (
+    ResultColumn("95 % below, encoders [mm]", lambda row: _p95(row.settled, 3)),
+    ResultColumn("95 % below, true [mm]", lambda row: _p95(row.settled_true, 2)),
+    ResultColumn("farther than 5 mm [%]", lambda row: measured(row.outside, 100.0)),
+)
 """of all evaluations, besides those of a comparison"""
-CALIBRATED: dict[str, Callable[[VariantRow], Cell]] = {
-    "expected by the calibration [mm]": lambda row: Cell(
-        "" if row.settled_modelled is None else row.settled_modelled.millimetres
+CALIBRATED = (
+    ResultColumn(
+        "expected by the calibration [mm]",
+        lambda row: Cell("" if row.settled_modelled is None else row.settled_modelled.millimetres),
     ),
-    "in its interval [%]": lambda row: measured(row.inside, 100.0),
-    "corrected arms [%]": lambda row: Cell(number(row.used and 100 * row.used, 3)),
-}
+    ResultColumn("in its interval [%]", lambda row: measured(row.inside, 100.0)),
+    ResultColumn("corrected arms [%]", lambda row: Cell(number(row.used and 100 * row.used, 3))),
+)
 """where arms are calibrated"""
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
     """Title, headers and rows of a table per variant, and of pairs with its best rival."""
     family, calibrated = evaluation.family, any(row.inside is not None for row in evaluation.rows)
-    columns = [
-        *result_columns(family.protocol, max(family.targets, family.crossings)),
-        *(
-            ResultColumn(header, cast("Callable[[ControllerRow], Cell]", cell))
-            for header, cell in (COLUMNS | CALIBRATED if calibrated else COLUMNS).items()
-        ),
+    basic = result_columns(family.protocol, max(family.targets, family.crossings))
+    columns = (*basic, *COLUMNS, *(CALIBRATED if calibrated else ()))
+    tables = [
+        (f"{one}: {family.arms} arms", *plain_table(columns, [row for row in evaluation.rows if row.variant == one]))
+        for one in evaluation.meanings
     ]
-    tables = [(f"{one}: {family.arms} arms", *plain_table(columns, evaluation.on(one))) for one in evaluation.meanings]
     pairs = [one for one in evaluation.pairs if one.rival == evaluation.best.get(one.variant)]
     if pairs:
         factor = {name: (MM, "[mm]") if name.startswith("settled") else (1.0, "[s]") for name in pairs[0].differences}
@@ -371,3 +354,108 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
 
 def _p95(one: Spread | None, digits: int) -> Cell:
     return Cell(number(None if one is None else one.p95 * MM, digits))
+
+
+POINTS = (1, 3, 5, 10, 20)
+"""Numbers of measurements from which arms are calibrated"""
+SIGMA = 5e-4
+"""[m] noise of each measured coordinate (chosen: a vernier ruler)"""
+WRONG = (5e-3, 10e-3)
+"""[m] error of a wrong point (chosen)"""
+WRONG_AMONG = 10
+"""Measurements among which one is wrong"""
+SPEED, WAIT = 0.5, 1.5
+"""[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accused:
+    """Whether a wrong point among ten, 5 to 10 mm off, is found."""
+
+    condition: str
+    wrong: Estimate
+    """share of arms whose wrong point was named first"""
+    right: Estimate
+    """share of arms with a right point named"""
+
+
+def evaluate_calibrations(
+    arm: Arm,
+    conditions: Sequence[Variant],
+    contestant: Contestant,
+    family: ArmFamily,
+    file: Path,
+    on_progress: Progress,
+) -> tuple[Evaluation, list[Accused]]:
+    """Try calibrations of the first 1, 3, ... measurements in the target region, and wherever the arms reach and hold.
+
+    Otherwise as `evaluate`.
+    """
+    suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
+
+    @cache
+    def measure_all(arms: Variant) -> list[Measurements]:
+        return measure(open_family(arm, arms, family), suggestion, family.seed)
+
+    @cache
+    def calibrated(count: int, arms: Variant) -> list[Calibration]:
+        return fitted(arm, measure_all(arms), count)
+
+    places = {
+        replace(one, name=f"{one.name}, {where}", meaning=f"{one.meaning}, {where}", anywhere=anywhere, draw=1): one
+        for one in conditions
+        for where, anywhere in (("target region", False), ("anywhere", True))
+    }
+
+    def by(count: int) -> Contestant:
+        return contestant._replace(
+            name=f"{count} points", ours=True, calibrations=lambda variant: calibrated(count, places[variant])
+        )
+
+    contestants = [contestant._replace(name="not calibrated", ours=False), *map(by, POINTS)]
+    result = evaluate(arm, contestants, list(places), family, file, on_progress)
+    return result, [find_wrong(arm, one.name, measure_all(one), family) for one in conditions]
+
+
+def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Measurements]:
+    """Bring all arms to the postures and measure their tools with noise; measurements of each arm."""
+    rng = np.random.default_rng([seed, 3])
+    sent, found = robot.read().position, []
+    for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
+        for goal in (start, place):
+            came, sent = robot.read().position, _go(robot, sent, goal)
+        last = [robot.step(sent).position for _ in range(8)]
+        point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
+        found.append((np.mean(last, axis=0), came, point))
+    sigma, posture = np.full(len(found), SIGMA), suggestion.posture
+    each = zip(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)), strict=True)
+    return [
+        Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
+        for position, approach, point in each
+    ]
+
+
+def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
+    """Bring all arms to ``goal`` (n,) [rad] and wait; returns the last command (B, n)."""
+    way = goal - sent
+    duration = float(np.abs(way).max()) / SPEED
+    recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
+    return recording.command[-1]
+
+
+def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calibration]:
+    """Calibrations of all arms from their first measurements."""
+    return [fit(arm, one.rows(np.arange(count))) for one in measured]
+
+
+def find_wrong(arm: Arm, condition: str, measured: Sequence[Measurements], family: ArmFamily) -> Accused:
+    """Put a wrong point among the first ten of each arm, and fit with and without it."""
+    named = accused = 0
+    for seed, one in zip(family.wear_seeds, measured, strict=True):
+        rng, right = np.random.default_rng([seed, 4]), one.rows(np.arange(WRONG_AMONG))
+        row, away = int(rng.integers(WRONG_AMONG)), rng.normal(size=3)
+        point = right.point.copy()
+        point[row] += away * rng.uniform(*WRONG) / np.linalg.norm(away)
+        accused += bool(fit(arm, right).suspects)
+        named += fit(arm, replace(right, point=point)).suspects[:1] == (row,)
+    return Accused(condition=condition, wrong=wilson(named, family.arms), right=wilson(accused, family.arms))

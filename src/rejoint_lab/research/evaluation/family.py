@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +77,8 @@ class Variant:
     """[m] standard deviation of each coordinate of the errors of the links"""
     turn: float = 0.0
     """[rad] the same of the angles"""
+    draw: int = 0
+    """of the targets in the target region"""
 
 
 WORN = Variant(name="worn", meaning="worn arms")
@@ -166,9 +167,10 @@ def misdescribed(arm: Arm, variant: Variant, seed: int) -> Arm:
     return replace(moved, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
 
 
-def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
-    """Targets (A, count, 3) [m], others for every arm."""
-    return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1))
+def family_targets(arm: Arm, family: ArmFamily, draw: int = 0) -> Array:
+    """Targets (A, max(K, C), 3) [m] of both protocols, others for every arm."""
+    count = max(family.targets, family.crossings)
+    return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1) + draw)
 
 
 def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, Ways]:
@@ -240,79 +242,46 @@ def own_twins(
     ]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialArms:
-    """Arms and their targets."""
-
-    open: Callable[[], Robot]
-    """puts all arms at rest, as a new batch"""
-    targets: Array
-    """(A, max(K, C), 3) [m]"""
-    ways: Ways | None = None
-    """of the first K targets; None for the nearest postures"""
-    wear_seeds: Sequence[int]
-    """(A,)"""
-    calibrations: Sequence[Calibration] = ()
-    """of each arm, where they are used: they correct the targets and model the true errors"""
-
-
-OnTargets = Callable[[int], object]
-"""Receives the number of targets that are done, now and then"""
-
-
-def try_controller(
-    arm: Arm,
-    variant: Variant,
-    controller: Callable[[Arm], Controller],
-    family: ArmFamily,
-    on_targets: OnTargets = lambda _: None,
-    twins: Sequence[Twin] = (),
-) -> Columns:
-    """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
-    targets, ways = family_targets(arm, family, max(family.targets, family.crossings)), None
-    if variant.anywhere:
-        targets[:, : family.targets], ways = targets_anywhere(arm, family, twins)
-    opened = partial(open_family, arm, variant, family)
-    arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds)
-    return try_on(arm, arms, controller, family, on_targets)
-
-
 def try_on(
     arm: Arm,
-    arms: TrialArms,
+    opened: Callable[[], Robot],
     controller: Callable[[Arm], Controller],
     family: ArmFamily,
-    on_targets: OnTargets = lambda _: None,
+    targets: tuple[Array, Ways | None] | None = None,
+    calibrations: Sequence[Calibration] = (),
+    on_targets: Callable[[int], object] = lambda _: None,
 ) -> Columns:
     """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
+
+    ``opened`` puts all arms at rest, as a new batch. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or
+    None for the nearest postures, are the family's own by default. ``calibrations`` of each arm correct them, and
+    model true errors. ``on_targets`` receives the number of targets that are done, now and then.
 
     Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
     which the guard ``tripped``; with calibrations, whether they are ``used``.
     """
-    protocol, shape = family.protocol, arms.targets.shape[:2]
+    places, ways = targets or (family_targets(arm, family), None)
+    protocol, shape = family.protocol, places.shape[:2]
     found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
-    found |= dict(zip("xyz", np.moveaxis(arms.targets, -1, 0), strict=True))
-    found["arm"] = np.repeat(np.array(arms.wear_seeds, dtype=float)[:, None], shape[1], axis=1)
-    found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
-    correction = OwnCorrections(arms.calibrations) if arms.calibrations else None
-    if arms.calibrations:
-        found["used"] = np.repeat([[float(one.used)] for one in arms.calibrations], shape[1], axis=1)
+    found |= dict(zip("xyz", np.moveaxis(places, -1, 0), strict=True))
+    found["arm"], found["target"] = np.indices(shape) + np.array([family.wear_seeds[0], 0.0])[:, None, None]
+    correction = OwnCorrections(calibrations) if calibrations else None
+    if calibrations:
+        found["used"] = np.repeat([[float(one.used)] for one in calibrations], shape[1], axis=1)
     counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
     for kind, count in counts.items():
         if not count:
             continue
-        points, ways = arms.targets[:, :count], arms.ways if kind == "hold" else None
-        sequence = TargetSequence(arm, points, ways=ways, correction=correction)
+        points = places[:, :count]
+        sequence = TargetSequence(arm, points, ways=ways if kind == "hold" else None, correction=correction)
         plan = schedule(kind, protocol, keep_going=True)
-        recording = run(
-            arms.open(), controller(arm), sequence, plan, on_cycle=lambda c: on_targets(c.target_index.sum())
-        )
-        if kind == "hold":
-            found["tripped"][:, :count] = recording.tripped[:, None]
+        recording = run(opened(), controller(arm), sequence, plan, on_cycle=lambda c: on_targets(c.target_index.sum()))
         columns = metrics_of(arm, recording, points, protocol, (kind,))
-        if arms.calibrations and kind == "hold":
+        if kind == "hold":
+            columns["tripped"] = np.repeat(recording.tripped[:, None], count, axis=1)
+        if calibrations and kind == "hold":
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
-            said = metrics_of(arm, blind, points, protocol, (kind,), arms.calibrations)
+            said = metrics_of(arm, blind, points, protocol, (kind,), calibrations)
             columns |= {name: said[name] for name in MODELLED}
         for name, values in columns.items():
             found[name][:, :count] = values

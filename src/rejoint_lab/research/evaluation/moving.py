@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path as FilePath
 
@@ -31,7 +31,7 @@ from rejoint.system.progress import Progress, part
 from rejoint.system.statistics import Spread, spread
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.wear import Wear, load_wear
+from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily, keep, own_twins
 
 RATE = 30.0
@@ -80,38 +80,33 @@ def _follow(
     pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins(), seeds, strict=True) for name in STANDARD]
     servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
     paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
-    home = home_of(arm, servos)
-    worn, columns = [load_wear(f"worn?seed={seed}", arm) for _, seed, _ in pairs], list[list[list[float]]]()
+    home, driven = home_of(arm, servos), dict[str, Recording]()
 
-    def drive(
-        case: str, wears: list[Wear], guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0
-    ) -> Recording:
-        on_progress(len(columns) / len(CASES), case)
+    def drive(case: str, profile: str, guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0) -> Recording:
+        on_progress(len(driven) / len(CASES), case)
         near = home if tracks else None
         start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
+        wears = [load_wear(profile.format(seed), arm) for _, seed, _ in pairs]
         robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
         plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=start, keep_going=True)
         controller = Tracker(arm, servos) if tracks else DefaultController(arm)
-        recording = run(robot, controller, PathReference(arm, guides, near), plan)
-        if case in CASES:
-            errors = [judge(arm, recording, path, b).encoder for b, path in enumerate(paths)]
-            ends = zip(errors, recording.tripped, strict=True)
-            columns.append([[*asdict(one).values(), float(end > 0)] for one, end in ends])
-        return recording
+        driven[case] = run(robot, controller, PathReference(arm, guides, near), plan)
+        return driven[case]
 
-    drive(HEALTHY, [load_wear("healthy", arm)] * len(worn), paths, tracks=False)
+    worn = "worn?seed={}"
+    drive(HEALTHY, "healthy", paths, tracks=False)
     drive(SENT, worn, paths, tracks=False)
     known, lessons = paths, [Repetition(path) for path in paths]
     for time in range(REPETITIONS):
-        case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, f"time {time + 1}")
-        recording = drive(case, worn, known, noise=time)
+        recording = drive(REPEATED if time else KNOWN, worn, known, noise=time)  # the last time counts
         known = [
             replace(path, aim=lesson.learn(one.aimed, *missed(arm, recording, path, b)))
             for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
         ]
     drive(STREAM, worn, [played(path, RATE) for path in paths])
-    names = (*(f.name for f in fields(Along)), "stopped")
-    return dict(zip(names, np.array(columns).T, strict=True))
+    found = [[judge(arm, driven[case], path, b).encoder for case in CASES] for b, path in enumerate(paths)]
+    errors = {f.name: np.array([[getattr(one, f.name) for one in row] for row in found]) for f in fields(Along)}
+    return errors | {"stopped": np.array([driven[case].tripped > 0 for case in CASES], dtype=float).T}
 
 
 def played(path: Path, rate: float) -> Stream:

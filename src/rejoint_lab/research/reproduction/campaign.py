@@ -7,7 +7,7 @@ action.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
@@ -135,10 +135,6 @@ Found = dict[str, Any]
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An experiment of the paper; text and numbers are formats of what is measured."""
 
-    name: str = ""
-    """on the command line"""
-    also: str = ""
-    """a second name"""
     title: str
     measure: str
     """module and function in this package"""
@@ -209,43 +205,38 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
 
 
 PAGE = "reproduction.md"
-EXPERIMENTS = tuple(
-    msgspec.structs.replace(one, name=name)
-    for name, one in read_toml(
-        Path(__file__).with_name("experiments.toml"), dict[str, Experiment], "install rejoint again"
-    ).items()
-)
+EXPERIMENTS = read_toml(Path(__file__).with_name("experiments.toml"), dict[str, Experiment], "install rejoint again")
+"""by their names on the command line, in the paper's order"""
 
 
-def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
+def choose(names: Sequence[str]) -> dict[str, Experiment]:
     """Named experiments, default: all; InputError for unknown ones."""
-    known = {name for one in EXPERIMENTS for name in (one.name, one.also) if name}
     for name in names:
-        if name not in known:
-            raise InputError(f"no experiment is called {name!r}; known: {', '.join(sorted(known))}")
-    return tuple(one for one in EXPERIMENTS if not names or {one.name, one.also} & set(names))
+        if name not in EXPERIMENTS:
+            raise InputError(f"no experiment is called {name!r}; known: {', '.join(EXPERIMENTS)}")
+    return {name: one for name, one in EXPERIMENTS.items() if name in (names or EXPERIMENTS)}
 
 
 def run_experiments(
-    bench: Bench, experiments: Sequence[Experiment], on_experiment: Callable[[Experiment], object]
-) -> list[Finished]:
+    bench: Bench, experiments: Mapping[str, Experiment], on_experiment: Callable[[Experiment], object]
+) -> dict[str, Finished]:
     """Run experiments, called to ``on_experiment``, on what is kept of trainings and trials, and what is missing."""
     wanted, path = {"seed": bench.seed, "quick": bench.quick}, bench.folder / "reproduction.json"
     if path.exists() and (there := read_json(path, dict[str, int | bool])) != wanted:
         raise InputError(f"{bench.folder} is a reproduction of {there}, not of {wanted}; give another --run")
     write_json(path, wanted)
-    finish_trainings(bench, list(dict.fromkeys(name for one in experiments for name in one.trainings)))
-    found = []
-    for one in experiments:
+    finish_trainings(bench, list(dict.fromkeys(name for one in experiments.values() for name in one.trainings)))
+    found = {}
+    for name, one in experiments.items():
         on_experiment(one)
-        found.append(one.run(bench))
-        write_json(bench.result(one.name), found[-1])
+        found[name] = one.run(bench)
+        write_json(bench.result(name), found[name])
     return found
 
 
 def write_page(bench: Bench) -> Path:
     """Write all finished experiments to ``reproduction.md`` in the folder, beside the figures."""
-    there = [one.name for one in EXPERIMENTS if bench.result(one.name).exists()]
+    there = [name for name in EXPERIMENTS if bench.result(name).exists()]
     return fill(
         bench.folder / PAGE,
         "reproduction.md",

@@ -8,7 +8,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
 from rejoint.arms.arm import dh_chain
-from rejoint.control.controllers.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import strokes_of, ways
 from rejoint.training.ranges import PaperRanges
@@ -16,10 +15,6 @@ from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
 
 POSTURES = 1000
-EDGE = 9
-"""points per edge of the target box"""
-CLOSE = 1e-3
-"""[m] convergence of damped least squares"""
 
 DH_TABLE = np.array(
     [
@@ -59,7 +54,6 @@ def measure_kinematics(bench: Bench) -> Found:
         1e3 * np.linalg.norm(_flanges(other, postures + PAPER_ANGLE_SHIFT) - _flanges(vendor, postures), axis=1).max()
         for other in (paper, paper_arm(rows))
     )
-    points = paper.targets.grid(EDGE)
     names = ("offset °", "d mm", "a mm", "α °")
     headers = ("joint", *(f"{whose}: {name}" for whose in ("paper", "vendor") for name in names))
     tables = zip(PAPER_DH_TABLE, DH_TABLE, strict=True)
@@ -69,8 +63,6 @@ def measure_kinematics(bench: Bench) -> Found:
         "equal": equal,
         "postures": POSTURES,
         "shift": ", ".join(f"{angle:.0f}" for angle in np.degrees(PAPER_ANGLE_SHIFT)),
-        "reached": 100 * solve_position(paper, points, paper.rest, tolerance=1e-4).converged.mean(),
-        "steps": _steps_to(vendor, bench.seed),
         "encoder": np.degrees(vendor.encoder_step),
         "grids": [Grid("Both tables", headers, cells)],
     }
@@ -85,17 +77,6 @@ def paper_arm(rows: Array) -> Arm:
 
 def _flanges(arm: Arm, postures: Array) -> Array:
     return tcp_pose(arm, postures)[:, :3, 3]
-
-
-def _steps_to(arm: Arm, seed: int) -> float:
-    targets = arm.targets.sample(np.random.default_rng(seed), (200,))
-    q, needed = np.tile(arm.rest, (200, 1)), np.zeros(200)
-    for _ in range(200):
-        step = dls_step(arm, q, targets)
-        far = np.linalg.norm(step.error, axis=-1) > CLOSE
-        needed += far
-        q = np.where(far[:, None], q + step.step, q)
-    return float(np.median(needed))
 
 
 def _cells(row: Array) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint.training.presets import PAPER
 from rejoint_lab.research.evaluation.evaluate import VariantRow, classical, make_row, together
-from rejoint_lab.research.evaluation.family import ArmFamily, TrialArms, keep, try_on
+from rejoint_lab.research.evaluation.family import ArmFamily, keep, try_on
 from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, recipe
 
 DWELL = 5.0
@@ -47,12 +47,14 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     crossings, holds = (scale.targets * (only in ("", kind)) for kind in ("crossing", "hold"))
     repetitions = 1 if only == "hold" else scale.repetitions
     targets = np.repeat(bench.targets, repetitions, axis=0)
-    labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
-    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seeds=labels.tolist())
+    opened = partial(_open, bench, profile, len(targets))
     family = ArmFamily(arms=len(targets), targets=holds, crossings=crossings, protocol=protocol, threads=bench.threads)
     identity = repr((bench.seed, family, profile))
     path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
-    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), family))
+    found = keep(path, identity, lambda: try_on(bench.arm, opened, _maker(bench, name), family, (targets, None)))
+    # repetitions of a target set are no other arms, where there are sets enough
+    labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
+    return found | {"arm": np.repeat(labels[:, None].astype(float), targets.shape[1], axis=1)}
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
