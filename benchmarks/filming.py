@@ -17,8 +17,8 @@ import rejoint
 from benchmarks.frame import cell
 from rejoint.arms import mycobot280
 from rejoint.camera.board import ON_TABLE, ON_TOOL
-from rejoint.camera.filming import POSTURES, CameraGauge
-from rejoint.robots.cameras import simulated
+from rejoint.camera.filming import CHOSEN, CameraGauge
+from rejoint.control.seeing import simulated
 
 DWELL = 8.0
 
@@ -41,7 +41,7 @@ def main(
             board=board,
             carried=carried,
         )
-        found = rejoint.calibrate(address, gauge=gauge, count=POSTURES, settings=rejoint.Settings(seed=seed))
+        found = rejoint.calibrate(address, gauge=gauge, count=CHOSEN, settings=rejoint.Settings(seed=seed))
         goals = arm.targets.sample(np.random.default_rng(seed), (targets,))
         for errors, calibration in ((before, "none"), (after, found.calibration)):
             done = rejoint.deploy(

@@ -14,9 +14,7 @@ from rejoint.camera.board import ON_TABLE, ON_TOOL
 from rejoint.camera.detector import Unusable
 from rejoint.camera.film import (
     POSTURES,
-    read_film,
     read_folder,
-    write_film,
     write_postures,
 )
 from rejoint.camera.filming import believed_rig
@@ -61,24 +59,6 @@ def test_what_does_not_belong_to_a_film_is_named(filmed):
     assert set(left) == {*SWAPPED, "blank.jpg"}
     assert any("swapped" in left[name] for name in SWAPPED)
     assert len(filmed.residuals) == len(filmed.measurements) == filmed.calibration.points == 20
-
-
-def test_a_film_comes_back_from_its_file(tmp_path):
-    film, path = film_of(12), tmp_path / "views.json"
-    write_film(path, ARM, film)
-    back, ended = read_film(path, ARM)
-    assert not ended
-    assert (back.board, back.carried, back.size) == (film.board, film.carried, film.size)
-    assert [one.name for one in back.shots] == [one.name for one in film.shots]
-    for one, other in zip(back.usable, film.usable, strict=True):
-        np.testing.assert_array_equal(one.position, other.position)
-        np.testing.assert_array_equal(one.seen.pixel, other.seen.pixel)
-        np.testing.assert_array_equal(one.seen.number, other.seen.number)
-    assert back.unusable == film.unusable
-    write_film(path, ARM, film, ended=True)
-    assert read_film(path, ARM)[1]
-    with pytest.raises(FileError, match="of arm mycobot280, expected other"):
-        read_film(path, replace(ARM, name="other"))
 
 
 def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):

@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.camera import filming
 from rejoint.camera.board import ON_TOOL
-from rejoint.camera.film import read_film, read_folder
+from rejoint.camera.film import read_folder
 from rejoint.camera.filming import CameraGauge
 from rejoint.camera.rig import write_rig
 from rejoint.camera.tracker import LiveEye
@@ -72,8 +72,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="check its cable") as stopped:
             film(robot := Still(), Cut(robot, last=last), runs[1])
         assert "the same command goes on there" in stopped.value.__notes__[0]
-        kept, ended = read_film(runs[1].folder.views, ARM)
-        assert (len(kept), ended) == (last, False)
+        assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == last
     camera = Cut(robot := Still())
     found = film(robot, camera, runs[1])
     assert camera.taken == [filming.SCOUTS + 2]
@@ -82,18 +81,13 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         assert (one.name, one.posture) == (other.name, other.posture)
         np.testing.assert_allclose(one.position, other.position, atol=1e-12)  # means of more or fewer readings
         np.testing.assert_allclose(one.seen.pixel, other.seen.pixel, atol=1e-6)
-    assert len(list(runs[1].folder.pictures.glob("*.jpg"))) == len(found)
+    assert len(list(runs[1].folder.pictures.glob("*.png"))) == len(found)
     anew = Cut(robot := Still(), last=1)
-    with pytest.raises(InputError, match="check its cable"):
+    with pytest.raises(InputError, match="check its cable") as stopped:
         film(robot, anew, runs[1], fresh=True)
-    assert len(read_film(runs[1].folder.views, ARM)[0]) == 1
-    assert read_film(runs[1].folder.views, ARM)[0].fresh
-    with pytest.raises(InputError, match="check its cable") as stopped:  # without --fresh, and still so
-        film(robot := Still(), Cut(robot, last=2), runs[1])
+    assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
-    kept, _ = read_film(runs[1].folder.views, ARM)
-    assert (len(kept), kept.fresh) == (2, True)
-    assert list(runs[1].path.glob("views-*.json"))
+    assert list(runs[1].path.glob("pictures-*"))
 
 
 def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monkeypatch):
@@ -105,17 +99,13 @@ def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monke
     found = read_calibration(run.folder.calibration, ARM)
     assert (found.source, found.used) == ("camera", True)
     assert "The correction clearly helps" in done.out
-    kept, ended = read_film(run.folder.views, ARM)
-    assert ended
     robot = rejoint.open_robot("emulated:worn")
     position, truth = robot.read().position, robot.true_tcp()
     assert np.linalg.norm(found.tool(position) - truth) < 0.5 * np.linalg.norm(
         tcp_pose(ARM, position)[0, :3, 3] - truth
     )
-    again = read_folder(str(run.folder.pictures), ARM, ON_TOOL)  # the pictures alone tell the same
-    for one, other in zip(again.usable, kept.usable, strict=True):
-        np.testing.assert_allclose(one.position, other.position, atol=1e-7)
-        assert np.sqrt(np.mean((one.seen.pixel - other.seen.pixel) ** 2)) < 0.1
+    kept = read_folder(str(run.folder.pictures), ARM, ON_TOOL)
+    assert len(kept.usable) >= found.points > 10
 
 
 class FakeCapture:

@@ -21,14 +21,12 @@ from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import (
     SHEET_MOST,
-    ArmRecord,
     joint_columns,
-    read_for,
     require_degrees,
 )
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import set_aside, write_json, write_whole
+from rejoint.system.files import set_aside, write_whole
 from rejoint.system.textfile import ANGLES, COUNT, read_columns
 
 if TYPE_CHECKING:
@@ -68,20 +66,19 @@ class Film:
     """[px] width and height"""
     shots: tuple[Shot, ...] = ()
     """by number"""
-    fresh: bool = False
-    """ignore earlier calibrations"""
 
     def __len__(self) -> int:
         return len(self.shots)
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
-        """Add a picture; InputError for another ``size``."""
+        """Add a picture, in place of one of its number; InputError for another ``size``."""
         if self.size is not None and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
                 "take all of them with one camera and one setting"
             )
-        return replace(self, size=size, shots=tuple(sorted((*self.shots, shot), key=lambda one: one.number)))
+        shots = {one.number: one for one in (*self.shots, shot)}
+        return replace(self, size=size, shots=tuple(shots[number] for number in sorted(shots)))
 
     @property
     def usable(self) -> tuple[Shot, ...]:
@@ -104,13 +101,8 @@ class Film:
 
         return fit_film(arm, self, prior=prior, date=date)
 
-    def write(self, folder: RunFolder, arm: Arm, found: Filmed, *, taken: bool) -> None:
-        """Write image sequence, postures (if ``taken``), and camera setup to a run."""
-        if taken:
-            write_postures(folder.pictures / POSTURES, arm, self)
-        else:
-            set_aside(folder.views)
-        write_film(folder.views, arm, self, ended=True)
+    def write(self, folder: RunFolder, arm: Arm, found: Filmed) -> None:
+        """Write camera setup to a run."""
         set_aside(folder.camera)
         write_rig(folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
 
@@ -120,26 +112,6 @@ def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
     shape = (-1, arm.joints)
     position, approach = ([getattr(shot, name) for shot in shots] for name in ("position", "approach"))
     return np.array(position).reshape(shape), np.array(approach).reshape(shape)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FilmFile(ArmRecord):
-    """Content of a file of pictures."""
-
-    film: Film
-    ended: bool
-    """whether they are complete"""
-
-
-def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
-    """Write pictures, atomically; ``ended``: they are complete."""
-    write_json(path, FilmFile(arm=arm.name, joints=arm.joint_names, film=film, ended=ended))
-
-
-def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
-    """Read pictures and whether they are complete; FileError if unusable."""
-    found = read_for(path, arm, FilmFile)
-    return found.film, found.ended
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:

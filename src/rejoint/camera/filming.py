@@ -13,7 +13,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
-from rejoint.camera.film import Film, Shot, positions, read_film, write_film
+from rejoint.camera.film import POSTURES, Film, Shot, positions, read_folder, write_postures
 from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
 from rejoint.camera.rig import TERMS, Rig, place
 from rejoint.control.robot import Robot
@@ -107,10 +107,8 @@ SCOUTS = 12
 """Pictures about the rest posture; chosen"""
 FEWEST_SCOUTS = 6
 """Those that must show the board; chosen: three locate the camera"""
-POSTURES = 14
+CHOSEN = 14
 """Postures chosen then, each from two sides; chosen"""
-QUALITY = 92
-"""JPEG quality of stored pictures; chosen"""
 
 
 class StillCamera(Protocol):
@@ -132,7 +130,7 @@ class CameraGauge:
     board: Board
     carried: str = "board"
     """by the tool: ``board`` or ``camera``"""
-    postures: int = POSTURES
+    postures: int = CHOSEN
     """after those about rest"""
     scouts: int = SCOUTS
     """pictures about rest"""
@@ -152,35 +150,22 @@ class CameraGauge:
         A run ``folder`` keeps each of them; resumes what was interrupted there unless ``fresh``. InputError if the
         board is hardly visible; errors of `rejoint.control.loop.run`.
         """
-        film = self._begun(drive.robot.arm, folder, fresh=fresh)
-        total, file = SCOUTS + count * visits, None if folder is None else folder.views
-        with kept(file, fresh=film.fresh), self.camera(drive.robot) as camera:
+        arm, total = drive.robot.arm, SCOUTS + count * visits
+        film = Film(board=self.board, carried=self.carried)
+        if folder is not None and (folder.pictures / POSTURES).exists() and not fresh:
+            begun = read_folder(str(folder.pictures), arm, self.board, self.carried)
+            if len(begun) < total:
+                log_resumed(folder.pictures / POSTURES, f"{len(begun.usable)} pictures are there")
+                film = begun
+        if folder is not None and not film.shots:
+            set_aside(folder.pictures)
+        with kept(None if folder is None else folder.pictures, fresh=fresh), self.camera(drive.robot) as camera:
             try:
                 return _Shooting(drive, camera, film, folder, on_progress, total).take(count, visits)
             except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
-                _set_aside(folder)
+                if folder is not None:
+                    set_aside(folder.pictures)
                 raise
-
-    def _begun(self, arm: Arm, folder: RunFolder | None, *, fresh: bool) -> Film:
-        """Interrupted image sequence of a run without unusable shots, or a new one."""
-        if folder is not None and folder.views.exists() and not fresh:
-            film, ended = read_film(folder.views, arm)
-            if not ended and (film.board != self.board or film.carried != self.carried):
-                raise InputError(
-                    f"{folder.views}: an interrupted session with another board, or with the board elsewhere; give "
-                    "the same again, or begin again with --fresh"
-                )
-            if not ended:
-                log_resumed(folder.views, f"{len(film.usable)} pictures are there")
-                return replace(film, shots=film.usable)
-        _set_aside(folder)
-        return Film(board=self.board, carried=self.carried, fresh=fresh)
-
-
-def _set_aside(folder: RunFolder | None) -> None:
-    if folder is not None:
-        set_aside(folder.views)
-        set_aside(folder.pictures)
 
 
 @dataclass(eq=False)
@@ -209,19 +194,19 @@ class _Shooting:
         return self.film
 
     def _shoot(self, number: int, posture: Array, place: int) -> None:
-        if any(shot.number == number for shot in self.film.shots):
+        if any(shot.number == number for shot in self.film.usable):
             return
         self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
         position, approach = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
         picture = self.camera.still(number)
         check()
-        seen = self._detector.find(f"view-{number:03}.jpg", picture)
+        seen = self._detector.find(f"view-{number:03}.png", picture)
         shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:
-            data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+            data = cv2.imencode(".png", picture)[1].tobytes()
             write_whole(self.folder.pictures / seen.name, lambda temporary: temporary.write_bytes(data))
-            write_film(self.folder.views, self.drive.robot.arm, self.film)
+            write_postures(self.folder.pictures / POSTURES, self.drive.robot.arm, self.film)
         if number == 1 and isinstance(seen, Unusable):
             raise UnseenBoardError(
                 f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "

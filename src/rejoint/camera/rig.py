@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import msgspec
 import numpy as np
-import tomlkit
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_error, turned
@@ -183,29 +183,19 @@ def point_sigma(spread: Array) -> Array:
     return np.asarray(np.sqrt(np.trace(spread[..., :3, :3], axis1=-2, axis2=-1) / 3.0))
 
 
-FORMAT = 1
+FORMAT = 2
 """Version; others are refused"""
+
+_ABOUT = """A camera, a board and one robot arm. SI units and px.
+standing: pose of what stands, in the base
+mounted: pose of what the tool carries, in its frame
+sigma: standard deviations of the lens (f, cx, cy, k1, k2, p1, p2), then shift and turn of both poses"""
 
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
     """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
-    lens, standing, mounted = np.split(sigma, [len(TERMS), len(TERMS) + 6])
-    told = {
-        "format": FORMAT,
-        "arm": arm.name,
-        "date": date,
-        "carried": rig.carried,
-        "board": asdict(rig.board),
-        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, lens), strict=True))},
-    }
-    for name, own in (("standing", standing), ("mounted", mounted)):
-        pose = getattr(rig, name)[:3].tolist()
-        told[name] = {"pose": pose, "sigma_shift": own[:3].tolist(), "sigma_turn": own[3:].tolist()}
-    document = tomlkit.document()
-    document.add(tomlkit.comment("A camera, a board and one robot arm. SI units and px; sigma: standard deviations."))
-    for name, value in told.items():
-        document.add(name, tomlkit.item(value))
-    write_sealed(path, document)
+    told = {"format": FORMAT, "arm": arm.name, "date": date, **vars(rig), "sigma": sigma}
+    write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
 
 
 def read_rig(path: Path, arm: Arm) -> Rig:
@@ -214,16 +204,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
-        return Rig(
-            lens=msgspec.convert(data["lens"], Lens),
-            board=msgspec.convert(data["board"], Board),
-            carried=str(data["carried"]),
-            standing=_pose(data["standing"]),
-            mounted=_pose(data["mounted"]),
-        )
+        poses = {name: finite(data[name], (4, 4)) for name in ("standing", "mounted")}
+        lens, board = msgspec.convert(data["lens"], Lens), msgspec.convert(data["board"], Board)
+        return Rig(lens=lens, board=board, carried=str(data["carried"]), **poses)
 
     return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")
-
-
-def _pose(table: dict[str, Any]) -> Array:
-    return np.vstack([finite(table["pose"], (3, 4)), np.eye(4)[3]])

@@ -9,7 +9,6 @@ from typing import Any, get_type_hints
 
 import msgspec
 import numpy as np
-import tomlkit
 
 from rejoint.arms import Arm, Array, Displacement, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
@@ -20,6 +19,7 @@ from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, scatter, vector_of
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import array_of
+from rejoint.system.results import Readable
 from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
@@ -29,8 +29,8 @@ _PARAMETERS = 64  # draws of the parameters, the same each time (chosen: a sigma
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibration(Readable):
     """What was measured about one arm, in its base frame.
 
     Examples
@@ -211,14 +211,10 @@ covariance: of the parameters of the displacement in this order: mass less one, 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration, atomically."""
-    own, document = calibration, tomlkit.document()
-    for line in _ABOUT.splitlines():
-        document.add(tomlkit.comment(line))
+    own = calibration
     told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
     told |= {"geometry": geometry_of(own.arm), "order": own.layout.names()}
-    for name, value in msgspec.to_builtins(told, enc_hook=methodcaller("tolist")).items():
-        document.add(name, tomlkit.item(value))
-    write_sealed(path, document)
+    write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:

@@ -108,13 +108,14 @@ def suggest(
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides.
 
-    Elsewhere joints carry no more than there.
+    Elsewhere joints carry no more than there, on the approach as well.
     """
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
-    light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
+    ways = np.stack([anywhere - BEFORE, anywhere, anywhere + BEFORE])
+    light = anywhere[(np.abs(gravity_torque(arm, ways)) <= most).all(axis=(0, 2))]
     within = _approachable(arm, inside)[:WITHIN]
     return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
 

@@ -38,6 +38,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part
+from rejoint.system.results import Readable
 from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
@@ -104,8 +105,8 @@ POINTS = 10
 """Default number of postures (docs/true-accuracy.md)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Calibrated:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibrated(Readable):
     """Result of a calibration."""
 
     calibration: Calibration
@@ -211,15 +212,14 @@ def calibrate(
                 if isinstance(by, FilmingGauge):
                     drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                     folder = None if about is None else about.folder
-                    measured = film = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
-                    prior = None if film.fresh else prior
+                    measured = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
                 else:
                     measured, prior = _measured(session, driven, by, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
             with saving(result):
-                _write(about, measured, result, taken=before is None)
+                _write(about, measured, result)
         update(1.0, "fitted")
         return result
 
@@ -247,10 +247,10 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
     )
 
 
-def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken: bool) -> None:
+def _write(run: Run, measured: Measurements | Film, result: Calibrated) -> None:
     run.begin()
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
     write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
     if result.filmed is not None:
-        cast("Film", measured).write(run.folder, run.arm, result.filmed, taken=taken)
+        cast("Film", measured).write(run.folder, run.arm, result.filmed)
