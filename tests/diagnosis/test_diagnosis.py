@@ -157,21 +157,6 @@ def test_a_reference_from_healthy_logs_contains_them(logs):
         reference_from(ARM, healthy[:2], source="two arms")
 
 
-def test_one_arm_in_one_call(tmp_path):
-    seen: list[tuple[str, float]] = []
-    robot = EmulatedRobot(ARM, [HEALTHY], seed=5, address="emulated:healthy")
-    (logs,) = record(robot, seed=3, on_progress=lambda share, what: seen.append((what, share)))
-    diagnosis = judge(ARM, logs, load_healthy(ARM))
-    assert diagnosis.condition == "ok"
-    assert diagnosis.robot == "emulated:healthy"
-    assert logs.targets.extra["seed"] == "3"
-    assert list(dict.fromkeys(what for what, _ in seen)) == ["ten targets", "excitation"]
-    shares = [share for _, share in seen]
-    assert shares == sorted(shares)
-    assert (0.0 <= shares[0] < 0.01, shares[-1]) == (True, 1.0)
-    assert len(diagnosis.open_loop.targets) == 10
-
-
 def test_a_diagnosis_begins_with_a_look(monkeypatch):
     robot, read = EmulatedRobot(ARM, [HEALTHY]), EmulatedRobot.read
     monkeypatch.setattr(robot, "read", lambda: dataclasses.replace(read(robot), temperature=np.full((1, 6), 62.0)))

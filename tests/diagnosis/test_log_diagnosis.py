@@ -11,13 +11,12 @@ from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
 
 from rejoint.arms import tcp_position
 from rejoint.diagnosis import diagnosis as diagnosing
-from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs
+from rejoint.diagnosis.diagnosis import diagnose_logs
 from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
 from rejoint.diagnosis.segments import FREE, join_logs, log_of
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate
 from rejoint.twin.twin import TablePlane
 
@@ -107,11 +106,6 @@ def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
     ).evidence.rest_error_mm  # of one, there is too little
     assert alone.value == pytest.approx(expected, rel=0.5)
     assert found["soft elbow"].evidence.rest_error_mm.low > found["healthy"].evidence.rest_error_mm.high
-
-
-def test_a_diagnosis_survives_its_file(found, tmp_path):
-    write_json(tmp_path / "diagnosis.json", found["soft elbow"])
-    assert read_json(tmp_path / "diagnosis.json", Diagnosis) == found["soft elbow"]
 
 
 @pytest.fixture(scope="module")

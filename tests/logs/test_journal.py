@@ -1,6 +1,5 @@
 """The journal: what an arm did is on file before the process can die, and the disk never holds up or ends a motion."""
 
-import re
 import signal
 import subprocess
 import sys
@@ -16,7 +15,6 @@ from rejoint.logs import journal as module
 from rejoint.logs.journal import CUT_SHORT, Journal, read_journal, recover
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.system.errors import FileError
 
 pytestmark = pytest.mark.realtime
 
@@ -172,24 +170,3 @@ def test_a_disk_that_fills_meanwhile_neither_ends_the_run_nor_hides_the_error(
     monkeypatch.undo()
     journal.finish(whole())  # by then there may be room again, and all of it is in memory
     same(read_log(journal.path), ROWS)
-
-
-def test_a_log_that_cannot_be_written_stays_in_the_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    journal = written(tmp_path)
-
-    def full(path: Path, _: RunLog) -> None:
-        raise FileError(path, "cannot be written (No space left on device)", "free some space")
-
-    monkeypatch.setattr(module, "write_log", full)
-    with pytest.raises(FileError, match=r"deploy-1\.parquet: cannot be written") as caught:
-        journal.finish(whole())
-    assert str(journal.file) in caught.value.__notes__[0]
-    assert re.search(r"deploy-1\.parquet: cannot be written.*\n.*makes a log of it", journal.keep(whole()))
-    monkeypatch.undo()
-    same(read_log(recover(tmp_path / "logs")[0]), ROWS)
-
-
-def test_a_journal_that_cannot_be_written_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(FileError, match="cannot be written"):
-        begin(tmp_path / "file")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.control import robot as wallclock
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.pages.live.view import LiveView, SeenCycle
 from rejoint.robots import open_robot
-from rejoint.robots import wrapper as wallclock
 from standin import state_of
 
 ARM = mycobot280()

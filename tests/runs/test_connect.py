@@ -241,7 +241,7 @@ def test_joint_positions_are_reached_round_a_declared_box() -> None:
         def cycle(self, cycle: Cycle) -> None:
             places.append(cycle.position[0])
 
-    with rejoint.connect("emulated:worn", settings=rejoint.Settings(keep_out=[box]), observer=Watches()) as arm:
+    with rejoint.connect("emulated:worn?seed=1", settings=rejoint.Settings(keep_out=[box]), observer=Watches()) as arm:
         end = arm.move_joints(goal)
     assert end is not None
     np.testing.assert_allclose(end.joints_rad, goal, atol=np.radians(0.5))
@@ -295,11 +295,6 @@ def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
 
 def _read(now: float, position: Array) -> JointState:
     return JointState(time=np.full(1, now), position=position[None], age=np.zeros(1))
-
-
-def test_one_program_at_a_time_drives_in_a_run(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="this program is working"):
-        rejoint.connect("emulated:worn", run=run)
 
 
 def test_an_arm_without_a_run_is_guarded_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -406,14 +401,6 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
     assert all((np.diff(log.time) > 0.0).all() for log in logs.values())
     assert any(np.nanmin(np.abs(log.target - WAVE[49]).max(axis=-1)) < 1e-3 for log in logs.values())
     assert {log.extra["controller"] for log in logs.values()} == {"shelf", "tracker"}
-
-
-def test_without_a_twin_what_drives_to_points_follows_a_path(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run) as arm:
-        done = arm.follow(rejoint.Path(time=TIME, place=WAVE))
-    assert done is not None
-    assert done.controller == arm.controller
-    assert done.passes[-1].encoder.rms < 10e-3
 
 
 def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run: Path) -> None:

@@ -14,43 +14,11 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.logs.journal import CUT_SHORT, recover
 from rejoint.logs.runfolder import RunFolder, locked
-from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs import run as running
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
-
-
-def example(rows=5):
-    rng = np.random.default_rng(rows)
-    return RunLog(
-        arm="planar",
-        joint_names=("a", "b"),
-        robot="emulated:worn",
-        label="hold/0",
-        time=np.cumsum(rng.uniform(0.02, 0.03, rows)),
-        position=rng.normal(size=(rows, 2)),
-        command=rng.normal(size=(rows, 2)),
-        target=np.full((rows, 3), np.nan),
-        true_tcp=rng.normal(size=(rows, 3)),
-        extra={"seed": "3"},
-    )
-
-
-def test_a_log_survives_the_disk_bit_for_bit(tmp_path):
-    log = example()
-    write_log(tmp_path / "a.parquet", log)
-    back = read_log(tmp_path / "a.parquet")
-    for name in ("time", "position", "command", "target", "true_tcp"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(log, name))
-    assert (back.arm, back.joint_names, back.robot, back.label, back.extra) == (
-        log.arm,
-        log.joint_names,
-        log.robot,
-        log.label,
-        log.extra,
-    )
 
 
 def test_json_of_the_wrong_shape_names_the_file(tmp_path):

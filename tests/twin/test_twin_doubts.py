@@ -11,6 +11,7 @@ from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.identify import FREEDOM, _hard_to_follow
 from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judgement import smaller
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
@@ -81,3 +82,9 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
             assert named[0].count("motion") + named[0].count("shaken") == 1
             assert "shaken (0." in named[0]
     assert off[0] < 0.05 < off[1]
+
+
+def test_what_differs_no_more_than_by_chance_is_not_smaller():
+    fitted = np.array([2.0, 3.0, 1.0, 2.0])
+    assert smaller(fitted, np.array([17.0, 19.0, 15.0, 18.0]))
+    assert not smaller(fitted, np.array([2.5, 2.0, 1.8, 1.9]))

@@ -22,13 +22,6 @@ def free():
     return record("free", *wandering(0, 24.0))
 
 
-def test_the_table_is_found_where_the_tip_is_held_up(touching, free):
-    tip = tcp_position(ARM, touching.position)[:, 2]
-    assert tip.min() < TABLE.height - 0.0005  # it does press
-    found = table_height(ARM, [touching, free])
-    assert found == pytest.approx(TABLE.height, abs=0.006)
-
-
 def test_without_contact_there_is_no_table(free):
     assert table_height(ARM, [free]) is None
     assert find_exclusions(ARM, [free])[0].free.all()

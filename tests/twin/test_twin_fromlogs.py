@@ -55,16 +55,6 @@ def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
     assert REFITTED in held.notes
 
 
-def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
-    twin = found
-    distance = np.abs(pack(TRUTH) - pack(twin.parameters)) / np.sqrt(np.diag(twin.covariance))
-    known = twin.identified
-    assert known.sum() >= 18
-    inside = int((distance[known] < 1.96).sum())
-    # Of n tests at 95 %, fewer than 80 % within is a chance of less than one in a hundred.
-    assert inside >= 0.8 * known.sum(), dict(zip(np.array(twin.names)[known], distance[known].round(1), strict=True))
-
-
 def test_the_structure_is_that_of_the_truth(found):
     assert found.stiction == 1.25
     assert found.parameters.ramp_speed > 20.0

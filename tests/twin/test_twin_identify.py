@@ -5,21 +5,13 @@ import pytest
 
 from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import identify
-from rejoint.twin.judgement import prediction_error
 from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
-from twinmodel import predict
 
 
 @pytest.fixture(scope="session")
 def twin(arm, log):
     return identify(arm, [log], starts=16, iterations=10, threads=1)
-
-
-def test_prediction_with_the_truth_is_as_good_as_the_encoders(arm, truth, log):
-    error = prediction_error(arm, predict(arm, truth, log), log.position)
-    assert error.joint < np.radians(0.06)  # an encoder step is 0.088 deg, and answers jitter by 2 ms
-    assert error.tcp < 0.5e-3
 
 
 def test_fit_finds_the_truth(twin, truth):
@@ -30,12 +22,6 @@ def test_fit_finds_the_truth(twin, truth):
     np.testing.assert_allclose(found.offset, truth.offset, atol=np.radians(0.4))
     assert found.delay == pytest.approx(float(truth.delay), abs=0.002)
     assert found.ramp_speed == pytest.approx(float(truth.ramp_speed), rel=0.05)
-
-
-def test_intervals_hold_the_truth(twin, truth):
-    distance = np.abs(pack(truth) - pack(twin.parameters)) / np.sqrt(np.diag(twin.covariance))
-    assert np.mean(distance[twin.identified] < 1.96) > 0.9
-    assert twin.identified.sum() > 12
 
 
 def test_held_out_motion_decides(twin, arm, truth, log):

@@ -63,16 +63,6 @@ def test_a_goal_that_is_sent_again_is_followed_at_once():
     np.testing.assert_allclose(seen, [0.00722, 0.3, 0.3, 0.30722, 0.5], atol=1e-12)
 
 
-def test_delay_shifts():
-    rng = np.random.default_rng(1)
-    time = np.cumsum(rng.uniform(0.015, 0.025, 40))
-    profile = ServoReference(time, rng.normal(0.0, 0.2, (40, 3)), np.ones(3), 30.0)
-    at = np.linspace(time[0], time[-1], 77)
-    both = profile.sample(at, np.array([0.0, 0.013, 0.0]))
-    np.testing.assert_array_equal(both[0], both[2])
-    np.testing.assert_allclose(both[1], profile.sample(at - 0.013, np.zeros(3))[0], atol=1e-12)
-
-
 def test_a_fast_sine_is_followed_to_its_limit_and_no_further():
     # a w^2 = 18 and 95 rad/s^2, limit 40: the first keeps its size, the second cannot.
     time = np.arange(0.0, 6.0, 0.02)

@@ -1,14 +1,11 @@
 """Intervals from clusters that differ, against fits that are really made without each of them."""
 
-from types import SimpleNamespace
-
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from rejoint.twin.fit import Weights
 from rejoint.twin.parameters import Prior
-from rejoint.twin.uncertainty import _steadied, jackknife
+from rejoint.twin.uncertainty import jackknife
 
 
 def linear(seed=0, clusters=7, parameters=3):
@@ -41,42 +38,3 @@ def test_what_no_cluster_tells_keeps_its_prior():
     prior = Prior(mean=np.zeros(3), sigma=np.array([0.5, 2.0, 1.0]), lower=-np.ones(3), upper=np.ones(3))
     covariance = jackknife(prior, np.zeros((5, 3, 3)), np.zeros((5, 3)))
     np.testing.assert_allclose(covariance, np.diag(prior.sigma**2), atol=1e-12)
-
-
-class Stub:
-    """A problem of one joint whose residuals are ``slopes`` times the parameters, 1 mrad each."""
-
-    joints = 1
-
-    def __init__(self, slopes):
-        k = slopes.shape[1]
-        self.slopes, self.owner, self.frozen = slopes, np.zeros(k, dtype=int), np.zeros(k, dtype=bool)
-        self.prior = Prior(mean=np.zeros(k), sigma=np.ones(k), lower=np.full(k, -9.0), upper=np.full(k, 9.0))
-
-    def columns(self, joint):
-        return np.flatnonzero(self.owner == joint)
-
-    def residuals(self, vectors):
-        return 1e-3 * (vectors @ self.slopes.T)[..., None]
-
-
-def steadied(slopes, noise):
-    problem = Stub(slopes)
-    weights = Weights(precision=np.full((len(slopes), 1), 1e6), share=np.ones((len(slopes), 1)))
-    found = SimpleNamespace(vector=np.zeros(3), weights=weights)
-    jacobian = 1e-3 * (slopes + noise)[:, None]
-    covariance = np.linalg.inv((slopes + noise).T @ (slopes + noise))
-    return _steadied(problem, found, jacobian, covariance)[:, 0] / 1e-3
-
-
-def test_exact_sensitivities_are_left_as_they_are():
-    slopes = np.random.default_rng(1).normal(0.0, 1.0, (400, 3))
-    np.testing.assert_allclose(steadied(slopes, 0.0 * slopes), slopes, rtol=1e-4, atol=1e-4)
-
-
-def test_noise_of_simulations_does_not_pass_for_knowledge():
-    rng = np.random.default_rng(2)
-    slopes = rng.normal(0.0, 1.0, (4000, 3)) @ np.diag([1.0, 1.0, 0.05])  # the last is hardly seen
-    steady = steadied(slopes, rng.normal(0.0, 0.2, slopes.shape))
-    assert (steady[:, 2] ** 2).sum() < 1.3 * (slopes[:, 2] ** 2).sum()  # with noise it is 17 times as much
-    np.testing.assert_allclose((steady[:, :2] ** 2).sum(axis=0), (slopes[:, :2] ** 2).sum(axis=0), rtol=0.1)

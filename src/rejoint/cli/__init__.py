@@ -166,6 +166,7 @@ def main() -> None:
 
 def _misused(error: typer.TyperException) -> str:
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
+    told = told.replace("Value error, ", "")  # of the library behind typer
     context = getattr(error, "ctx", None)
     told = told.rstrip(".") or "no command given"
     return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"

@@ -112,7 +112,7 @@ class Terminal:
     def next(self, text: str) -> None:
         """Print the command that comes next; a dry run leads to none."""
         if not self._dry:
-            self.result(f"Next: {text}")
+            self.say(f"Next: {text}")
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table with the row ``bold`` set off.
@@ -165,7 +165,7 @@ class Terminal:
 
             def update(share: float, what: str) -> None:
                 raise_again()
-                bar.update(task, completed=share, total=1.0, what=what)
+                bar.update(task, completed=share, total=1.0 if share else None, what=what)  # none: it only moves
 
             yield update
 
@@ -216,7 +216,7 @@ def _plain_progress(terminal: Terminal, title: str) -> Progress:
         raise_again()
         if time.monotonic() - last >= _PLAIN_INTERVAL:
             last = time.monotonic()
-            terminal.say(f"{title}: {100 * share:.0f} % {what}".rstrip())
+            terminal.say(f"{title}: {f'{100 * share:.0f} % ' if share >= 0.005 else ''}{what}".rstrip())
 
     return update
 

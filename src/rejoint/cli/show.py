@@ -110,7 +110,7 @@ def gains(terminal: Terminal, found: GainsFound) -> None:
 def training(terminal: Terminal, result: TrainingResult) -> None:
     """Print what the training reached."""
     terminal.result(
-        f"{result.steps / 1e6:.2f} million transitions in {result.wall_s:.0f} s; on randomised twins "
+        f"{result.steps:,} transitions in {result.wall_s:.0f} s; on randomised twins "
         f"{100 * result.success_rate:.0f} % of the targets reached, median error {result.error_mm:.2f} mm. "
         f"Policy: {result.policy}"
     )

@@ -86,16 +86,20 @@ def repair(
     page = Path(os.path.relpath(found.page))
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
-    from rejoint.pages.report.contents import before_after, read_contents
+    from rejoint.pages.report.contents import before_after, next_steps, read_contents
 
-    errors = before_after(read_contents(job.path))
+    contents = read_contents(job.path)
+    errors, steps = before_after(contents), next_steps(contents)
     spent = read_effort(job.folder)
     show.effort(call, spent)
     if errors is not None and errors.sentence:
         call.result(errors.sentence)
     call.result(str(page))
+    call.say("Next:")
+    for what, line in {"look at the report": command("open", job.path), **steps}.items():
+        call.say(f"  {line}  # {what}")
     value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
-    return value | {"report": page, "errors": errors, "effort": spent}
+    return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
 
 
 def rehearse(
@@ -275,10 +279,9 @@ def compare(
     sets: int | None = None,
     repetitions: int | None = None,
     full: bool = False,
-    directions: bool = False,
 ) -> object:
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
-    plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, directions=directions, full=full)
+    plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full)
     names = opt.controller_names(controllers)
     found = call.stage("compare", rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))

@@ -14,6 +14,7 @@ from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.recording import Recording, recording_of
 from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
+from rejoint.system.results import Readable
 
 REACHED = Protocol.threshold
 """[m]"""
@@ -58,8 +59,8 @@ class Visit:
     """[rad]"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Deployed:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Deployed(Readable):
     """Result of a deployment."""
 
     controller: str

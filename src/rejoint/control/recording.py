@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.guard import GuardLimits, Reason, Reasons
-from rejoint.control.robot import JointState, Mask, Robot, part_of
+from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, RateLimit
 
@@ -68,12 +68,6 @@ class LookedAt(Protocol):
         """Make a `Look` for a run."""
 
 
-def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
-    """Look of ``onlooker``, or None."""
-    shown = part_of(robot, LookedAt)
-    return None if shown is None else shown.onlooker(controller, limits)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording(Cycle):
     """T cycles of B arms; fields of `Cycle` with a leading T."""
@@ -84,12 +78,6 @@ class Recording(Cycle):
     controller: str
     tripped: Reasons
     """(B,) flags of the trip"""
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
 
     def of(self, arms: slice) -> Recording:
         """Select arms."""

@@ -24,6 +24,7 @@ from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.results import Readable
 from rejoint.system.statistics import Estimate
 
 
@@ -98,8 +99,8 @@ FLANK = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnosis(Readable):
     """What is wrong with an arm."""
 
     arm: str

@@ -3,7 +3,7 @@
 A catalogue arm has a file in this package, measured on emulated arms with the wear profile ``healthy`` or that of
 `NEW`. It is written by
 
-    python -m rejoint.diagnosis mycobot280
+    python -m rejoint.diagnosis.healthy mycobot280
 
 An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures other arms, `reference_by` uses a real good
 arm.
@@ -11,6 +11,7 @@ arm.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
@@ -27,7 +28,7 @@ from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.regression import scaled
 from rejoint.robots import open_robot, usable
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json
+from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ ARMS_ON_DEMAND = 6
 """The same on demand (about 10 s); chosen"""
 
 
-HOBBY = ("emulated:", "feetech:")
+HOBBY = ("emulated:", "feetech:", "dynamixel:")
 """Addresses of hobby servos begin so"""
 
 NEW = {"so101": "so101-new"}
@@ -158,7 +159,7 @@ def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> Healthy
     """Diagnose emulated healthy arms; ``p``: gain of an arm in `NEW`."""
     logs: list[DiagnosisLogs] = []
     new = _new(arm)
-    profile = new or "healthy"
+    profile = new or ("new" if arm.servos else "healthy")
     address = f"emulated:{profile}?p={p}" if new else f"emulated:{profile}"
     for offset in range(2):  # two excitations, each on half of the arms
         robot = open_robot(address, arm=arm, seed=SEED + offset, count=count // 2)
@@ -257,3 +258,9 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
         error_mm=None if error is None else _factor([error]),
     )
+
+
+if __name__ == "__main__":
+    measured = load_arm(sys.argv[1] if len(sys.argv) > 1 else "mycobot280")
+    for gain in MEASURED if measured.name in NEW else (AS_SOLD,):
+        write_json(reference_path(measured, gain), measure_healthy(measured, p=gain))

@@ -418,7 +418,8 @@ def arm_delay(data: ExcitationLog) -> float:
         motion = _motion(data, joint, DELAYS, fast=True)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
-            found.append(_lowest(_onset_costs(data, joint, fits)))
+            costs = _onset_costs(data, joint, fits)
+            found += [_lowest(costs)] if np.isfinite(costs).any() else []
     return float(np.quantile(found, 0.25)) if found else _USUAL_DELAY
 
 

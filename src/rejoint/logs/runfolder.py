@@ -76,10 +76,8 @@ class RunFolder:
     """external measurements of the tool"""
     calibration = FilePlace("calibration.toml")
     """displacements behind the encoders"""
-    views = FilePlace("views.json")
-    """detections of the board per image"""
     pictures = FilePlace("pictures")
-    """images"""
+    """of a board, and their joint positions"""
     camera = FilePlace("camera.toml")
     """poses of camera, board and arm"""
     judgement = FilePlace("judgement.json")

@@ -246,7 +246,6 @@ class _RepairStages:
         trials = replace(
             trials,
             sets=sets if trials.sets is None else trials.sets,
-            directions=emulated and not quick,
             repetitions=repetitions if trials.repetitions is None else trials.repetitions,
         )
         if quick and targets is None:

@@ -16,11 +16,10 @@ from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_t
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
@@ -115,8 +114,8 @@ class Run:
         seed = self.seed if seed is None else seed
         if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
             raise InputError(
-                f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "
-                f"expected {robot} ({arm.name}, seed {seed}); give another --run"
+                f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), and this would be "
+                f"{robot} ({arm.name}, seed {seed}); give another --run"
             )
         if changed := differing(bare(self.arm), bare(arm)):
             raise InputError(

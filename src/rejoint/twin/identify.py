@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.control.monitor import servo_lines
+from rejoint.control.monitor import load_slopes
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -148,7 +148,7 @@ DEFAULT_LOG_SETTINGS = LogSettings()
 
 
 # Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis
-# or near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`servo_lines`)
+# or near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`load_slopes`)
 # is stiffness over largest torque, within some percent. Equal motors share a scale. Stall torques in data sheets
 # differ too much to replace the masses (an STS3215: 2.9 to 6 N m).
 COMMON = 1.0
@@ -162,11 +162,11 @@ OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
 
 
 def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
-    """Prior of an arm by the loads in its ``logs``; None without load lines or equal servos (`Arm.servos`)."""
+    """Prior of an arm by the loads in its ``logs``; None without loads or equal servos (`Arm.servos`)."""
     groups = [np.flatnonzero(np.array(arm.servos) == name) for name in sorted(set(arm.servos)) if name]
     alike = [group for group in groups if len(group) > 1]
-    lines = servo_lines(arm, logs) if alike else None
-    if lines is None:
+    slopes = load_slopes(arm, logs) if alike else None
+    if slopes is None:
         return None
     belief, layout = prior(arm, OPEN), Layout(arm.joints)
     limits, gains = layout.at("torque_limit"), layout.at("stiffness")
@@ -175,7 +175,7 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
         place = np.arange(limits.start, limits.stop)[group]
         mean[place] = mean[place].mean()
         covariance[np.ix_(place, place)] = COMMON**2 + OWN**2 * np.eye(len(group))
-    within = np.broadcast_to(lines.within, arm.joints)
+    slope, within = slopes
     shown = [joint for joint in np.concatenate(alike) if np.isfinite(within[joint])]
     for joint in shown:
         covariance[gains.start + joint, gains.start + joint] = ANY**2
@@ -184,7 +184,7 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
     for joint in shown:
         row = np.zeros(len(mean))
         row[gains.start + joint], row[limits.start + joint] = 1.0, -1.0
-        known = given(known, row, float(np.log(lines.gain[joint])), float(within[joint]))
+        known = given(known, row, float(np.log(slope[joint])), float(within[joint]))
     return known
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.system.results import Readable
 from rejoint.system.statistics import above_zero, bootstrap_mean
 
 FEWEST = 3
@@ -66,8 +67,8 @@ class Trace:
     """(n, T) [rad] predicted minus measured, first candidate"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Judgement:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Judgement(Readable):
     """Result of a replay of logs."""
 
     arm: str

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import ContractError, InputError
+from rejoint.system.results import Readable
 from rejoint.system.statistics import NORMAL95
 from rejoint.system.tomltable import read_sealed, write_sealed
 from rejoint.twin.judgement import Judgement, PredictionError
@@ -67,8 +68,8 @@ class TablePlane:
             raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Twin:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Twin(Readable):
     """Parameters of one arm with their covariance, over a vector of length k.
 
     Examples

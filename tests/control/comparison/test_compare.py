@@ -6,12 +6,10 @@ import pytest
 from comparisons import refilled
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.comparison.compare import Settings, TrialRunner
-from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.recommend import difference, recommend
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import IntegratorController
-from rejoint.control.loop import run
 from rejoint.control.targets import draw_targets
 from rejoint.system.errors import GuardTripError
 from standin import StandIn
@@ -174,21 +172,6 @@ def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
     assert np.isnan(settled[1, 0, 1])
     assert np.isnan(found.array("crossing_error", "default")[1, 0, 1])
     assert row.cycle_time.count == 1
-
-
-def test_protocols_on_one_recording():
-    targets = TARGETS[:, :2]
-    rec, held = (
-        run(SaggingRobot(2), IntegratorController(ARM), targets, schedule(kind, PROTOCOL, keep_going=True))
-        for kind in ("crossing", "hold")
-    )
-    found = metrics_of(ARM, rec, targets, PROTOCOL, ("crossing",))
-    for b in range(2):
-        rows = np.flatnonzero(rec.active[:, b])
-        assert found["crossing_time"][b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
-    holds = metrics_of(ARM, held, targets, PROTOCOL)
-    stays = [holds[name] for name in PROTOCOL.stay_names]
-    assert (np.diff(stays, axis=0) >= 0).all()  # the narrower, the later
 
 
 def alike(errors):

@@ -92,11 +92,6 @@ def test_a_command_that_is_not_a_number_costs_the_trial_and_not_the_comparison(o
     assert arm.closed == 1
 
 
-def test_a_fault_of_the_arm_still_ends_the_comparison():
-    with pytest.raises(GuardTripError, match="temperature"):
-        on_one_arm({"policy": Breaks}, TARGETS[:1], hot=0.5)
-
-
 def test_a_measured_position_that_is_not_a_number_is_not_the_controllers_fault():
     class Blind(SaggingRobot):
         def read(self):

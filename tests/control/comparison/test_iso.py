@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rejoint.control.comparison.protocols import direction_variation, reversal
+from rejoint.control.comparison.protocols import reversal
 from rejoint.control.comparison.result import position_repeatability
 
 CROSS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -25,11 +25,6 @@ def test_one_cycle_has_no_repeatability():
 def test_poses_are_judged_one_by_one():
     both = np.stack([CROSS, 2 * CROSS])
     np.testing.assert_allclose(position_repeatability(both), [1.0, 2.0])
-
-
-def test_variation_is_between_the_farthest_directions():
-    means = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 2]])
-    np.testing.assert_allclose(direction_variation(np.stack([means, 2 * means])), np.sqrt(5.0) * np.array([1.0, 2.0]))
 
 
 def test_reversal_is_the_play_between_two_sides():

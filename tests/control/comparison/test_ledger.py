@@ -60,22 +60,6 @@ def test_a_comparison_that_was_interrupted_finds_what_it_would_have_found(tmp_pa
     }
 
 
-def test_on_one_arm_trials_that_are_done_are_not_driven_again(tmp_path):
-    path = tmp_path / "trials"
-    with pytest.raises(NoReplyError):
-        TrialRunner(connect, FACTORIES, TARGETS, ALONE, ledger=Ledger(path, "one"), on_trial=stop_after(5)).compare()
-    first = Ledger(path, "one")
-    assert len(first.done) == 5
-    driven = []
-    result = TrialRunner(connect, FACTORIES, TARGETS, ALONE, ledger=first, on_trial=noting(driven)).compare()
-    done = set(Ledger(path, "one").done)
-    assert len(done) == len(driven) + 5
-    assert {one.key for one in driven} | set(first.done) == done
-    for row in result.rows:
-        if not row.out:
-            assert np.isfinite(result.array("crossed", row.controller)).all()
-
-
 def test_trials_of_another_comparison_are_set_aside(tmp_path):
     path = tmp_path / "trials"
     ledger = Ledger(path, "one")

@@ -14,10 +14,12 @@ from rejoint.arms import Displacement, solve_position
 from rejoint.control.comparison.result import Protocol
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.report.contents import read_contents
 from rejoint.pages.report.figures import Gallery, Picture
 from rejoint.pages.report.page import report_html
+from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
 
 SETS, REPETITIONS, TARGETS = 2, 3, 10
@@ -164,6 +166,12 @@ class Sketches(Gallery):
         assert key not in self.figures
         self.figures[key] = figure
         return Picture(svg=Markup(f'<svg aria-label="{escape(alt)}"></svg>'), caption=caption)
+
+
+def begin(path, arm):
+    """Write the description of a run."""
+    info = RunInfo(robot="emulated:worn", arm=arm.name, seed=0, version="0", created="now")
+    write_json(RunFolder(path).info, info)
 
 
 def shown(path):

@@ -1,4 +1,4 @@
-"""What a comparison drives besides its controllers: the arm as it was found, and poses from three directions."""
+"""What a comparison drives besides its controllers: the arm as it was found."""
 
 from dataclasses import replace
 
@@ -13,8 +13,8 @@ from rejoint.control.comparison.result import Protocol
 SHORT = Protocol(dwell=1.0, hold=1.0, window=0.3)
 
 
-def compared(controller, targets, *, directions=False, **given):
-    plan = rejoint.TrialPlan(repetitions=1, protocol=SHORT, directions=directions)
+def compared(controller, targets, **given):
+    plan = rejoint.TrialPlan(repetitions=1, protocol=SHORT)
     return rejoint.compare("emulated:worn", [controller], targets, plan=plan, **given)
 
 
@@ -33,21 +33,13 @@ def test_an_aimed_comparison_tells_how_the_arm_was_found(used):
         assert (np.abs(aimed - as_found) > 1e-4).all()
 
 
-def test_directions_are_driven_where_they_are_asked_for():
-    arm = mycobot280()
-    targets = arm.targets.sample(np.random.default_rng(0), (1, 1))
-    found = compared("feedforward", targets, directions=True).comparison
-    assert (found.directions.controller, found.directions.poses, found.directions.cycles) == ("feedforward", 5, 1)
-    assert found.directions.tool.mean.value > found.directions.encoders.mean.value / 2 > 0.0
-    assert found.as_found is None
-
-
 def test_a_trip_beside_a_comparison_is_told_and_costs_no_more(monkeypatch):
     def trip(*_):
         raise rejoint.GuardTripError("temperature", "joint2 is at 71 deg C")
 
-    monkeypatch.setattr("rejoint.runs.stages.compare.vary_directions", trip)
-    targets = mycobot280().targets.sample(np.random.default_rng(0), (1, 1))
-    done = compared("feedforward", targets, directions=True)
-    assert done.comparison.directions is None
+    monkeypatch.setattr("rejoint.control.comparison.compare.TrialRunner.as_found", trip)
+    arm = mycobot280()
+    targets = arm.targets.sample(np.random.default_rng(0), (1, 1))
+    done = compared("default", targets, settings=rejoint.Settings(calibration=make_calibration(arm)[0]))
+    assert done.comparison.as_found is None
     assert any("joint2 is at 71 deg C" in line for line in done.recommendation.why)

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from report_samples import make_calibration, shown
+from report_samples import begin, make_calibration, shown
 
 from readpage import Page
 from rejoint.arms import load_arm, tcp_position
@@ -23,6 +23,7 @@ POINTS = "tool / Measured points in the base frame, each left out"
 def calibrated(tmp_path_factory):
     """A folder with a calibration alone, and the page that it makes."""
     arm, folder = load_arm("mycobot280"), RunFolder(tmp_path_factory.mktemp("calibrated"))
+    begin(folder.path, arm)
     calibration, measured = make_calibration(arm)
     write_calibration(folder.calibration, calibration)
     write_measurements(folder.measurements, arm, measured)
@@ -41,6 +42,7 @@ def test_every_point_stands_with_both_of_its_errors(calibrated):
 
 def test_measurements_of_another_calibration_are_not_set_beside_it(tmp_path):
     arm, folder = load_arm("mycobot280"), RunFolder(tmp_path)
+    begin(folder.path, arm)
     calibration, measured = make_calibration(arm)
     write_calibration(folder.calibration, calibration)
     write_measurements(folder.measurements, arm, measured.rows(np.arange(6)))
@@ -57,7 +59,6 @@ def test_the_data_sheet_holds_each_number_with_its_count_or_says_not_known(run_f
     assert found["True error, repaired"][3] == "known"
     assert found["Tool from where the encoders see it"][2:] == ["8", "measured"]
     assert found["Reversal value at the tool, ISO 230-2"][2] == "4"
-    assert found["vAP, multi-directional variation of accuracy of the tool"] == ["not known", "", "", ""]
     words = " ".join(page.text)
     assert re.search(r"Payload\s+not known", words)
     assert re.search(r"Controller recommended\s+policy", words)

@@ -3,7 +3,7 @@
 import re
 
 import numpy as np
-from report_samples import shown
+from report_samples import begin, shown
 
 from readpage import rounds
 from rejoint.logs.runfolder import RunFolder
@@ -63,8 +63,9 @@ def test_one_number_for_one_property_of_a_joint(whole):
         assert places[0].startswith(TWIN)
 
 
-def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(tmp_path, diagnosis):
+def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(tmp_path, arm, diagnosis):
     folder = RunFolder(tmp_path)
+    begin(tmp_path, arm)
     write_json(folder.diagnosis, diagnosis)
     places, shown_rows = shown(folder.path)[0].places, 0
     for quantity in QUANTITIES:

@@ -6,7 +6,7 @@ import dataclasses
 import re
 
 import pytest
-from report_samples import make_comparison
+from report_samples import begin, make_comparison
 
 from readpage import Page
 from rejoint.control.comparison.recommend import recommend
@@ -67,6 +67,7 @@ def test_full_report(run_folder, comparison):
 
 
 def test_the_same_files_give_the_same_page(tmp_path, arm):
+    begin(tmp_path, arm)
     write_json(RunFolder(tmp_path).comparison, make_comparison(arm, ("default",)))
     first = write_report(tmp_path).read_bytes()
     assert write_report(tmp_path).read_bytes() == first
@@ -93,7 +94,8 @@ def test_hostile_text_stays_text(tmp_path, arm, diagnosis):
 @pytest.mark.parametrize(
     "name", ["run.json", "diagnosis.json", "twin.toml", "comparison.json", "training/curves.parquet", "policy.onnx"]
 )
-def test_damaged_files_are_named(tmp_path, name, diagnosis):
+def test_damaged_files_are_named(tmp_path, name, arm, diagnosis):
+    begin(tmp_path, arm)
     write_json(RunFolder(tmp_path).diagnosis, diagnosis)
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
@@ -110,24 +112,3 @@ def test_a_damaged_log_is_named(run_folder):
     with pytest.raises(FileError) as error:
         write_report(run_folder.path)
     assert error.value.path == path
-
-
-def test_nothing_to_report(tmp_path, arm):
-    with pytest.raises(FileError, match="no such run folder"):
-        write_report(tmp_path / "nowhere")
-    write_json(
-        RunFolder(tmp_path).info, RunInfo(robot="emulated:worn", arm=arm.name, seed=0, version="0", created="now")
-    )
-    with pytest.raises(FileError, match="no stage has been run"):
-        write_report(tmp_path)
-
-
-def test_files_of_different_arms_are_refused(tmp_path, arm, diagnosis):
-    folder = RunFolder(tmp_path)
-    write_json(folder.diagnosis, diagnosis)
-    write_json(folder.comparison, dataclasses.replace(make_comparison(arm, ("default",)), arm="so101"))
-    with pytest.raises(FileError, match="different arms"):
-        write_report(tmp_path)
-    write_json(folder.comparison, dataclasses.replace(make_comparison(arm, ("default",)), arm="no-such-arm"))
-    with pytest.raises(FileError, match="no-such-arm"):
-        write_report(tmp_path)

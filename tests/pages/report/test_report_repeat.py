@@ -1,7 +1,6 @@
 """What the page says of few trials and of failures, and the lines with which everything is done again."""
 
 import pytest
-from report_samples import make_comparison
 
 from readpage import Page
 from rejoint.logs.runfolder import RunFolder, RunInfo
@@ -14,11 +13,6 @@ def made(folder, comparison, *, robot="emulated:worn", seed=7):
     write_json(folder.info, RunInfo(robot=robot, arm=comparison.arm, seed=seed, version="0", created="now"))
     write_json(folder.comparison, comparison)
     return commands(read_contents(folder.path))
-
-
-def test_the_line_of_a_repair_names_robot_and_seed(tmp_path, arm):
-    lines = made(RunFolder(tmp_path), make_comparison(arm, ("default",)), seed=0)
-    assert lines["repair"] == "rejoint repair emulated:worn --seed 0"
 
 
 @pytest.mark.parametrize("robot", ["emulated:worn", "tcp://10.0.0.2:9000"])

@@ -28,23 +28,11 @@ def contract(arm, digest):
 
 def section(curves, contract):
     """The words of the section, and its facts."""
-    html = render("report/training.html", it=SimpleNamespace(curves=curves, contract=contract), draw=Gallery())
+    policy = contract and SimpleNamespace(contract=contract)
+    html = render("report/training.html", it=SimpleNamespace(curves=curves, policy=policy), draw=Gallery())
     page = Page(html)
     names = [text for place, text in page.places.items() if "/ dt" in place]
     return page.words, dict(zip(names, (text for place, text in page.places.items() if "/ dd" in place), strict=True))
-
-
-@pytest.mark.parametrize(
-    ("digest", "pupils", "twin"),
-    [("0123abcd", "copies of the twin", "0123abcd"), ("", "simulated arms", "none: broad ranges alone")],
-)
-def test_contract_and_curves(arm, curves, digest, pupils, twin):
-    words, facts = section(curves, contract(arm, digest))
-    assert f"randomised {pupils}: 1.31 million" in words
-    assert facts["control periods met in training"] == "18 to 55 ms"
-    assert facts["twin it was trained on"] == twin
-    assert facts["observation"].startswith("28 numbers"), "the paper's state size, section III-B"
-    assert (facts["recipe"], facts["seed"]) == ("paper", "11")
 
 
 def test_either_part_may_be_missing(arm, curves):

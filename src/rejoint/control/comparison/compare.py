@@ -19,29 +19,22 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
-from rejoint.arms.workspace import length_size
-from rejoint.control.comparison.protocols import (
-    RISING_AHEAD,
-    direction_variation,
-    iso_poses,
-    measure,
-    metrics_of,
-    schedule,
-)
+from rejoint.control.comparison.protocols import measure, metrics_of, schedule
 from rejoint.control.comparison.result import (
     KINDS,
     WAS_WORSE,
     Columns,
     Comparison,
-    DirectionVariation,
     Driven,
     Key,
     Kind,
     Protocol,
+    TargetErrors,
     collect,
     comparison_of,
     row_of,
 )
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits, Reason
@@ -51,11 +44,10 @@ from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
-from rejoint.control.targets import beyond_reach, in_words
+from rejoint.control.targets import in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.system.files import read_json, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.statistics import spread
 from rejoint.system.stopping import pause
 
 
@@ -357,17 +349,13 @@ class TrialRunner:
 
     # --- beside the trials --------------------------------------------------------------------
 
-    def hold(self, name: str, targets: Array, *, corrected: bool = True) -> Columns:
-        """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
-        batched, found = self.settings.batched, []
-        parts = [targets] if batched else np.split(targets, len(targets))
-        with closing(self.open_robot(len(parts[0]), self.settings.seed)) as robot:
-            for part in parts:
-                sent = None if batched else begin(robot, self.limits, self.stance).command[-1]
-                recording = self._run(robot, name, part, "hold", corrected=corrected, sent=sent)
-                models = [self.model] * len(part) if self.model else ()
-                found.append(metrics_of(robot.arm, recording, part, self.settings.protocol, models=models))
-        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    def as_found(self) -> TargetErrors:
+        """Errors of the default controller at the first target set, not corrected; raises as `run`."""
+        targets, settings, models = self.targets[:1], self.settings, [self.model] if self.model else ()
+        with closing(self.open_robot(1, settings.seed)) as robot:
+            sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
+            recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False, sent=sent)
+            return TargetErrors.of(metrics_of(robot.arm, recording, targets, settings.protocol, models=models))
 
 
 def bad_command(recording: Recording) -> bool:
@@ -401,25 +389,3 @@ def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:
             factor = float(np.exp(difference.mean()))
             out[name] = f"{WAS_WORSE}{best} (settles {factor:.1f} times as far off at {len(difference)} targets)"
     return out
-
-
-AWAY = 0.03
-"""[m] start of an approach, for a myCobot 280 (chosen)"""
-
-
-def vary_directions(runner: TrialRunner, name: str, arm: Arm) -> DirectionVariation | None:
-    """Approach each reachable ISO 9283 pose along the base axes, once per repetition."""
-    cycles, poses = runner.settings.repetitions, iso_poses(arm, RISING_AHEAD)
-    poses = poses[beyond_reach(arm, poses) == 0.0]
-    middle = 0.5 * (arm.targets.upper + arm.targets.lower)
-    side = np.where(poses > middle, -1.0, 1.0)
-    starts = poses[None] + AWAY * length_size(arm) * np.eye(3)[:, None] * side[None]  # (3, P, 3)
-    way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2)  # (3, P, 2, 3)
-    ways = way.reshape(3 * len(poses) if runner.settings.batched else 1, -1, 3)
-    held = runner.hold(name, np.tile(ways, (cycles, 1, 1)))
-    away = (np.stack([held[f"{name}_{axis}"] for axis in "xyz"], axis=-1)[:, 1::2] for name in ("away", "away_true"))
-    means = (one.reshape(cycles, 3, len(poses), 3).mean(axis=0).swapaxes(0, 1) for one in away)  # (P, D, 3)
-    encoders, tool = (spread(direction_variation(one), np.arange(len(poses))) for one in means)
-    if encoders is None:
-        return None
-    return DirectionVariation(controller=name, poses=len(poses), cycles=cycles, encoders=encoders, tool=tool)

@@ -215,22 +215,14 @@ def measure(
 
 INSET = 0.1
 """of P2 to P5 over the diagonal (ISO 9283)"""
-RISING_AHEAD = np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=float)
-"""P1 to P5 in the diagonal plane rising away from the base, in half diagonals"""
 RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, -1]], dtype=float)
-"""The same, rising to the left"""
+"""P1 to P5 in the diagonal plane rising to the left, in half diagonals"""
 
 
-def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
-    """P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the region."""
+def iso_poses(arm: Arm, size: float = 1.0) -> Array:
+    """P1 to P5 (5, 3) [m] of ISO 9283 in a diagonal plane of the region."""
     low, high = arm.targets.lower, arm.targets.upper
-    return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
-
-
-def direction_variation(means: Array) -> Array:
-    """VAP (...) [m]: largest distance between ``means`` (..., D, 3) from D directions."""
-    apart = means[..., :, None, :] - means[..., None, :, :]
-    return np.asarray(np.linalg.norm(apart, axis=-1).max(axis=(-1, -2)))
+    return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * RISING_LEFT)
 
 
 def reversal(forwards: Array, backwards: Array) -> Array:

@@ -16,6 +16,7 @@ import pyarrow as pa
 from rejoint.arms import Array
 from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled
 from rejoint.system.errors import InputError
+from rejoint.system.results import Readable
 from rejoint.system.statistics import Estimate, Labels, Spread, cluster, clustered_share, spread
 
 Values = tuple[float | None, ...]
@@ -207,22 +208,8 @@ class TargetErrors:
         return cls(encoders=tuple(encoders), true=tuple(true))
 
 
-@dataclass(frozen=True, kw_only=True)
-class DirectionVariation:
-    """VAP of ISO 9283 along three axes."""
-
-    controller: str
-    poses: int
-    cycles: int
-    """per direction; ISO asks for 30"""
-    encoders: Spread
-    """[m]"""
-    tool: Spread | None
-    """[m] tool"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Comparison(Readable):
     """Controllers on one arm with the same targets."""
 
     seed: int
@@ -250,8 +237,6 @@ class Comparison:
     """targets between eliminations; 0: none"""
     as_found: TargetErrors | None = None
     """uncorrected arm, first target set"""
-    directions: DirectionVariation | None = None
-    """of the recommended controller"""
     orientations: tuple[tuple[str, ...], ...] = ()
     """in words"""
 

@@ -19,6 +19,7 @@ from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, interpolated
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
+from rejoint.system.results import Readable
 
 Rows = NDArray[np.intp]
 
@@ -39,8 +40,8 @@ class Pass:
     """[rad] rms; None: not asked for"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Followed(Readable):
     """Result of a path."""
 
     path: str

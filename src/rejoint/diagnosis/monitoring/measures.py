@@ -18,7 +18,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.workspace import torque_size
-from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses, reversal
+from rejoint.control.comparison.protocols import iso_poses, reversal
 from rejoint.control.comparison.result import position_repeatability
 from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
@@ -47,7 +47,7 @@ def plan_check(arm: Arm) -> Excitation:
         path = Excitation(arm, arm.rest)
         path.wait(0.5)
         path.sweep(plan, plan.travel_speed)
-        postures = solve_position(arm, iso_poses(arm, RISING_LEFT, plan.region), arm.rest).q
+        postures = solve_position(arm, iso_poses(arm, plan.region), arm.rest).q
         for cycle, (pose, posture), (sign, side) in product(
             range(CYCLES), enumerate(postures), zip((-1.0, 1.0), SIDES, strict=True)
         ):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from typing import cast
 
@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from rejoint.arms import Arm, Array, frames, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.arms.workspace import reach
-from rejoint.control.guard import Reason
+from rejoint.control.comparison.recommend import MEANINGS
+from rejoint.control.guard import reason_names
 from rejoint.pages.html import macros
 from rejoint.pages.live.view import Doing, SeenCycle, Shown
 from rejoint.system.shell import listen_tcp
@@ -61,33 +62,25 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 """at which an arm of virtual time can be watched"""
 
 
-# What the guard does, the end of a motion first; after a colon the joint is named whose command it changed most
-_WORDS = {
-    Reason.NOT_FINITE: "a command or a position is not a number; check the controller and the connection",
-    Reason.STALE: "no new joint state for too long; check the connection",
-    Reason.OUT_OF_RANGE: "a joint reads far outside its limits; check the arm's zero",
-    Reason.TEMPERATURE: "a servo is too hot; let it cool down",
-    Reason.SERVO_FAULT: "a servo reports a fault; free the arm and clear the fault",
-    Reason.NOT_FOLLOWING: "the reading of a joint does not change and is not trusted",
-    Reason.POSITION: "joint limit:",
-    Reason.STEP: "speed:",
-    Reason.LEAD: "distance ahead of the joint:",
-    Reason.ACCELERATION: "acceleration:",
-    Reason.FLOOR: "floor: the arm was asked to go lower than it may",
-    Reason.COLLISION: "contact: a link would touch another one, the ground or a box",
-    Reason.GAP: "no answers came for a while, or a joint was led back; the arm held and goes on slowly",
+_LIMITS = {
+    "position": "joint limit",
+    "lead": "distance ahead of the joint",
+    "step": "speed",
+    "floor": "the arm was asked to go lower than it may",
+    "collision": "a link would touch another one, the ground or a box",
+    "gap": "no answers came for a while, or a joint was led back; the arm goes on slowly",
 }
+"""What the guard limits, by `reason_names`"""
 
 
 def guard_words(recent: Sequence[SeenCycle], joints: Sequence[str]) -> list[str]:
-    """Actions of the guard in ``recent`` cycles, trips first."""
-    said = []
-    for reason, words in _WORDS.items():
-        met = next((one for one in reversed(recent) if int(one.cycle.reasons) & reason.value), None)
-        if met is not None:
-            joint = joints[int(np.argmax(np.abs(met.wanted - met.cycle.command)))]
-            said.append(f"{words} the command of {joint} is limited" if words.endswith(":") else words)
-    return said
+    """Actions of the guard in ``recent`` cycles, each with the joint whose command it changed most."""
+    words = MEANINGS | _LIMITS
+    said: dict[str, str] = {}
+    for one in recent:
+        joint = joints[int(np.argmax(np.abs(one.wanted - one.cycle.command)))]
+        said |= {name: f"{words.get(name, name)} ({joint})" for name in reason_names(int(one.cycle.reasons))}
+    return list(said.values())
 
 
 LONGEST = 0.5
@@ -159,7 +152,6 @@ class WebPage:
         """Begin to draw a run, in place of another one."""
         self.shown, self._count, self._recent = shown, 0, list[SeenCycle]()
         self._ghost = None if shown.twin is None else Ghost(shown.robot.arm, shown.twin)
-        self._tool, self._aims = deque[Array](maxlen=TRAIL_POINTS), deque[Array](maxlen=TRAIL_POINTS)
         while len(shown.cycles) > 1:  # what came before anyone looked
             shown.cycles.popleft()
         self._pace.visible = shown.paced
@@ -167,35 +159,26 @@ class WebPage:
         if self._built is None or self._built[0] is not arm or self._built[1] != within:
             self._built = arm, within
             self._build(arm, within)
+        for trail in (self._tool, self._aims):
+            trail.points.clear()
 
     def _build(self, arm: Arm, within: float) -> None:
         """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
         scene, size = self._server.scene, reach(arm)
         scene.reset()
         scene.add_light_ambient("/light", intensity=0.8)
-        middle = 0.5 * (arm.targets.lower + arm.targets.upper)
-        look = np.array([0.45 * middle[0], 0.45 * middle[1], 0.28 * size])
-        side = np.arctan2(middle[1], middle[0]) - np.radians(52.0)
-        camera = self._server.initial_camera
+        look, camera = size * np.array([0.25, 0.0, 0.28]), self._server.initial_camera
         camera.fov, camera.up, camera.look_at = np.radians(45.0), UP, look
-        camera.position = look + size * np.array([1.25 * np.cos(side), 1.25 * np.sin(side), 0.55])
-        cell = cell_of(size)
-        wide, dot = np.ceil(2.4 * size / cell) * cell, max(size, 0.3) / 0.3
-        light, dark = (225, 228, 232), (200, 205, 212)
-        scene.add_grid(
-            "/ground", wide, wide, cell_size=cell, section_size=2 * cell, cell_color=light, section_color=dark
-        )
+        camera.position = look + size * np.array([0.8, -1.0, 0.55])
+        cell, dot = cell_of(size), max(size, 0.3) / 0.3
+        scene.add_grid("/ground", cell_size=cell, section_size=2 * cell, infinite_grid=True, fade_distance=4 * size)
         self._limbs = self._add_limbs(arm, "/arm", LINKS, 1.0, None)
-        radius = collision_shape(arm).radius
-        scene.add_cylinder("/foot", 1.7 * radius, 0.25 * radius, LINKS[1], position=(0.0, 0.0, 0.125 * radius))
         self._ghosts = self._add_limbs(arm, "/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
         self._target = scene.add_icosphere("/target", 0.0025 * dot, TARGET, visible=False)
         scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
         self._true = scene.add_icosphere("/true", 0.003 * dot, TRUE, visible=False)
-        nowhere = np.zeros((1, 2, 3), dtype=np.float32)
-        self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
-        self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
+        self._tool, self._aims = Trail(scene, "/trail", TRAIL), Trail(scene, "/way", TARGET)
         for k, box in enumerate(arm.keep_out):
             place, extent = 0.5 * (box.lower + box.upper), box.upper - box.lower
             scene.add_box(f"/keep_out/{k}", GHOST, extent, position=place, opacity=GHOST_OPACITY)
@@ -226,11 +209,11 @@ class WebPage:
         arm, cycles, ghost = shown.robot.arm, shown.cycles, None
         for seen in [SeenCycle.of(*cycles.popleft()) for _ in range(len(cycles))]:
             ghost = seen.cycle.command if self._ghost is None else self._ghost.follow(seen)
-            _extend(self._tool, tcp_position(arm, seen.cycle.position))
-            _extend(self._aims, seen.cycle.aim)
+            self._tool.extend(tcp_position(arm, seen.cycle.position))
+            self._aims.extend(seen.cycle.aim)
             self._recent.append(seen)
         newest = self._recent[-1] if self._recent else None
-        moves = len(self._aims) > MOVES
+        moves = len(self._aims.points) > MOVES
         with self._server.atomic():
             if newest is not None and ghost is not None:
                 now, since = newest.cycle, newest.cycle.time - KEPT
@@ -242,8 +225,8 @@ class WebPage:
                 _place(self._true, now.aim + now.true_tcp - now.target if known else now.true_tcp)
                 self._label.text = "target" if moves else f"target {int(now.target_index) + 1}"
             if self._count % SLOWER == 0:
-                _trail(self._trail, self._tool)
-                _trail(self._way, self._aims if moves else ())
+                self._tool.draw(1)
+                self._aims.draw(MOVES)
                 self._write(shown, newest, doing, stopped)
         self._count += 1
 
@@ -292,16 +275,6 @@ def cell_of(size: float) -> float:
     return 0.05 if size < 1.0 else 0.1
 
 
-def _extend(trail: deque[Array], point: Array) -> None:
-    if not np.isfinite(point).all():
-        return
-    way = np.inf if not trail else float(np.linalg.norm(point - trail[-1]))
-    if way > 25.0 * APART:
-        trail.clear()
-    if way > APART:
-        trail.append(point.copy())
-
-
 def _pose(arm: Arm, limbs: Sequence[viser.MeshHandle], position: Array) -> None:
     """Put the joints at ``position`` (n,) [rad]."""
     found = frames(arm, position)
@@ -317,8 +290,27 @@ def _place(handle: viser.IcosphereHandle, point: Array) -> None:
         handle.position = point
 
 
-def _trail(handle: viser.LineSegmentsHandle, trail: Collection[Array]) -> None:
-    points = np.array(trail, dtype=np.float32).reshape(-1, 3)
-    if len(points) > 1:
-        handle.points = np.stack([points[:-1], points[1:]], axis=1)
-    handle.visible = len(points) > 1
+class Trail:
+    """The way of a point."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, colour: Colour) -> None:
+        nowhere = np.zeros((1, 2, 3), dtype=np.float32)
+        self._line = scene.add_line_segments(name, nowhere, colour, thickness=2.5, thickness_units="screen")
+        self.points = deque[Array](maxlen=TRAIL_POINTS)
+
+    def extend(self, point: Array) -> None:
+        """Add a ``point`` (3,) [m]; a jump begins anew."""
+        if not np.isfinite(point).all():
+            return
+        way = np.inf if not self.points else float(np.linalg.norm(point - self.points[-1]))
+        if way > 25.0 * APART:
+            self.points.clear()
+        if way > APART:
+            self.points.append(point.copy())
+
+    def draw(self, fewest: int) -> None:
+        """Draw it, from so many points on."""
+        self._line.visible = len(self.points) > fewest
+        if self._line.visible:
+            points = np.array(self.points, dtype=np.float32)
+            self._line.points = np.stack([points[:-1], points[1:]], axis=1)

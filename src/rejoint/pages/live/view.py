@@ -15,9 +15,8 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Cycle, Look, Observer
-from rejoint.control.robot import JointState, Robot
+from rejoint.control.robot import JointState, Robot, RobotWrapper, WallClock
 from rejoint.robots import is_virtual
-from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import first_line
 from rejoint.system.extras import require
 

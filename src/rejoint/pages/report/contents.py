@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,7 @@ from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.controllers.contract import PolicyContract
-from rejoint.control.controllers.policy import load_policy
+from rejoint.control.controllers.policy import Policy
 from rejoint.control.correction import NOT_KNOWN, TrueError
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
@@ -25,7 +24,7 @@ from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
 from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, reading
 from rejoint.system.shell import command
 from rejoint.twin.judgement import Judgement
@@ -73,72 +72,46 @@ class Contents:
     """Results of a run."""
 
     folder: RunFolder
+    info: RunInfo
     arm: Arm
-    info: RunInfo | None
-    diagnosis: Diagnosis | None
-    twin: Twin | None
-    judgement: Judgement | None
+    diagnosis: Diagnosis | None = None
+    twin: Twin | None = None
+    judgement: Judgement | None = None
     """of twins fitted to logs alone"""
-    curves: Curves | None
-    contract: PolicyContract | None
-    comparison: Comparison | None
-    calibration: Calibration | None
-    measurements: Measurements | None
+    curves: Curves | None = None
+    policy: Policy | None = None
+    comparison: Comparison | None = None
+    calibration: Calibration | None = None
+    measurements: Measurements | None = None
     """external, of the tool"""
-    hold: Mapping[str, RunLog]
-    """one hold trial per controller"""
-    effort: Effort | None
+    effort: Effort | None = None
 
-
-_READ: dict[str, Callable[[Path], Any]] = {
-    "info": read_info,
-    "diagnosis": partial(read_json, kind=Diagnosis),
-    "twin": read_twin,
-    "judgement": partial(read_json, kind=Judgement),
-    "comparison": partial(read_json, kind=Comparison),
-    "effort": partial(read_json, kind=Effort),
-}
-_READ_FOR: dict[str, Callable[[Path, Arm], Any]] = {
-    "policy": load_policy,
-    "calibration": read_calibration,
-    "measurements": read_measurements,
-}
+    @cached_property
+    def hold(self) -> dict[str, RunLog]:
+        """One hold trial per controller."""
+        tried = () if self.comparison is None else self.comparison.controllers
+        files = {name: self.folder.log(f"hold/{name}/0/0") for name in tried}
+        return {name: read_log(file) for name, file in files.items() if file.exists()}
 
 
 def read_contents(path: Path) -> Contents:
-    """Read a run folder; FileError, also for an empty one."""
+    """Read a run folder; FileError."""
     folder = RunFolder(path)
-    if not path.is_dir():
-        raise FileError(path, "no such run folder", "check the path, or make one with `rejoint repair`")
-
-    def read(readers: dict[str, Callable[..., Any]], *about: Arm) -> dict[str, Any]:
-        places = {name: getattr(folder, name) for name in readers}
-        return {name: readers[name](file, *about) if file.exists() else None for name, file in places.items()}
-
-    found = read(_READ)
-    info, curves = found["info"], folder.curves
-    results = ("comparison", "diagnosis", "twin", "judgement")
-    names = [found[name].arm for name in results if found[name] is not None]
-    arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)
-    found |= read(_READ_FOR, arm) | {"curves": read_curves(curves) if curves.exists() else None}
-    if all(found[name] is None for name in (*results, "curves", "policy", "calibration")):
-        raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
-    policy, comparison = found.pop("policy"), found["comparison"]
-    tried = () if comparison is None else comparison.controllers
-    hold = {name: read_log(log) for name in tried if (log := folder.log(f"hold/{name}/0/0")).exists()}
-    return Contents(folder=folder, arm=arm, contract=policy and policy.contract, hold=hold, **found)
-
-
-def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
-    try:
-        arm = load_arm(sources[0] if sources else DEFAULT_ARM)
-    except InputError as error:
-        raise FileError(path, f"the arm of this run cannot be built ({error})", "bring its description back") from error
-    others = sorted({name for name in names if name != arm.name})
-    if others:
-        found = ", ".join([arm.name, *others])
-        raise FileError(path, f"its files are about different arms ({found})", "keep every arm in a folder of its own")
-    return arm
+    info = read_info(folder.info)
+    arm = load_arm(folder.arm(info.arm))
+    readers: dict[str, Callable[[Path], Any]] = {
+        "diagnosis": partial(read_json, kind=Diagnosis),
+        "twin": read_twin,
+        "judgement": partial(read_json, kind=Judgement),
+        "curves": read_curves,
+        "policy": Policy.load,
+        "comparison": partial(read_json, kind=Comparison),
+        "calibration": partial(read_calibration, arm=arm),
+        "measurements": partial(read_measurements, arm=arm),
+        "effort": partial(read_json, kind=Effort),
+    }
+    found = {name: read(file) for name, read in readers.items() if (file := getattr(folder, name)).exists()}
+    return Contents(folder=folder, info=info, arm=arm, **found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,12 +160,12 @@ def before_after(contents: Contents) -> BeforeAfter | None:
 
 
 def found(contents: Contents) -> MeanErrors:
-    """Errors of the uncorrected arm: under its own controller, else open loop in the diagnosis."""
+    """Errors of the uncorrected arm: in the diagnosis, else under its own controller in the comparison."""
     own, comparison, known = DefaultController.name, contents.comparison, contents.calibration
-    if comparison is not None and own in comparison.controllers and not comparison.calibration:
-        return _errors(comparison, own)
     open_loop = None if contents.diagnosis is None else contents.diagnosis.open_loop
     if open_loop is None:
+        if comparison is not None and own in comparison.controllers and not comparison.calibration:
+            return _errors(comparison, own)
         return MeanErrors(encoders=None, tool=NOT_KNOWN)
     tool, log = open_loop.true_error, contents.folder.log("targets")
     if tool.value is None and known is not None and log.exists():
@@ -205,21 +178,38 @@ def _errors(comparison: Comparison, controller: str) -> MeanErrors:
     return MeanErrors(encoders=None if row.settled is None else row.settled.mean.value, tool=row.true_error)
 
 
+def next_steps(contents: Contents) -> dict[str, str]:
+    """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
+    run, info, targets = contents.folder.path, contents.info, contents.arm.targets
+    if contents.comparison is None or info is None or info.robot.startswith(LOGS):
+        return {}
+    robot, middle = info.robot, (f"{value:.0f}" for value in 500.0 * (targets.lower + targets.upper))
+    steps = {
+        "go to a point (mm)": command("goto", robot, *middle, "--run", run),
+        "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
+    }
+    if not is_virtual(robot):
+        steps["let your own programs drive it"] = command("serve", robot, run)
+    if contents.calibration is None:
+        steps["measure where the tool really is"] = commands(contents)["calibrate"]
+    steps["see later whether it has become worse"] = command("check", robot, "--repeat", 5)
+    return steps
+
+
 def commands(contents: Contents) -> dict[str, str]:
     """Command lines of every stage."""
-    run, info = contents.folder.path, contents.info
-    robot, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
-    built = contents.folder.arm(contents.arm.name)
-    arm = [] if info is None or info.arm == DEFAULT_ARM else ["--arm", built]
+    run, robot, built = contents.folder.path, contents.info.robot, contents.folder.arm(contents.info.arm)
+    arm = [] if contents.info.arm == DEFAULT_ARM else ["--arm", built]
     seen = contents.calibration is not None and contents.calibration.source == "camera"
     gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
-    diagnose: list[object] = [robot, "--run", run, *arm, "--seed", seed]
+    repair: list[object] = [robot, *arm, "--seed", contents.info.seed]
+    diagnose: list[object] = [robot, "--run", run, *repair[1:]]
     identify: list[object] = [run]
     if robot.startswith(LOGS):
         identify = diagnose = ["--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run]
-        robot = "ROBOT"
+        robot = repair[0] = "ROBOT"
     lines: dict[str, list[object]] = {
-        "repair": [robot, *arm, "--seed", seed],
+        "repair": repair,
         "diagnose": diagnose,
         "identify": identify,
         "train": [run],

@@ -20,9 +20,9 @@ from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
 from rejoint.logs.runfolder import LOGS, cost
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
-from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents
+from rejoint.pages.report.contents import Contents, before_after, commands, found, next_steps, read_contents
 from rejoint.pages.report.figures import Gallery, in_base
-from rejoint.pages.words import UNKNOWN, plural
+from rejoint.pages.words import plural
 from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, above_zero, spread
@@ -62,7 +62,7 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
 def report_html(contents: Contents, gallery: Gallery) -> str:
     """Fill page and gallery."""
     it, advice = contents, None if contents.comparison is None else advising.recommend(contents.comparison)
-    robot = UNKNOWN if it.info is None else it.info.robot
+    robot = it.info.robot
     return render(
         "report.html",
         it=it,
@@ -71,6 +71,7 @@ def report_html(contents: Contents, gallery: Gallery) -> str:
         source=f"From logs in {robot.removeprefix(LOGS)}" if robot.startswith(LOGS) else f"Robot {robot}",
         quick=it.folder.quick.exists(),
         commands=commands(it),
+        next_steps=next_steps(it),
         draw=gallery,
         version=__version__,
         **_NAMES,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,8 @@ class ResultColumn(NamedTuple):
     """A column of a table of controllers."""
 
     header: str
-    cell: Callable[[ControllerRow], Cell]
+    cell: Callable[[Any], Cell]
+    """of a `ControllerRow`"""
 
 
 def columns(comparison: Comparison) -> tuple[ResultColumn, ...]:
@@ -165,23 +166,19 @@ QUANTITIES = (
 )
 
 
-def errors_mm(judgement: Judgement, where: str) -> dict[str, Array]:
-    """Errors (K,) [mm] of every prediction by motion, ``free`` or in ``contact``; NaN: no such motion."""
-    found = {name: [getattr(motion.errors[name], where) for motion in judgement.motions] for name in judgement.mean}
-    return {name: np.array([np.nan if one is None else MM * one.tcp for one in each]) for name, each in found.items()}
+def ranked(judgement: Judgement, where: str) -> dict[str, tuple[Estimate, Array]]:
+    """Mean error [mm] with 95 % interval over motions of every prediction, the best first, ``free`` or in ``contact``.
 
-
-def mean_of(values: Array) -> Estimate | None:
-    """Mean of ``values`` (K,) with 95 % interval over motions, or None."""
-    known = values[np.isfinite(values)]
-    return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) else None
-
-
-def means(judgement: Judgement, where: str) -> dict[str, Estimate]:
-    """Mean error [mm] of every prediction with such motions, the best first."""
-    found = {name: mean_of(values) for name, values in errors_mm(judgement, where).items()}
-    known = {name: mean for name, mean in found.items() if mean is not None}
-    return dict(sorted(known.items(), key=lambda pair: pair[1].value))
+    Also its errors (K,) by motion; NaN: no such motion.
+    """
+    found = {}
+    for name in judgement.mean:
+        each = [getattr(motion.errors[name], where) for motion in judgement.motions]
+        errors = np.array([np.nan if one is None else MM * one.tcp for one in each])
+        known = errors[np.isfinite(errors)]
+        if len(known):
+            found[name] = bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST), errors
+    return dict(sorted(found.items(), key=lambda pair: pair[1][0].value))
 
 
 def answer(judgement: Judgement) -> tuple[str, ...]:
@@ -191,37 +188,33 @@ def answer(judgement: Judgement) -> tuple[str, ...]:
 
 
 def _free(judgement: Judgement) -> Iterator[str]:
-    found, errors = means(judgement, "free"), errors_mm(judgement, "free")
+    found = ranked(judgement, "free")
     if not found:
         yield "Nothing can be said about free space: no motion shows it."
         return
-    best, *others = found
-    within = number(found[best].value, 3, "mm")
-    motions = f"mean of {plural(int(np.isfinite(errors[best]).sum()), 'motion')}{_interval(found[best])}"
+    (best, (mean, errors)), *others = found.items()
+    within = f"{_mean(mean)}, mean of {plural(int(np.isfinite(errors).sum()), 'motion')}"
     if judgement.doubts:
         yield f"Trust none of them: {'; '.join(judgement.doubts)}."
-        yield f"“{best}” comes nearest, within {within} in free space ({motions})."
+        yield f"“{best}” comes nearest in free space: {within}."
     elif best == NO_TWIN:
-        yield f"Trust none of them: the command alone predicts better, within {within} ({motions})."
+        yield f"Trust none of them: the command alone predicts better ({within})."
     else:
-        yield f"Trust “{best}”: it predicts the tool within {within} in free space ({motions})."
-    rest = listed([f"{name} {number(found[name].value, 3, 'mm')}" for name in others], "and")
-    yield f"The others: {rest}."
-    both = {name: np.isfinite(errors[best] + errors[name]) for name in others}
-    close = [f"“{name}”" for name, rows in both.items() if not smaller(errors[best][rows], errors[name][rows])]
+        yield f"Trust “{best}” in free space: it predicts the tool within {within}."
+    yield f"The others: {listed([f'{name} {_mean(one)}' for name, (one, _) in others], 'and')}."
+    both = {name: np.isfinite(errors + theirs) for name, (_, theirs) in others}
+    close = [f"“{name}”" for name, rows in both.items() if not smaller(errors[rows], found[name][1][rows])]
     if close:
-        are = "is" if len(close) == 1 else "are"
-        yield f"{listed(close, 'and')} {are} not measurably worse in these motions."
+        yield f"Not measurably worse in these motions: {listed(close, 'and')}."
 
 
 def _contact(judgement: Judgement) -> str:
-    for best, mean in means(judgement, "contact").items():
+    for best, (mean, _) in ranked(judgement, "contact").items():
         seconds = sum(motion.contact_seconds for motion in judgement.motions)
-        within = f"{number(mean.value, 3, 'mm')}{_interval(mean)}"
-        return f"On the table ({seconds:.0f} s) “{best}” is closest, within {within}."
+        return f"On the table ({seconds:.0f} s) “{best}” is closest: {_mean(mean)}."
     return "The arm touches nothing in these motions: how they predict contact is not known."
 
 
-def _interval(estimate: Estimate) -> str:
+def _mean(estimate: Estimate) -> str:
     text = interval(estimate.low, estimate.high, 3)
-    return f", 95 %: {text}" if text else ""
+    return f"{number(estimate.value, 3, 'mm')}{text and f' (95 %: {text})'}"

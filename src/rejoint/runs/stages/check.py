@@ -36,6 +36,7 @@ from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
 from rejoint.system.progress import Progress
+from rejoint.system.results import Readable
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -51,8 +52,8 @@ LOG = "check.parquet"
 _LOGGER = logging.getLogger("rejoint")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Checked:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Checked(Readable):
     """Result of a check."""
 
     arm: str

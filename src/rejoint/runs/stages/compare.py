@@ -21,7 +21,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner, vary_directions
+from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
@@ -62,6 +62,7 @@ from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress
+from rejoint.system.results import Readable
 from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 
@@ -131,8 +132,8 @@ SOURCE = "the diagnosis"
 """Source of the default controller's results"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Compared:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Compared(Readable):
     """Result of a comparison."""
 
     comparison: Comparison
@@ -160,7 +161,6 @@ class ComparisonJob:
     """of the targets, or empty"""
     before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
-    directions: bool = False
     turns: Orientation | None = None
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
@@ -259,13 +259,9 @@ class ComparisonJob:
     def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
         try:
             if self.correct is not None and DEFAULT in self.factories and self.turns is None:
-                own = before and before.driven.columns
-                found = own or runner.hold(DEFAULT, self.targets[:1], corrected=False)
-                result = replace(result, as_found=TargetErrors.of(found))
-            if self.directions:
-                varied = vary_directions(runner, recommend(result).controller, self.arm)
-                result = replace(result, directions=varied)
-        except GuardTripError as error:  # neither is worth a comparison that is decided
+                found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
+                result = replace(result, as_found=found)
+        except GuardTripError as error:  # it is not worth a comparison that is decided
             told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
             result = replace(result, left_out=(*result.left_out, told))
         return result
@@ -324,8 +320,6 @@ class TrialPlan:
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
     """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s, on one arm 5 s"""
-    directions: bool = False
-    """whether to measure vAP (ISO 9283): poses approached from three directions"""
     full: bool = False
     """on a real arm, eliminate only after three targets missed in a row"""
 
@@ -459,7 +453,6 @@ def comparison_job(
         model=model,
         observer=observer,
         by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
-        directions=wanted.directions,
         turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,

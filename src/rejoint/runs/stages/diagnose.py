@@ -33,6 +33,7 @@ from rejoint.session.inputs import (
 from rejoint.session.session import ArmSession
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress
+from rejoint.system.results import Readable
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
@@ -41,8 +42,8 @@ if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not hav
     from rejoint.diagnosis.verdict import Finding
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Diagnosed:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Diagnosed(Readable):
     """Result of a diagnosis, with its motion."""
 
     diagnosis: Diagnosis

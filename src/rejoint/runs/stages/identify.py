@@ -31,6 +31,7 @@ from rejoint.session.inputs import (
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed
+from rejoint.system.results import Readable
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
@@ -167,8 +168,8 @@ THREADS = 2
 """of the simulation; no effect on results"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Replayed:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Replayed(Readable):
     """A twin's prediction and its errors."""
 
     logs: tuple[RunLog, ...]

@@ -1,0 +1,149 @@
+"""What newcomers met: each mistake ends in one clear line, and harms nothing."""
+
+import os
+import pty
+import socket
+import termios
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+import rejoint
+from rejoint.robots import place_of, ports
+from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.system.shell import listen_tcp
+
+SERVO, COBOT = b"\xff\xff\x01\x02\x00\xfc", b"\xfe\xfe\x03\x12\x01\xfa"
+
+
+@contextmanager
+def answering(answer, begins):
+    """A TCP port at which ``answer`` follows on each question that begins so."""
+    listener = listen_tcp("127.0.0.1", 0, 8)
+    listener.setblocking(True)
+
+    def serve():
+        while True:
+            try:
+                connection, _ = listener.accept()
+                with connection:
+                    while data := connection.recv(64):
+                        if data.startswith(begins):
+                            connection.send(answer)
+            except OSError:
+                return
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield f"127.0.0.1:{listener.getsockname()[1]}"
+    finally:
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+
+
+@contextmanager
+def serial_line(answer, begins, rate):
+    """A serial port behind which something answers at a baud rate alone."""
+    ours, theirs = pty.openpty()
+
+    def serve():
+        while True:
+            try:
+                data = os.read(ours, 64)
+            except OSError:
+                return
+            if data.startswith(begins) and termios.tcgetattr(theirs)[4] == rate:
+                os.write(ours, answer)
+
+    threading.Thread(target=serve, daemon=True).start()
+    yield os.ttyname(theirs)
+    os.close(theirs)
+    os.close(ours)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "answer", "hello", "right"),
+    [("tcp", SERVO, b"\xff\xff", "feetech"), ("feetech", COBOT, b"\xfe\xfe", "tcp")],
+)
+def test_an_arm_of_another_kind_is_named_with_its_address(scheme, answer, hello, right):
+    with answering(answer, hello) as place:
+        assert ports.other_arm(place_of(f"{scheme}://{place}")).endswith(f"give {right}://{place}")
+        host, port = place.split(":")
+        assert ports.answering(TcpAddress(text="", host=host, port=int(port)))[0].begins == hello
+
+
+def test_the_baud_rate_at_which_an_arm_answers_is_named():
+    with serial_line(COBOT, b"\xfe\xfe", termios.B115200) as device:
+        assert ports.answering(SerialAddress(text="", device=device, baud=1_000_000))[1] == 115_200
+        assert f"serial://{device}?baud=115200" in ports.other_arm(place_of(f"serial://{device}"))
+
+
+def test_a_missing_port_is_not_asked_for_its_server(monkeypatch):
+    monkeypatch.setattr(ports, "ports", lambda: {"/dev/ttyACM0": "a servo board"})
+    with pytest.raises(rejoint.AddressError, match=r"no port /dev/ttyACM77; .*/dev/ttyACM0") as caught:
+        rejoint.open_robot("feetech:///dev/ttyACM77")
+    assert "server" not in str(caught.value)
+
+
+def test_who_may_not_open_a_port_reads_which_group_may(tmp_path):
+    assert "usermod -aG" in ports.why_closed(PermissionError(13, "Permission denied"), str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("/dev/ttyACM0", "feetech:///dev/ttyACM0"),
+        ("192.168.1.20:9000", "tcp://192.168.1.20:9000"),
+        ("192.168.1.20", "tcp://192.168.1.20:9000"),
+        ("bench-3", "rejoint arms"),
+        ("worn", "emulated:worn"),
+    ],
+)
+def test_an_address_without_its_scheme_is_completed(written, meant):
+    with pytest.raises(rejoint.AddressError) as caught:
+        rejoint.open_robot(written)
+    assert meant in str(caught.value)
+
+
+def test_a_log_survives_an_emulator_that_cannot_listen(tmp_path, cli):
+    log = tmp_path / "log.csv"
+    log.write_text("precious")
+    with listen_tcp("127.0.0.1", 0) as taken:
+        cli("emulate", "--port", str(taken.getsockname()[1]), "--log", str(log), code=2)
+    assert log.read_text() == "precious"
+
+
+def test_all_wrong_lines_of_a_file_are_named(tmp_path, cli):
+    points = tmp_path / "points.csv"
+    points.write_text("x,y,z\n200,0,180\none,0,180\n200,0,180\ntwo,0,180\n")
+    error = cli("deploy", "emulated:worn", "--targets", str(points), code=2).error
+    assert "line 3" in error
+    assert "line 5" in error
+
+
+def test_a_function_that_makes_no_controller_is_refused():
+    with pytest.raises(rejoint.InputError, match="controller"):
+        rejoint.compare("emulated:worn", [repr], plan=rejoint.TrialPlan(sets=1, repetitions=1))
+
+
+def test_results_are_short_at_a_prompt_and_tables_in_a_notebook():
+    done = rejoint.deploy("emulated:worn", [[0.2, 0.0, 0.2], [0.19, 0.03, 0.21]])
+    assert len(repr(done)) < 500
+    assert "<td>" in done._repr_html_()
+    frame = done.to_pandas()
+    assert len(frame) == len(done.visits)
+    assert frame["error"].iloc[1] == done.visits[1].error
+
+
+def test_what_comes_next_after_a_repair_can_be_pasted_and_is_no_result(tmp_path, cli):
+    told = cli("repair", "--run", str(tmp_path / "run"), "--quick", "--json")
+    assert "rejoint goto" not in told.out.rpartition("\n{")[0]
+    words = next(line for line in told.err.splitlines() if "rejoint goto" in line).partition("#")[0].split()[1:]
+    assert cli(*words, "--dry-run", "--json").last["reached"]
+    errors, diagnosis = told.last["errors"], cli("diagnose", "--run", str(tmp_path / "new"), "--quick", "--json").last
+    assert errors["before"]["encoders"] == pytest.approx(
+        1e-3 * diagnosis["diagnosis"]["open_loop"]["error_mm"]["value"]
+    )
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert all(line in page for line in told.last["next"].values())
