@@ -18,10 +18,10 @@ test: $(READY)
 wheel-test: $(READY)
 	$(BIN)/python -m pytest wheeltest
 
-# LeRobot's own bus judges the emulated one, its base classes our robot of theirs, and NVIDIA's reader of LEAPP the
+# LeRobot's own buses judge the emulated ones, its base classes our robot of theirs, and NVIDIA's reader of LEAPP the
 # controllers that leave a run, in a folder of their own: their other dependencies are none of ours.
 judge: $(READY)
-	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target .judge lerobot==0.4.4 feetech-servo-sdk==1.0.0 \
+	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target .judge lerobot==0.4.4 feetech-servo-sdk==1.0.0 dynamixel-sdk==4.1.0 \
 		draccus==0.10.0 deepdiff orderly-set cachebox tqdm pyserial numpy pyyaml 'pyyaml-include<2' mergedeep typing-inspect mypy-extensions typing-extensions \
 		leapp==0.7.2 onnxscript onnx_ir fast-sugiyama safetensors
 	$(BIN)/python -m pytest tests/robots/test_lerobot_judge.py tests/robots/test_lerobot_robot.py tests/runs/test_exporting.py
@@ -46,7 +46,7 @@ format: $(READY)
 # A half-made environment has no `ready` file and is made again.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,fleet,live,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,dynamixel,fleet,live,dev]"
 	touch $(READY)
 
 # What builds the site; nothing else needs it.

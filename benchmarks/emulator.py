@@ -73,8 +73,8 @@ def fuzz(firmware: Firmware, count: int, seed: int = 0) -> Counter[str]:
         for request in decoder.feed(stream):
             reply = answer(firmware, request)
             ends["answered" if reply else "ignored"] += 1
-            if reply is not None and reply.frame.command != request.command:
-                raise AssertionError(f"{request} was answered by {reply.frame}")
+            if reply is not None and reply.command != request.command:
+                raise AssertionError(f"{request} was answered by {reply}")
         if number % 16 == 0:
             decoder.expire()
             firmware.advance(rng.uniform(0.0, 0.03))

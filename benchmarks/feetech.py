@@ -31,25 +31,24 @@ from rejoint.control.controllers.classical import DefaultController, IntegratorC
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.feetech.bus import BLOCK, TABLE, FeetechBus
-from rejoint.robots.feetech.wire import FRAME
+from rejoint.robots.feetech.bus import BLOCK, FRAME, FeetechBus
+from rejoint.robots.feetech.gains import TABLE
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import (
-    ADAPTER,
     BROADCAST,
-    BYTE,
     SYNC_READ,
     SYNC_WRITE,
-    EmulatedBus,
     Packet,
     PacketFinder,
+    StsBus,
     build_arm,
     encode,
 )
+from rejoint_lab.emulator.servobus import ADAPTER, BYTE
 from rejoint_lab.plant.plant import Plant, StsPlant
 from rejoint_lab.plant.wear import load_wear
 
@@ -117,7 +116,7 @@ def exchange(line, write, read, size):
 def on_the_wire(ids):
     """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
     write, read = requests(ids, [0] * len(ids))
-    answers = EmulatedBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
+    answers = StsBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
     return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
 
 

@@ -310,7 +310,7 @@ def healthy(count: int) -> Array:
             goal = tcp_pose(ARM, posture)
             payload = pack_coords(goal) + bytes((SPEED, 0)) if row == 0 else pack_angles(posture) + bytes((SPEED,))
             reply = answer(firmware, Frame(order, payload))
-            if reply is None or reply.frame.payload != flag(True):
+            if reply is None or reply.payload != flag(True):
                 firmware.error = 0
                 continue
             firmware.advance(1.0)

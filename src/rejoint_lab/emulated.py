@@ -7,15 +7,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.feetech.gains import FULL, LIMIT, REGISTERS, RUNGS, Gains, Tuning, Values, duty_laws, for_all
+from rejoint.robots.dynamixel import registers as xservos
+from rejoint.robots.feetech import gains as sts
+from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values, for_all, strides_of
 from rejoint.system.errors import InputError
 from rejoint_lab.family import has_gains
-from rejoint_lab.plant.plant import Plant, StsPlant, Truth
+from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
 
@@ -27,10 +30,14 @@ if TYPE_CHECKING:
 class EmulatedServos:
     """Gains of the servos of arms that have equal ones."""
 
-    def __init__(self, plant: StsPlant, gains: Gains) -> None:
+    def __init__(self, plant: StsPlant | XPlant, gains: Gains) -> None:
         """``gains`` are in force from the start."""
         self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
-        for name, values in for_all(gains, plant.arm.joints).items():
+        self._sts = isinstance(plant, StsPlant)
+        law: Any = sts if self._sts else xservos
+        self.rungs: tuple[Rung, ...] = law.RUNGS
+        self.strides = strides_of(law.KNOBS)
+        for name, values in for_all(gains, plant.arm.joints, law.KNOBS).items():
             self.write_gain(name, values)
         self.tuning = Tuning(self, {})
         self.tuning.look_up()
@@ -38,29 +45,33 @@ class EmulatedServos:
     @property
     def load(self) -> Array:
         """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
+        if not self._sts:
+            return self._plant.load
         status = self._plant.status
         duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
-        laws = duty_laws(self.tuning.values)
+        laws = sts.duty_laws(self.tuning.values)
         return np.array(
             [[law.share(*seen) for law, *seen in zip(laws, *arm, strict=True)] for arm in zip(duty, error, strict=True)]
         )
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        return {name: tuple(self._plant.settings[_field(name)][0].tolist()) for name in REGISTERS}
+        rows = {name: self._field(name)[0].astype(int) for name in self.strides}
+        return {name: tuple((row if self._sts else row[:, 0]).tolist()) for name, row in rows.items()}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        self._plant.settings[_field(name)] = values
+        self._field(name)[:] = values if self._sts else np.array(values)[:, None]
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Largest share of the torque, and temperature [deg C]."""
         plant = self._plant
-        return float(np.abs(plant.status["output"][:, joint]).max()) / FULL, float(plant.temperature[:, joint].max())
+        return float(np.abs(plant.load[:, joint]).max()), float(plant.temperature[:, joint].max())
 
-
-def _field(name: str) -> str:
-    return "integral_limit" if name == LIMIT else name  # of `rejoint_lab.plant.sts3215.SETTING`
+    def _field(self, name: str) -> NDArray[Any]:
+        """(B, n) of the settings, or (B, n, 2)."""
+        limit = "integral_limit" if self._sts else "pwm_limit"
+        return self._plant.settings[limit if name == LIMIT else name]
 
 
 _CHANNEL_PURPOSE = 1
@@ -92,11 +103,10 @@ class EmulatedRobot:
         self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
-        law = has_gains(arm)
-        if gains and not law:
+        if gains and not has_gains(arm):
             raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
-        self.plant = (StsPlant if law else Plant)(arm, wears, seed=seed, truth=truth, **options)
-        self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant) else None
+        self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
+        self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant | XPlant) else None
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self._position = np.zeros((len(wears), arm.joints))
@@ -140,7 +150,7 @@ class EmulatedRobot:
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
-        return () if self._servos is None else RUNGS
+        return () if self._servos is None else self._servos.rungs
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
 
-from rejoint.arms import Arm
+from rejoint.arms import CATALOGUE, Arm, load_arm
 from rejoint.arms.inertia import bare
 from rejoint.control.robot import Robot
 from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.feetech.gains import KNOBS, Gains, read_gains
+from rejoint.robots.dynamixel.registers import KNOBS, MODELS
+from rejoint.robots.feetech.gains import KNOBS as STS_KNOBS
+from rejoint.robots.knobs import Gains, read_gains
 
 SIMULATOR = "mujoco"
 """Module of emulated arms"""
 # [s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)
 _PERIOD = (0.020, 0.030)
+_PROFILES = files(__package__) / "plant" / "profiles"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +26,8 @@ class EmulatedAddress:
 
     profile: str
     """of wear"""
+    arm: str | None = None
+    """of the catalogue; None: the profile's"""
     payload: float = 0.0
     """[kg] true, unknown to the software"""
     gains: Gains = field(default_factory=dict)
@@ -30,29 +36,37 @@ class EmulatedAddress:
     @property
     def unloaded(self) -> str:
         """Address without payload and gains."""
-        return f"emulated:{self.profile}"
+        own = "" if self.arm is None else f"{self.arm}?"
+        return f"emulated:{own}{self.profile.replace('?', '&') if own else self.profile}"
 
 
 def _profile(text: str) -> EmulatedAddress:
     base, _, query = text.partition(":")[2].partition("?")
     if not base or base.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
-    parts = [part.partition("=")[::2] for part in query.split("&")] if query else []
-    given = {key: value for key, value in parts if key in ("payload", *KNOBS)}
-    rest = "&".join(f"{key}={value}" for key, value in parts if key not in given)
+    parts = [part.partition("=") for part in query.split("&")] if query else []
+    given = {key: value for key, _, value in parts if key in ("payload", *STS_KNOBS, *KNOBS)}
+    words, arm = [key for key, equals, _ in parts if not equals], None
+    if words or (base in CATALOGUE and not (_PROFILES / f"{base}.toml").is_file()):
+        arm, base = base, words[0] if words else "new"
+        if arm not in CATALOGUE or len(words) > 1:
+            raise ValueError(f"not of the form emulated:ARM?PROFILE with one of the arms {', '.join(CATALOGUE)}")
+    rest = "&".join(key + equals + value for key, equals, value in parts if equals and key not in given)
     try:
         payload = float(given.pop("payload", "0"))
     except ValueError:
         payload = -1.0
     if not 0.0 <= payload < 100.0:
         raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
-    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=payload, gains=read_gains(given))
+    profile = f"{base}?{rest}" if rest else base
+    knobs = KNOBS if arm and of_x_series(load_arm(arm)) else STS_KNOBS
+    return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=read_gains(given, knobs))
 
 
 def _profile_arm(address: EmulatedAddress) -> str:
     from rejoint_lab.plant.wear import wear_arm
 
-    return wear_arm(address.profile) or DEFAULT_ARM
+    return address.arm or wear_arm(address.profile) or DEFAULT_ARM
 
 
 def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
@@ -77,12 +91,17 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
 
 def has_gains(arm: Arm) -> bool:
     """Whether all servos of an ``arm`` have gains that can be set."""
-    return set(arm.servos) == {"STS3215"}
+    return set(arm.servos) == {"STS3215"} or of_x_series(arm)
+
+
+def of_x_series(arm: Arm) -> bool:
+    """Whether an ``arm`` has servos of ROBOTIS' X series alone."""
+    return bool(arm.servos) and all(any(one.name in servo for one in MODELS.values()) for servo in arm.servos)
 
 
 EMULATED = Family(
     scheme="emulated",
-    form="emulated:PROFILE",
+    form="emulated:PROFILE or emulated:ARM?PROFILE",
     parse=_profile,
     connect=_emulated,
     default_arm=_profile_arm,

@@ -26,6 +26,7 @@ from rejoint.arms import (
     solve_position,
     tcp_pose,
 )
+from rejoint.arms.arm import MODELS
 from rejoint.arms.draft import finish
 from rejoint.arms.modelfile import cut, read_tree
 
@@ -150,3 +151,20 @@ def test_the_catalogues_so101_is_its_makers() -> None:
     for field in ("lower", "upper", "mass", "com"):
         np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-12, err_msg=field)
     np.testing.assert_allclose(ours.inertia, theirs.inertia, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "kg"),
+    [
+        ("koch", (0.21508, -0.005947, 0.1678), 0.226),  # the sums of the bodies of MuJoCo Menagerie
+        ("wx250s", (0.458325, 0.0, 0.36065), 1.6),  # Interbotix' kinematics, and their masses without the base
+        ("vx300s", (0.536494, 0.0, 0.42705), 2.8),
+        ("omx", (0.286, 0.0, 0.2045), 0.51),  # ROBOTIS' kinematics
+    ],
+)
+def test_the_catalogues_dynamixel_arms_are_their_makers(name: str, place: tuple[float, ...], kg: float) -> None:
+    loaded = read_arm(MODELS / f"{name}.toml")
+    assert loaded.notes == ()
+    np.testing.assert_allclose(tcp_pose(loaded.arm, np.zeros(loaded.arm.joints))[:3, 3], place, atol=2e-4)
+    assert loaded.arm.mass.sum() == pytest.approx(kg, rel=0.02)
+    assert all(loaded.arm.servos)

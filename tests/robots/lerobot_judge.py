@@ -27,22 +27,34 @@ def stand_in_for_what_the_bus_does_not_use():
     stand_in("datasets.utils.logging", disable_progress_bar=lambda: None, enable_progress_bar=lambda: None)
 
 
-def judge(device):
-    from lerobot.motors import Motor, MotorCalibration, MotorNormMode
-    from lerobot.motors.feetech import FeetechMotorsBus, OperatingMode
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
-    names = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-    motors = {name: Motor(i + 1, "sts3215", MotorNormMode.DEGREES) for i, name in enumerate(names)}
-    bus = FeetechMotorsBus(port=device, motors=motors)
+
+def judge(device, family):
+    from lerobot.motors import Motor, MotorCalibration, MotorNormMode
+
+    if family == "feetech":
+        from lerobot.motors.feetech import FeetechMotorsBus as Bus
+        from lerobot.motors.feetech import OperatingMode
+
+        models, mode, gain = ("sts3215",) * 6, OperatingMode.POSITION, "P_Coefficient"
+    else:
+        from lerobot.motors.dynamixel import DynamixelMotorsBus as Bus
+        from lerobot.motors.dynamixel import OperatingMode
+
+        models = ("xl430-w250",) * 2 + ("xl330-m288",) * 4
+        mode, gain = OperatingMode.EXTENDED_POSITION, "Position_P_Gain"
+    motors = {name: Motor(i + 1, models[i], MotorNormMode.DEGREES) for i, name in enumerate(NAMES)}
+    bus = Bus(port=device, motors=motors)
     bus.connect()
     seen = {"models": sorted(set(bus.broadcast_ping().values()))}
     held = bus.read_calibration()
     seen["held"] = {name: [c.homing_offset, c.range_min, c.range_max] for name, c in held.items()}
     bus.disable_torque()
     bus.configure_motors()
-    for name in names:
-        bus.write("Operating_Mode", name, OperatingMode.POSITION.value)
-        bus.write("P_Coefficient", name, 16)
+    for name in NAMES:
+        bus.write("Operating_Mode", name, mode.value)
+        bus.write(gain, name, 16 if family == "feetech" else 1600)
     seen["offsets"] = bus.set_half_turn_homings()
     seen["middle"] = bus.sync_read("Present_Position", normalize=False)
     ranges = {"drive_mode": 0, "range_min": 1000, "range_max": 3000}
@@ -61,4 +73,4 @@ def judge(device):
 
 if __name__ == "__main__":
     stand_in_for_what_the_bus_does_not_use()
-    sys.stdout.write(json.dumps(judge(sys.argv[1])) + "\n")
+    sys.stdout.write(json.dumps(judge(*sys.argv[1:])) + "\n")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, so101, tcp_position
+from rejoint.arms import load_arm, mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.system.errors import ProfileError
@@ -18,6 +18,18 @@ def drive(robot, numbers, active=None):
         state = robot.step(ARM.rest + 0.2 * np.sin(0.2 * k + numbers[:, None] + np.arange(6)), active)
         track.append(np.column_stack([state.time, state.position, robot.true_tcp()]))
     return np.array(track)
+
+
+def test_an_arm_is_named_before_its_wear_and_tuned_by_its_servos_gains():
+    place = place_of("emulated:koch?worn&seed=3&p=800")
+    assert (place.default_arm, place.detail.profile, place.detail.gains) == ("koch", "worn?seed=3", {"p": 800})
+    assert place_of("emulated:omx").detail.profile == "new"
+    robot = open_robot("emulated:wx250s?worn", arm=load_arm("wx250s"))
+    robot.tune({"p": (1200,) * 6})
+    assert robot.servo_gains()["p"] == (1200,) * 6
+    assert (robot.plant.settings["p"][0, 1] == 1200).all()  # both servos of the shoulder
+    stall = robot.plant.settings["stall"].sum(axis=-1)[0]
+    assert (stall >= 0.5 * load_wear("new", robot.arm).torque_limit).all()
 
 
 def test_it_is_a_robot():
@@ -57,12 +69,6 @@ def test_the_true_tcp_is_not_the_one_that_the_encoders_show():
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=0)
     apart = np.linalg.norm(robot.true_tcp() - tcp_position(ARM, robot.read().position))
     assert 0.004 < apart < 0.02
-
-
-def test_a_start_is_where_the_arm_is():
-    start = ARM.rest + 0.1
-    robot = EmulatedRobot(ARM, FAMILY, start=start)
-    np.testing.assert_allclose(robot.read().position, np.tile(start, (4, 1)), atol=ARM.encoder_step)
 
 
 def test_an_address_knows_its_arm():

@@ -14,9 +14,10 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.feetech.bus import FeetechBus, Gripper, Zeros, read_calibration, zeros_of
-from rejoint.robots.feetech.gains import LIMIT, Tuning
-from rejoint.robots.feetech.wire import Wire
+from rejoint.robots.feetech.bus import FeetechBus, Wire, zeros_of
+from rejoint.robots.feetech.gains import STRIDES, TABLE
+from rejoint.robots.knobs import LIMIT, Tuning
+from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
     AddressError,
@@ -28,7 +29,7 @@ from rejoint.system.errors import (
     RobotError,
 )
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
+from rejoint_lab.emulator.feetech import HOMING, NAMES, StsSession, build_arm
 from rejoint_lab.emulator.servers import on_port
 
 pytestmark = pytest.mark.realtime  # the client waits 50 ms for an answer, whatever keeps the emulated bus from it
@@ -42,7 +43,7 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 def serving(fault="", *, pty=False, arm=None):
     faults = parse_faults(fault, 5)
     arm = arm or build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
-    with (TerminalServer if pty else on_port)(BusSession(arm, faults=faults)) as server:
+    with (TerminalServer if pty else on_port)(StsSession(arm, faults=faults)) as server:
         server.arm = arm
         yield server
 
@@ -107,7 +108,7 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
     class Memory:
-        names, load = ("1", "2"), 0.0
+        names, load, strides = ("1", "2"), 0.0, STRIDES
         gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
 
         def read_gains(self):
@@ -160,7 +161,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
     with serving() as server, closing(open_robot(server.address)) as robot:
         servo = server.arm.servos[5]
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
-        gripper = Gripper.find(robot.relay, 6)
+        gripper = Gripper.find(robot.relay, TABLE)
         assert gripper.opened == pytest.approx(100 * (servo["Present_Position"] - low) / (high - low))
         gripper.serve()
         assert servo.writes == []
@@ -172,7 +173,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
         assert goal == (high, 500, 1)
         assert gripper.opened > 90.0
         assert len([1 for address, _ in servo.writes if address == GOAL]) == 1
-        assert Gripper.find(robot.relay, 9) is None
+        assert Gripper.find(robot.relay, TABLE, 9) is None
         for payload in ([1, GOAL, 0, 0], [6, LOCK, 0], [6, 5, 7]):
             with pytest.raises(RobotError, match="is not passed on"):
                 robot.relay(3, bytes(payload))
@@ -196,13 +197,13 @@ def test_gains_that_came_during_a_connection_are_set_again_on_the_next_one():
     middle=st.lists(st.integers(1500, 2500), min_size=5, max_size=5),
 )
 def test_goals_come_back_within_half_a_count(angles, middle):
-    zeros = Zeros(middle=tuple(map(float, middle)), zero=(0.1,) * 5, low=(0,) * 5, high=(4095,) * 5)
+    zeros = Zeros(middle=tuple(map(float, middle)), zero=(0.1,) * 5, low=(0,) * 5, high=(4095,) * 5, step=(STEP,) * 5)
     back = zeros.radians(zeros.counts(np.array(angles)))
     assert np.abs(np.subtract(back, angles)).max() <= np.pi / 4096 + 1e-12
 
 
 def test_goals_are_clipped_to_what_the_servos_take():
-    zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), ())
+    zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), None)
     assert zeros.counts(np.full(5, 3.0)) == [3000] * 5
     assert zeros.counts(np.full(5, -3.0)) == [1000] * 5
     assert zeros.middle == (2000.0,) * 5
@@ -212,11 +213,11 @@ def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
     file = read_calibration(calibration(tmp_path / "a.json"), ARM)
     assert file.ids == (1, 2, 3, 4, 5)
     limits = np.zeros(5, int), np.full(5, 4095)
-    assert zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == tuple((file.low + file.high) / 2)
+    assert zeros_of(ARM, file, np.array(HOMING[:5]), *limits, None).middle == tuple((file.low + file.high) / 2)
     with pytest.raises(RobotError, match="elbow_flex has a homing offset of 5 counts"):
-        zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, ())
+        zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, None)
     with pytest.raises(InputError, match="needs 5 angles"):
-        zeros_of(ARM, file, np.array(HOMING[:5]), *limits, (1.0, 2.0))
+        place_of("feetech://here?zero=1,2").detail.middle(ARM)
     with pytest.raises(InputError, match="ranges must rise"):
         read_calibration(calibration(tmp_path / "b.json", elbow_flex={"range_max": 10}), ARM)
     with pytest.raises(FileError, match="no such file"):
@@ -226,8 +227,8 @@ def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
 def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
     whole = np.zeros(5, int), np.full(5, 4095)
     with pytest.raises(RobotError, match=r"elbow_flex, wrist_flex may turn by a whole turn.*zero="):
-        zeros_of(ARM, None, np.zeros(5, int), *whole, ())
-    assert zeros_of(ARM, None, np.zeros(5, int), *whole, (0.0,) * 5).middle == (2047.5,) * 5
+        zeros_of(ARM, None, np.zeros(5, int), *whole, None)
+    assert zeros_of(ARM, None, np.zeros(5, int), *whole, np.zeros(5)).middle == (2047.5,) * 5
     with serving() as server:
         fresh = server.arm.servos[2]  # an elbow with a new servo
         fresh["Min_Position_Limit"], fresh["Max_Position_Limit"] = 0, 4095

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rejoint.robots.family import serial_address, tcp_address
-from rejoint.robots.feetech.wire import Wire
+from rejoint.robots.feetech.bus import Wire
 from rejoint_lab.emulator.feetech import Packet, encode
 
 READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"

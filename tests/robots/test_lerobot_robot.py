@@ -17,7 +17,7 @@ from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator.feetech import BusSession, build_arm
+from rejoint_lab.emulator.feetech import StsSession, build_arm
 from rejoint_lab.emulator.servers import on_port
 
 ARM = load_arm("so101")
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.realtime
 @contextmanager
 def serving(tmp_path, pty=False):
     arm = build_arm(ARM, "so101")
-    with (TerminalServer if pty else on_port)(BusSession(arm)) as server:
+    with (TerminalServer if pty else on_port)(StsSession(arm)) as server:
         server.arm = arm
         server.run = Run.create(tmp_path / "run", server.address, ARM).path
         yield server

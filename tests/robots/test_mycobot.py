@@ -22,7 +22,6 @@ from rejoint.control.robot import Robot
 from rejoint.robots import bus as link_module
 from rejoint.robots import open_robot
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.mycobot import bus as mycobot_module
 from rejoint.robots.mycobot.bus import MyCobotBus
 from rejoint.system.errors import (
     AddressError,
@@ -178,14 +177,6 @@ def test_opening_sends_no_motion_and_sets_fresh_mode(start):
 def test_an_arm_without_power_is_switched_on(start):
     _, fake = start(powered=False)
     assert fake.powered
-
-
-def test_fresh_mode_works_through_a_server_that_swallows_its_acknowledgement(start, monkeypatch):
-    """The vendor's server drops an answer that equals its request, as that of set_fresh_mode(1) does."""
-    monkeypatch.setattr(mycobot_module, "RELAY_BUSY", 0.05)
-    robot, fake = start(only(SET_FRESH, ALWAYS, b""))
-    assert fake.fresh
-    assert robot.read().age[0] == 0.0
 
 
 def test_the_clients_side_effects_are_undone(start):

@@ -1,9 +1,7 @@
 """Robot addresses: what they mean, and one clear line for those that mean nothing."""
 
-import numpy as np
 import pytest
 
-from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.system.errors import InputError
@@ -31,12 +29,3 @@ def test_known_addresses(text, detail):
 def test_what_a_single_arm_cannot_do_is_refused_before_connecting(arguments):
     with pytest.raises(InputError):
         open_robot("tcp://127.0.0.1:1", **arguments)
-
-
-def test_emulated_robots_are_opened_as_a_batch():
-    robot = open_robot("emulated:worn", count=3, period=(0.05, 0.05), seed=4)
-    assert isinstance(robot, Robot)
-    assert (robot.count, robot.address) == (3, "emulated:worn")
-    before = robot.read()
-    after = robot.step(before.position)
-    np.testing.assert_allclose(after.time - before.time, 0.05)

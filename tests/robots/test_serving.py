@@ -20,7 +20,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
 from rejoint.robots.mycobot.mover import COLLISION
 from rejoint.robots.mycobot.wire import Decoder, Frame, encode, pack_angles, pack_coords
-from rejoint.robots.serving import PATIENCE, REFUSED, Answering, MoveEnd, OrderLog, Relay, ServedArm, wire_server
+from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, Relay, ServedArm
 from rejoint.runs.run import Run
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
@@ -99,11 +99,11 @@ def advance(served, clock, position):
     return served.advance(reading, reading.time)
 
 
-def answering(served, relay=None):
+def answering(served, relay=None, listener=None):
     said: list[str] = []
     log = OrderLog(Path(os.devnull))
     log.close()
-    return Answering(served, log, relay or Relay(None), said.append), said
+    return Clients(served, log, relay or Relay(None), said.append, listener), said
 
 
 def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
@@ -129,9 +129,10 @@ def test_a_stopped_arm_is_held_where_it_stands():
     served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
     served.on_arrival = ends.append
     answers, _ = answering(served)
+    clock = 0.0
     for lag in (0.02, 0.2):  # a worn arm is behind its reference
         assert served.move_joints(served.destination + 0.4, 1.0)
-        position, clock = served.angles, 0.0 if served._time is None else served._time
+        position = served.angles
         for _ in range(8):
             clock += 0.05
             position = advance(served, clock, position).goal[0] - lag
@@ -155,7 +156,8 @@ def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way():
     while served.on_its_way:
         clock += 0.05
         advance(served, clock, ARM.rest)
-    assert answers.hold("the client is gone"), "its joints are not there yet"
+    assert served.moving, "its joints are not there yet"
+    answers.left("the client is gone")
     np.testing.assert_allclose(advance(served, clock + 0.05, ARM.rest).goal[0], goal, atol=1e-9)
 
 
@@ -201,10 +203,9 @@ def test_orders_that_would_let_the_arm_fall_are_refused_and_said():
 
 @pytest.mark.realtime
 def test_a_client_that_leaves_a_move_half_done_is_told_of():
-    said: list[str] = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        answers, _ = answering(ServedArm(ARM, ARM.rest))
-        with wire_server(answers, listener, said.append) as server:
+        answers, said = answering(ServedArm(ARM, ARM.rest), listener=listener)
+        with answers.server() as server:
             for request in (b"", encode(Frame(0x22, pack_angles(ARM.rest + 0.2) + b"\x32"))):
                 with closing(socket.create_connection(listener.getsockname()[:2], 2.0)) as client:
                     client.sendall(request + encode(Frame(0x2B)))
@@ -283,7 +284,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):
 def test_any_bytes_are_borne(tmp_path):
     served = ServedArm(ARM, ARM.rest)
     log = OrderLog(tmp_path / "orders.jsonl")
-    answers = Answering(served, log, Relay(None), lambda _: None)
+    answers = Clients(served, log, Relay(None), lambda _: None)
     rng, decoder = np.random.default_rng(0), Decoder()
     commands = [*REFUSED, *range(0x10, 0x60), 0xD5, 0xE1, 0xE5]
     slow = {0x24, 0x25, 0x31, 0x32, 0x34}  # inverse kinematics

@@ -1,7 +1,13 @@
-"""A repaired SO-101 as a robot of LeRobot: ``--robot.type=rejoint_so101``."""
+"""Repaired arms as robots of LeRobot: ``--robot.type=rejoint_so101``, ``rejoint_koch`` or ``rejoint_viperx``."""
 
-from rejoint_so101 import RejointSo101
+from .config import RejointKochConfig, RejointSo101Config, RejointViperxConfig
+from .robot import RejointKoch, RejointSo101, RejointViperx
 
-from .config_rejoint_so101 import RejointSo101Config
-
-__all__ = ["RejointSo101", "RejointSo101Config"]
+__all__ = [
+    "RejointKoch",
+    "RejointKochConfig",
+    "RejointSo101",
+    "RejointSo101Config",
+    "RejointViperx",
+    "RejointViperxConfig",
+]

@@ -164,18 +164,23 @@ def _freeze(instance: object) -> None:
             object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))
 
 
+MODELS = Path(__file__).parent / "models"
+"""Descriptions of the catalogue's arms"""
+
+
 def mycobot280() -> Arm:
     """Return the myCobot 280 Pi."""
-    return _described("mycobot280")
+    return described("mycobot280")
 
 
 def so101() -> Arm:
     """Return the SO-101, joints named as in LeRobot."""
-    return _described("so101")
+    return described("so101")
 
 
 @cache
-def _described(name: str) -> Arm:
+def described(name: str) -> Arm:
+    """Return an arm of the catalogue."""
     from rejoint.arms.loading import read_arm  # late: what a description leaves open goes by the measures of a myCobot
 
-    return read_arm(Path(__file__).parent / "models" / f"{name}.toml").arm
+    return read_arm(MODELS / f"{name}.toml").arm

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import tomlkit
 
-from rejoint.arms.arm import Arm, Array, Box, dh_chain, mycobot280, so101
+from rejoint.arms.arm import MODELS, Arm, Array, Box, described, dh_chain
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import UNKNOWN, Loaded, finish
 from rejoint.arms.inertia import inertia_matrix, inertia_values
@@ -243,7 +243,8 @@ def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:
     return ET.SubElement(parent, tag, texts)
 
 
-CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so101}
+CATALOGUE = tuple(path.stem for path in sorted(MODELS.glob("*.toml")))
+"""Names of described arms"""
 
 SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf", ".xacro")
 """The last one gets the advice to make a URDF"""
@@ -257,7 +258,7 @@ def load_arm(
     Parameters
     ----------
     source
-        ``mycobot280``, ``so101``, or a path that ends in ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf``
+        a name of `CATALOGUE`, as ``so101``, or a path that ends in ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf``
     base, tip
         first and last body (or site) in a URDF or MJCF file; by default its root and the end of its only chain
     hold
@@ -311,10 +312,10 @@ def read_arm(
     if (base or tip or hold) and suffix not in SUFFIXES[1:]:
         raise InputError(f"base, tip and hold choose a chain of a URDF or MJCF file; {source} is one already")
     if source.lower() in CATALOGUE:
-        return Loaded(arm=CATALOGUE[source.lower()]())
+        return Loaded(arm=described(source.lower()))
     if suffix not in SUFFIXES:
         raise InputError(
-            f"no arm is called {source!r}; known arms: {', '.join(sorted(CATALOGUE))}, "
+            f"no arm is called {source!r}; known arms: {', '.join(CATALOGUE)}, "
             f"or give a file that ends in {', '.join(SUFFIXES[:-1])}"
         )
     return finish(read_draft(path) if suffix == ".toml" else cut(read_tree(path, hold), base, tip))

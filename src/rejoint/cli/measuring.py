@@ -150,7 +150,7 @@ class Means:
         from rejoint.camera.board import ON_TABLE, ON_TOOL
         from rejoint.camera.filming import CameraGauge
         from rejoint.camera.tracker import LiveCamera
-        from rejoint.robots.cameras import simulated
+        from rejoint.control.seeing import simulated
 
         if word == EMULATED:
             drawn = self.pattern(ON_TOOL if self.carried == "board" else ON_TABLE)

@@ -6,24 +6,21 @@ import os
 import select
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
-import numpy as np
 
 import rejoint
 from rejoint.cli.options import Call, ConsoleObserver, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import place_of
-from rejoint.robots.feetech.gains import FeetechAddress
+from rejoint.robots.knobs import ServoAddress
+from rejoint.robots.servobus import Gripper
 from rejoint.session.inputs import RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.stopping import check, noted
-
-if TYPE_CHECKING:
-    from rejoint.robots.feetech.bus import Gripper
 
 
 @takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")
@@ -68,17 +65,12 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
     with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
-        wire = part_of(arm.robot, Relaying)
-        gripper = None
-        if wire and isinstance(detail, FeetechAddress):
-            from rejoint.robots.feetech.bus import Gripper  # late: its maker's client is an extra
-
-            gripper = Gripper.find(wire.relay, arm.arm.joints + 1)
+        wire, on_bus = part_of(arm.robot, Relaying), isinstance(detail, ServoAddress)
+        gripper = Gripper.find(wire.relay, detail.table) if wire and on_bus else None
         arm.beside += [] if gripper is None else [gripper.serve]
         arm.hold()
-        given = detail.zero if isinstance(detail, FeetechAddress) else ()
-        middle = np.radians(given or (0.0,) * arm.arm.joints)
-        _answer({"joints": arm.arm.joint_names, "middle": middle.tolist(), "gripper": gripper is not None})
+        middle = detail.middle(arm.arm).tolist() if on_bus else [0.0] * arm.arm.joints
+        _answer({"joints": arm.arm.joint_names, "middle": middle, "gripper": gripper is not None})
         came = bytearray()
         while (line := _next(arm, came)) is not None:
             _answer(_obey(arm, gripper, line))

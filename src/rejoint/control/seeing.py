@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.law import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
-from rejoint.control.robot import ControlInput, Controller, Mask
+from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
+from rejoint.system.errors import InputError
 
 NOISE = 0.3e-3
 """[m] least and default deviation of a coordinate"""
@@ -346,3 +347,25 @@ class Finishing:
             if float(np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1]) >= LEAST_LEVER * longest:
                 return np.asarray(mask)
         return np.ones(n, dtype=bool)
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """A simulated robot, which brings the cameras that see it."""
+
+    def eye(self, seed: int) -> Eye:
+        """Detector of the tool; noise by ``seed``."""
+
+    def camera(self, board: Any, carried: str, seed: int) -> Any:  # noqa: ANN401 - the camera's room knows both
+        """Camera that sees the ``board``; the tool has ``carried``, which is ``board`` or ``camera``."""
+
+
+def simulated(robot: Robot) -> Simulated:
+    """Return the robot that brings its cameras; InputError without."""
+    found = part_of(robot, Simulated)
+    if found is None:
+        raise InputError(
+            f"camera emulated: it sees one arm that is emulated in this process, not {robot.address}; give the number "
+            "of a camera, or emulated:WEAR as the robot"
+        )
+    return found

@@ -20,9 +20,9 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.robot import ControlInput, Controller, Mask, Robot, heeds_turn, part_of
+from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
 from rejoint.control.start import begin
-from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, first_line
+from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, RobotError, first_line
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import shielded
 
@@ -30,6 +30,14 @@ ServoGains = Mapping[str, tuple[int, ...]]
 """(n,) per name"""
 HOTTEST, HEAVIEST = 55.0, 0.7
 """[deg C] and torque share that end a round"""
+
+
+class OverloadedError(RobotError):
+    """The servo of a ``joint`` does not bear new gains; the old ones are back."""
+
+    def __init__(self, message: str, joint: int) -> None:
+        super().__init__(message)
+        self.joint = joint
 
 
 class Rung(NamedTuple):
@@ -116,8 +124,8 @@ def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -
     now = {**limits.gains, **gains}
     stiffer = stiffness_under(np.ones(limits.arm.joints), limits.gains, now)
     if limits.bands is None or "p" not in now or any(now.get("i", ())) or (stiffer < 1.0).any():
-        return replace(limits, servos=None, bands=None)
-    return replace(limits, servos=None, bands=replace(limits.bands, slope=limits.bands.slope / stiffer))
+        return replace(limits, bands=None)
+    return replace(limits, bands=replace(limits.bands, slope=limits.bands.slope / stiffer))
 
 
 def require_gains(robot: Robot, controller: object) -> None:
@@ -181,22 +189,11 @@ def own_policy(names: Sequence[str]) -> str | None:
     return next((name for name in names if inner_name(name) == POLICY), None)
 
 
-class Geared:
-    """A ``controller`` with tuned servo gains."""
-
-    def __init__(self, controller: Controller, gains: ServoGains) -> None:
-        self._controller, self.servo_gains = controller, gains
-        self.contract, self.heeds_turn = getattr(controller, "contract", None), heeds_turn(controller)
-        inner = controller.name
-        self.name = GEARED if inner == DefaultController.name else f"{GEARED}+{inner}"
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Pass a new target on."""
-        self._controller.reset(inputs, where)
-
-    def command(self, inputs: ControlInput) -> Array:
-        """See `Controller`."""
-        return self._controller.command(inputs)
+def geared(controller: Controller, gains: ServoGains) -> Controller:
+    """Name a ``controller`` by the tuned ``gains`` that it drives under; returns it."""
+    inner = controller.name
+    vars(controller).update(name=GEARED if inner == DefaultController.name else f"{GEARED}+{inner}", servo_gains=gains)
+    return controller
 
 
 DWELL = 2.5
@@ -339,8 +336,11 @@ class _Climb:
     def drive(self, gains: Values, targets: Array | None = None) -> tuple[Round | None, Mask]:
         """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
         if gains != self.gains:
+            try:
+                self.servos.tune(gains)
+            except OverloadedError as heavy:  # ends the rung for this joint alone
+                return None, np.arange(self.robot.arm.joints) == heavy.joint
             self.gains = gains
-            self.servos.tune(gains)
         arm, targets, watch = self.robot.arm, self.targets if targets is None else targets, _RoundWatch(self.robot.arm)
         schedule = Schedule(dwell=DWELL, sent=self.sent, give_up=watch.bad)
         limits = limits_under(self.limits, self.robot, None)

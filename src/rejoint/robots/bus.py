@@ -159,6 +159,8 @@ ATTEMPTS = 6
 """Attempts per question (chosen: one answer in fifty may be lost)"""
 TIMEOUT = 10.0
 """[s] of a dead link while an arm is driven (chosen)"""
+FIRST = 4.0
+"""[s] in which an arm answers that is opened (chosen)"""
 LAST_TIMEOUT = 3.0
 """[s] the same for a stop (chosen)"""
 SILENCE = 3.0
@@ -188,7 +190,7 @@ class Link:
         except ConnectionLostError as error:
             raise AddressError(str(error)) from error
         try:
-            asked(self._bus.prepare, self.address)
+            asked(lambda: self._bus.prepare(self._bus.clock.now() + FIRST), self.address)
         except _AGAIN as error:
             self.close()
             found = str(error).removeprefix(f"{self.address}: ")

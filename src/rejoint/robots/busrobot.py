@@ -18,7 +18,7 @@ from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Link, Reading, Vitals
 from rejoint.robots.family import Family, Opening, Place
-from rejoint.system.errors import ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
+from rejoint.system.errors import AddressError, ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
 
 RANGE_MARGIN = np.radians(5.0)
 """[rad] beyond a joint limit by sag and stops (chosen)"""
@@ -333,7 +333,14 @@ def bus_family(
     def connect(place: Place[T], opening: Opening) -> Robot:
         made: Bus = (resolve_name(bus) if isinstance(bus, str) else bus)(place.detail, opening.arm)
         robot = BusRobot(made, opening.arm, address=place.text, period=opening.period, seed=opening.seed)
-        robot.open()
+        try:
+            robot.open()
+        except AddressError as error:
+            from rejoint.robots.ports import why_not  # late: it is seldom wanted
+
+            if why := why_not(place, error):
+                raise AddressError(why) from error
+            raise
         return robot
 
     return Family(parse=parse, connect=connect, **options)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
 
 from rejoint.robots.busrobot import bus_family
+from rejoint.robots.dynamixel.registers import FORM as DYNAMIXEL
+from rejoint.robots.dynamixel.registers import DynamixelAddress
 from rejoint.robots.family import (
     Family,
     Place,
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FORM, feetech_address
+from rejoint.robots.feetech.gains import FORM, FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 
@@ -39,18 +42,38 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.feetech.bus:FeetechBus",
         scheme="feetech",
         form=FORM,
-        parse=feetech_address,
+        parse=FeetechAddress.read,
         default_arm="so101",
         default_period=(0.020, 0.020),
         only=True,
         tunable=True,
         needs=("feetech",),
     ),
+    bus_family(
+        "rejoint.robots.dynamixel.bus:DynamixelBus",
+        scheme="dynamixel",
+        form=DYNAMIXEL,
+        parse=DynamixelAddress.read,
+        default_arm="koch",
+        default_period=(0.020, 0.020),
+        tunable=True,
+        needs=("dynamixel",),
+    ),
 )
 """Families of this package"""
 
 GROUP = "rejoint.robots"
 """Entry points of `Family` objects"""
+
+_MEANT = {
+    r"/dev/.+": "; perhaps feetech://{0} (SO-101) or serial://{0} (myCobot)",
+    r"[\w.-]*\w\w[\w.-]*:\d+": "; perhaps tcp://{0} (myCobot) or feetech://{0} (SO-101)",
+    r"\d+\.\d+\.\d+\.\d+": "; perhaps tcp://{0}:9000",
+    r"COM\d+": "; serial ports of Windows are not supported: serve the arm from Linux",
+    r"worn|healthy": "; perhaps emulated:{0}",
+    r"(?![\w.+-]{2,}:).*": "; `rejoint ports` lists the ports, `rejoint arms` the arms that have a name",
+}
+"""What is often written for an address, and what was perhaps meant"""
 
 _OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
 _LOADED: dict[str, Family[Any]] = {}  # of other packages; to look for one takes 50 ms
@@ -61,7 +84,8 @@ def place_of(text: str) -> Place[Any]:
     scheme, colon, _ = text.partition(":")
     family = _family(scheme) if colon else None
     if family is None:
-        raise AddressError(f"unknown robot address {text!r}; expected {forms()}")
+        hint = next((words.format(text) for form, words in _MEANT.items() if re.fullmatch(form, text)), "")
+        raise AddressError(f"unknown robot address {text!r}; expected {forms()}{hint}")
     try:
         return Place(text=text, family=family, detail=family.parse(text))
     except ValueError as error:

@@ -112,18 +112,18 @@ class ServedArm(Mover, Reference):
         """is told how each move ended"""
         self.held_back = ""
         """what the guard keeps the arm from now, in words"""
-        self._time: float | None = None
+        self._time = np.inf
         self._seen = time.monotonic()
         self._position = position.copy()
         self._speed = np.zeros(arm.joints)
         self._state: JointState | None = None
         self._apparent.came = position.copy()
         self._wanted = self._aim = Setpoint(position[None].copy())
-        # when [s] the reference ended its way; None while it moves
-        self._since: float | None = None
+        # when [s] the reference ended its way; inf while it moves
+        self._since = np.inf
         self._settled = True
-        # when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; None where it is not
-        self._close_since: float | None = None
+        # when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; inf where it is not
+        self._calm_since = np.inf
         # whether the move was stopped: it ends where the arm comes to stand
         self._stopped = False
 
@@ -145,7 +145,7 @@ class ServedArm(Mover, Reference):
 
     def _observe(self, state: JointState) -> None:
         now, position = float(state.time[0]), state.position[0].copy()
-        elapsed = 0.0 if self._time is None else now - self._time
+        elapsed = now - self._time
         if elapsed > 0.0:
             self._speed += _SMOOTHING * ((position - self._position) / elapsed - self._speed)
             self._motion.advance(min(elapsed, LONGEST))
@@ -153,50 +153,39 @@ class ServedArm(Mover, Reference):
 
     def _next(self) -> Setpoint:
         under_way = self._motion.moving and not self.paused
-        if under_way or self._since is None:
+        if under_way or np.isinf(self._since):
             posture = self._apparent.measured(self._motion.reference)
         else:
             posture = self._aim.goal[0]
         return Setpoint(posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
-        assert self._time is not None  # noqa: S101 - for the type checker; `_observe` was called
+        """End the move where the tool stays in place, or a stopped arm stands, or it came no nearer for long."""
         if not self._wanted.arrived[0]:
-            self._since, self._settled, self._close_since = None, False, None
+            self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return
-        if self._since is None:
-            self._since = self._time
+        self._since = min(self._since, self._time)
         if self._settled:
             return
-        if self._stopped:
-            self._judge_stopped(self._time)
-            return
-        posture = self._wanted.goal[0]
+        posture, after = self._wanted.goal[0], self._time - self._since
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
-        after = self._time - self._since
         away = float(np.abs(posture - self._position).max())
-        near = error < IN_PLACE and (away < OFF or self._unloading.given_up)
-        self._close_since = (self._close_since or self._time) if near else None
-        calm = self._close_since is not None and self._time - self._close_since >= CALM
-        if calm or after > PATIENCE:
-            self._settled, self._apparent.came = True, posture.copy()
-            held_back = self.held_back if error > ARRIVED_LENGTH else ""
-            if held_back:  # what is ordered next begins where the arm is, not where it will never come
-                self._hold_here()
+        if self._stopped:
+            calm, lasts = bool((np.abs(self._speed) < MOVING).all()), STANDS
+        else:
+            calm, lasts = error < IN_PLACE and (away < OFF or self._unloading.given_up), CALM
+        self._calm_since = min(self._calm_since, self._time) if calm else np.inf
+        if self._time - self._calm_since < lasts and after <= PATIENCE:
+            return
+        held_back = self.held_back if error > ARRIVED_LENGTH else ""
+        self._settled, self._apparent.came = True, posture.copy()
+        if self._stopped or held_back:  # what is ordered next begins where the arm is, not where it will never come
+            self._stay()
+            self._apparent.came = here = self._position.copy()
+            self._wanted = self._aim = Setpoint(here[None].copy())
+        if not self._stopped:
             short = self._unloading.short(self._position)
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
-
-    def _judge_stopped(self, now: float) -> None:
-        slow = bool((np.abs(self._speed) < MOVING).all())
-        self._close_since = (self._close_since or now) if slow else None
-        if self._close_since is not None and now - self._close_since >= STANDS:
-            self._hold_here()
-            self._settled = True
-
-    def _hold_here(self) -> None:
-        self._stay()
-        self._apparent.came = here = self._position.copy()
-        self._wanted = self._aim = Setpoint(here[None].copy())
 
     def _stay(self) -> None:
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
@@ -217,8 +206,7 @@ class ServedArm(Mover, Reference):
     def sensed(self) -> Sensed:
         """Return what the robot tells, else zeros."""
         none, state = np.zeros(self.arm.joints), self._state
-        heat = None if state is None else state.temperature
-        fault = None if state is None else state.fault
+        heat, fault = (None, None) if state is None else (state.temperature, state.fault)
         return Sensed(
             speed=self._speed,
             current=none,
@@ -260,7 +248,7 @@ class ServedArm(Mover, Reference):
         self._motion.hold(joint)
         if joint is None and under_way:
             self._stay()
-            self._since, self._settled, self._stopped = None, False, True
+            self._since, self._settled, self._stopped = np.inf, False, True
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
@@ -307,7 +295,7 @@ class ServedArm(Mover, Reference):
         return False
 
     def _ready(self) -> bool:
-        self._settled, self._since, self._stopped = False, None, False
+        self._settled, self._since, self._stopped = False, np.inf, False
         return True
 
 
@@ -402,45 +390,48 @@ CLEAR_ERROR = 0x08
 AGAIN = 10.0
 """[s] after which the same refusal is said again (chosen)"""
 MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C, 0x3E))
+_REASONS = {
+    0: "the queue is full, or there is no such joint, axis or value",
+    NO_SOLUTION: "no posture of the arm brings the tool there (error 32)",
+    COLLISION: f"the guard keeps the arm from there: it would touch the ground or itself (error {COLLISION})",
+    NO_LINE: "the arm cannot follow a straight line there (error 33)",
+    **{joint: f"joint {joint} would go beyond its limit (error {joint})" for joint in range(1, 7)},
+}
+_UNFINISHED = " Its last move was not at its end: a program waits for it with sync_send_angles or is_moving."
 
 
-class Answering:
-    """Answers for ``served``; ``say`` tells the terminal."""
+class Clients(Conversation[Frame]):
+    """Answers the clients of ``served``, one at a time; ``say`` tells the terminal."""
 
-    def __init__(self, served: ServedArm, log: OrderLog, relay: Relay, say: Callable[[str], object]) -> None:
-        self._served, self._log, self._relay, self._say = served, log, relay, say
+    def __init__(
+        self,
+        served: ServedArm,
+        log: OrderLog,
+        relay: Relay,
+        say: Callable[[str], object],
+        listener: socket.socket | None = None,
+    ) -> None:
+        super().__init__()
+        self._served, self._log, self._relay, self._say, self._listener = served, log, relay, say, listener
         self._number: int | None = None
         self._said: dict[str, float] = {}  # refusal -> when [s] it was said last
 
-    def answer(self, request: Frame) -> Frame | None:
-        """Carry out ``request``; None: silence."""
-        command, payload = request.command, request.payload
-        if command in PASSED_ON:
-            return self._pass_on(request)
-        if command not in COMMANDS:
-            found = None if self._served.is_lost else answer(self._served, request)
-            return None if found is None else found.frame
-        why = "" if command == 0x1A and payload[:1] == b"\x00" else REFUSED.get(command, "")
-        if why:
-            return self._refuse(request, why)
+    def server(self) -> Server:
+        """Serve on the listening socket, or without one on a pseudo-terminal."""
+        return TerminalServer(self) if self._listener is None else TcpServer(self, self._listener)
+
+    def came(self, client: str) -> None:
+        """Say that a client is there."""
+        self._say(f"A client is there: {client}" if client else "A client has opened the serial line.")
+
+    def left(self, client: str) -> None:
+        """Let the arm hold."""
         with self._served.lock:
-            error, self._served.error, self._served.note = self._served.error, 0, ""
-            reply = answer(self._served, request)
-            found_error = self._served.error
-            if command != CLEAR_ERROR:
-                self._served.error = found_error or error
-        if reply is None:
-            return None  # not well formed
-        done = reply.frame.payload == flag(True)
-        if not done:
-            return self._refuse(request, _OTHER_FRAME.get(command) or self._served.note or _REASONS[found_error])
-        note = self._served.note
-        if note:
-            self.say_again(note, f"{NAMES[command]}: {note}.")
-        number = self._log.ordered(command, payload, done=True, why=note)
-        if command in MOVES:
-            self._number = number
-        return reply.frame
+            unfinished = self._served.moving
+            if self._served.on_its_way:
+                self._served.stop()
+        self._log.write("hold", why=client, on_its_way=unfinished)
+        self._say(f"{client[0].upper()}{client[1:]}; the arm holds.{_UNFINISHED * unfinished}")
 
     def arrived(self, arrival: MoveEnd) -> None:
         """Write how a move ended; for the control loop."""
@@ -455,29 +446,39 @@ class Answering:
         if arrival.error > ARRIVED_LENGTH or arrival.short:
             cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
             cause = cause or "it came no nearer"
-            self.say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
+            self._say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
 
-    def hold(self, why: str) -> bool:
-        """Let the arm hold; whether it was on its way."""
+    def answer(self, request: Frame) -> Frame | None:
+        """Carry out ``request``; None: silence."""
+        command, payload = request.command, request.payload
+        if command in PASSED_ON:
+            return self._pass_on(request)
+        if command not in COMMANDS:
+            return None if self._served.is_lost else answer(self._served, request)
+        why = "" if command == 0x1A and payload[:1] == b"\x00" else REFUSED.get(command, "")
+        if why:
+            return self._refuse(request, why)
         with self._served.lock:
-            under_way = self._served.moving
-            if self._served.on_its_way:
-                self._served.stop()
-        self._log.write("hold", why=why, on_its_way=under_way)
-        return under_way
+            error, self._served.error, self._served.note = self._served.error, 0, ""
+            reply, found, note = answer(self._served, request), self._served.error, self._served.note
+            if command != CLEAR_ERROR:
+                self._served.error = found or error
+        if reply is None:
+            return None  # not well formed
+        if reply.payload != flag(True):
+            return self._refuse(request, _OTHER_FRAME.get(command) or note or _REASONS[found])
+        if note:
+            self._say_again(note, f"{NAMES[command]}: {note}.")
+        number = self._log.ordered(command, payload, done=True, why=note)
+        if command in MOVES:
+            self._number = number
+        return reply
 
     def _refuse(self, request: Frame, why: str) -> Frame:
         self._log.ordered(request.command, request.payload, done=False, why=why)
         line = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}"
-        self.say_again(line, line)
+        self._say_again(line, line)
         return Frame(request.command, flag(False))
-
-    def say_again(self, about: str, line: str) -> None:
-        """Say a line, unless one ``about`` the same was just said."""
-        now = time.monotonic()
-        if now - self._said.get(about, -AGAIN) >= AGAIN:
-            self._said[about] = now
-            self._say(line)
 
     def _pass_on(self, request: Frame) -> Frame | None:
         found = self._relay.ask(request.command, request.payload)
@@ -486,42 +487,18 @@ class Answering:
             self._log.ordered(request.command, request.payload, done=found is not None, why=why)
         return None if found is None else Frame(request.command, found)
 
-
-_REASONS = {
-    0: "the queue is full, or there is no such joint, axis or value",
-    NO_SOLUTION: "no posture of the arm brings the tool there (error 32)",
-    COLLISION: f"the guard keeps the arm from there: it would touch the ground or itself (error {COLLISION})",
-    NO_LINE: "the arm cannot follow a straight line there (error 33)",
-    **{joint: f"joint {joint} would go beyond its limit (error {joint})" for joint in range(1, 7)},
-}
-
-
-_UNFINISHED = "Its last move was not at its end: a program waits for it with sync_send_angles or is_moving."
-
-Say = Callable[[str], object]
-
-
-class _Clients(Conversation[Frame]):
-    """Clients of an arm, one at a time."""
-
-    def __init__(self, answering: Answering, say: Say, listener: socket.socket | None) -> None:
-        super().__init__()
-        self._answering, self._say, self._listener = answering, say, listener
-
-    def came(self, client: str) -> None:
-        """Say that a client is there."""
-        self._say(f"A client is there: {client}" if client else "A client has opened the serial line.")
-
-    def left(self, client: str) -> None:
-        """Let the arm hold."""
-        unfinished = f" {_UNFINISHED}" if self._answering.hold(client) else ""
-        self._say(f"{client[0].upper()}{client[1:]}; the arm holds.{unfinished}")
+    def _say_again(self, about: str, line: str) -> None:
+        """Say a line, unless one ``about`` the same was just said."""
+        now = time.monotonic()
+        if now - self._said.get(about, -AGAIN) >= AGAIN:
+            self._said[about] = now
+            self._say(line)
 
     def _finder(self) -> Decoder:
         return Decoder()
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
-        found = self._answering.answer(request)
+        found = self.answer(request)
         if found is not None:
             channel.send(encode(found))
 
@@ -535,9 +512,7 @@ class _Clients(Conversation[Frame]):
         with contextlib.suppress(OSError):
             connection, (host, port) = self._listener.accept()
             connection.close()
-            self._answering.say_again(
-                "second client", f"Refused a second client, {host}:{port}: one at a time drives the arm."
-            )
+            self._say_again("second client", f"Refused a second client, {host}:{port}: one at a time drives the arm.")
 
 
 def _is_gone(handle: int) -> bool:
@@ -546,9 +521,3 @@ def _is_gone(handle: int) -> bool:
             return not present.recv(1, socket.MSG_PEEK)
     except OSError:
         return True
-
-
-def wire_server(answering: Answering, listener: socket.socket | None, say: Say) -> Server:
-    """Serve on a listening socket, or without one on a pseudo-terminal."""
-    clients = _Clients(answering, say, listener)
-    return TerminalServer(clients) if listener is None else TcpServer(clients, listener)

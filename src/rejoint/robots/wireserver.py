@@ -56,7 +56,8 @@ class Finder(Generic[R]):
             if size:
                 frames.append(self._read(self.rest[:size]))
             self.rest = self.rest[size or 1 :]
-        self.rest = self.rest[-1:] if self.rest.endswith(self._header[:1]) else b""
+        begun = next(size for size in range(len(self._header) - 1, -1, -1) if self.rest.endswith(self._header[:size]))
+        self.rest = self.rest[len(self.rest) - begun :]
         return frames
 
     def expire(self) -> list[R]:

@@ -27,8 +27,8 @@ from rejoint.control.servogains import (
     GEARED_PREDICTIVE,
     RIVALS,
     GainsFound,
-    Geared,
     differing,
+    geared,
     in_words,
     inner_name,
 )
@@ -145,6 +145,11 @@ def make_factories(
     factories = {name: _factory(one, run, twin, usual(period)) for name, one in named(asked).items()}
     for name, make in factories.items():
         controller = make(arm)
+        if not (hasattr(controller, "reset") and hasattr(controller, "command")):
+            raise InputError(
+                f"controller {name}: expected a name, an object with reset and command, or a function of an Arm that "
+                f"returns one; it returned {type(controller).__name__}"
+            )
         check_controller_period(controller, usual(period))
         if posed and not heeds_turn(controller):
             raise _turns_nothing(name)
@@ -221,4 +226,4 @@ def _geared(name: str, run: Run | None, twin: Twin | None, period: float, arm: A
         )
     stiffer = None if twin is None else twin_under(twin, found.found, found.under)
     inner = _by_name(inner_name(name), run, stiffer, period, arm)
-    return Geared(inner, found.alone if name == GEARED else found.under)
+    return geared(inner, found.alone if name == GEARED else found.under)

@@ -23,12 +23,22 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle, Observer, OnCycle, Recording, recording_of
 from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, heeds_turn, part_of, turned_off
+from rejoint.control.robot import (
+    ControlInput,
+    Controller,
+    JointState,
+    Mask,
+    Robot,
+    RobotWrapper,
+    WallClock,
+    heeds_turn,
+    part_of,
+    turned_off,
+)
 from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
 from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import is_virtual, open_robot
-from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.runs.run import Run, exclusive, staged
 from rejoint.session.context import (
     calibration_of,
@@ -142,10 +152,6 @@ RESTS, JITTER = 0.8, float(np.radians(0.3))
 """[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
 
 
-class EndedError(Exception):
-    """A motion was asked to end, and has ended: no error."""
-
-
 class ArmMotion:
     """``work`` drives and returns its result; `ended` asks it to end."""
 
@@ -161,8 +167,6 @@ class ArmMotion:
         """Drive until the end."""
         try:
             self.result = self._work(self)
-        except EndedError:
-            pass
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
             self.error = error
         finally:
@@ -171,11 +175,6 @@ class ArmMotion:
     def give_up(self, _: ControlInput) -> Mask:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
         return np.array([self.ended.is_set()])
-
-    def require_wanted(self) -> None:
-        """Raise `EndedError` once it was asked to end."""
-        if self.ended.is_set():
-            raise EndedError
 
 
 @dataclass(eq=False)

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import CATALOGUE, Arm, Array, Box, load_arm
 from rejoint.arms.inertia import Payload, loaded
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, describe, read_log
 from rejoint.robots import DEFAULT_ARM, place_of
-from rejoint.robots.wrapper import RobotWrapper
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json

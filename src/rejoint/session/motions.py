@@ -173,7 +173,7 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
     if given is None:
         yield None
     elif given == "emulated":
-        from rejoint.robots.cameras import simulated
+        from rejoint.control.seeing import simulated
 
         yield simulated(robot).eye(seed)
     elif not isinstance(given, str):
@@ -324,8 +324,8 @@ class PathDrive:
         servos = servos_of(twin)
         return TRACKER, lambda: Tracker(arm, servos, period=session.usual), home_of(arm, servos)[0]
 
-    def work(self, motion: ArmMotion) -> Followed:
-        """Drive; `EndedError` where the motion is asked to end."""
+    def work(self, motion: ArmMotion) -> Followed | None:
+        """Drive; None where the motion is asked to end."""
         session, arm, guide = self.session, self.session.arm, self.guide
         session.take_up(None)
         name, make, home = self._follower(session.twin_now)
@@ -342,6 +342,8 @@ class PathDrive:
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             last = self._carry(motion, make(), PathReference(arm, [aimed], home), number)
+            if motion.ended.is_set():
+                return None
             passes.append(replace(judge_pass(arm, last, guide, model=session.calibration), log=last.log(0, label)))
             if isinstance(guide, Path) and isinstance(aimed, Path):
                 lesson = lesson or Repetition(guide.aimed)
@@ -366,10 +368,7 @@ class PathDrive:
             share = min(float(cycle.since_target[0]) / self.duration, 1.0)
             session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
 
-        motion.require_wanted()
-        recording = session.drive(controller, Schedule(dwell=self.duration, give_up=motion.give_up), reference, watch)
-        motion.require_wanted()
-        return recording
+        return session.drive(controller, Schedule(dwell=self.duration, give_up=motion.give_up), reference, watch)
 
 
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Guide:

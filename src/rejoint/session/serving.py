@@ -17,7 +17,7 @@ from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import ControlInput, Controller, Mask, Relaying, part_of
-from rejoint.robots.serving import Answering, OrderLog, Relay, ServedArm, wire_server
+from rejoint.robots.serving import Clients, OrderLog, Relay, ServedArm
 from rejoint.robots.wireserver import Server
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
@@ -150,9 +150,9 @@ def _put_together(
     relay = Relay(None if wire is None else wire.relay)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
     served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
-    answering = Answering(served, log, relay, say)
-    served.on_arrival = answering.arrived
-    return served, wire_server(answering, listener, say), relay
+    clients = Clients(served, log, relay, say, listener)
+    served.on_arrival = clients.arrived
+    return served, clients.server(), relay
 
 
 def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:

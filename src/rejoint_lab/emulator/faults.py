@@ -59,10 +59,12 @@ FORMS: dict[str, str] = {
     **dict.fromkeys(("current", "overload"), "=J@T"),
     "voltage": "[=J]@T",
     "mute": "=J@T/D",
+    "same": "=J@T",
+    "power": "=T/D",
     "sag": "=R",
 }
 """How faults are written, optional parts in brackets; see `rejoint emulate --help`"""
-SERVO_BUS = ("mute", "sag")
+SERVO_BUS = ("mute", "same", "power", "sag")
 """Faults of arms on their servo bus only"""
 _LETTERS = {"P": "size", "S": "size", "R": "size", "T": "after", "D": "duration", "E": "every"}
 

@@ -7,58 +7,36 @@ names), and recorded LeRobot packets.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
-from dataclasses import replace
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.robots.wireserver import ByteStream, Finder
-from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
-from rejoint_lab.emulator.servers import EmulatedConversation
-from rejoint_lab.plant.plant import StsPlant, Truth
-from rejoint_lab.plant.servo import STEP
+from rejoint.robots.wireserver import Finder
+from rejoint_lab.emulator.servobus import (
+    Answer,
+    BusSession,
+    EmulatedBus,
+    MemoryField,
+    Packet,
+    Registers,
+    ServoArm,
+    alone,
+)
+from rejoint_lab.plant.plant import StsPlant
+from rejoint_lab.plant.wear import load_wear
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
 
 
-class MemoryField(NamedTuple):
-    """A value in the registers."""
-
-    address: int
-    size: int
-    name: str
-    access: str
-    """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept if written unlocked"""
-    default: int
-    unit: str
-    sign: int | None
-    """sign bit, or None"""
-
-    @property
-    def cells(self) -> slice:
-        """Its place."""
-        return slice(self.address, self.address + self.size)
-
-
 with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
     TABLE = tuple(
-        MemoryField(int(address), int(size), name, access, int(default), unit, int(sign) if sign else None)
-        for address, size, name, access, default, unit, sign in list(csv.reader(_file))[1:]
+        MemoryField(int(address), int(size), name, access, int(default), int(sign) if sign else None)
+        for address, size, name, access, default, _unit, sign in list(csv.reader(_file))[1:]
     )
 BY_NAME: dict[str, MemoryField] = {register.name: register for register in TABLE}
-
-
-def factory_settings(servo: int) -> bytearray:
-    """Return registers of a servo with this ID as sold."""
-    cells = bytearray(SIZE)
-    for register in TABLE:
-        cells[register.cells] = register.default.to_bytes(register.size, "little")
-    cells[BY_NAME["ID"].address] = servo
-    return cells
 
 
 HEADER = b"\xff\xff"
@@ -68,15 +46,6 @@ MOST_PARAMETERS = 248
 """per packet: clients cap packets at 250 bytes"""
 
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
-
-
-class Packet(NamedTuple):
-    """An instruction or a status."""
-
-    id: int
-    code: int
-    """instruction or error bits"""
-    parameters: bytes = b""
 
 
 def checksum(body: bytes) -> int:
@@ -109,52 +78,17 @@ class PacketFinder(Finder[Packet]):
         super().__init__(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
 
 
-def magnitude(value: int, bit: int) -> int:
-    """``value`` as size and sign ``bit``."""
-    if abs(value) >= 1 << bit:
-        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
-    return -value | 1 << bit if value < 0 else value
-
-
-def signed(word: int, bit: int) -> int:
-    """Inverse of `magnitude`."""
-    size = word & ~(1 << bit)
-    return -size if word & 1 << bit else size
-
-
 COUNTS = 4096
 """per turn"""
 MIDDLE = 2048
 """[counts] at joint zero"""
 
-_AT = {cell: register for register in TABLE for cell in range(register.address, register.address + register.size)}
 
-
-class Servo:
+class Servo(Registers):
     """Registers of one servo; its arm updates measured ones."""
 
     def __init__(self, number: int) -> None:
-        self.cells = factory_settings(number)
-        self._kept = bytearray(self.cells)
-        self.writes: list[tuple[int, bytes]] = []
-        """executed: address and data"""
-
-    def __getitem__(self, name: str) -> int:
-        """Value of a register."""
-        register = BY_NAME[name]
-        word = int.from_bytes(self.cells[register.cells], "little")
-        return word if register.sign is None else signed(word, register.sign)
-
-    def __setitem__(self, name: str, value: int) -> None:
-        """Set a register."""
-        register = BY_NAME[name]
-        word = value if register.sign is None else magnitude(value, register.sign)
-        self.cells[register.cells] = word.to_bytes(register.size, "little")
-
-    @property
-    def number(self) -> int:
-        """ID."""
-        return self["ID"]
+        super().__init__(BY_NAME, SIZE, number)
 
     def read(self, address: int, size: int) -> bytes:
         """Read ``size`` registers; zeros beyond the last."""
@@ -164,12 +98,12 @@ class Servo:
         """Write registers, permanently if unlocked; return their names."""
         self.writes.append((address, data))
         end = min(address + len(data), SIZE)
-        cells = [cell for cell in range(address, end) if cell in _AT and _AT[cell].access != "read"]
+        cells = [cell for cell in range(address, end) if cell in self.at and self.at[cell].access != "read"]
         for cell in cells:
             self.cells[cell] = data[cell - address]
         if self["Lock"] == 0:
             self.save(cells)
-        touched = {_AT[cell].name for cell in cells}
+        touched = {self.at[cell].name for cell in cells}
         if "Goal_Position" in touched and self["Torque_Enable"] == 0:
             self["Torque_Enable"] = 1
             touched.add("Torque_Enable")
@@ -177,15 +111,9 @@ class Servo:
             self["Acceleration"] = min(self["Acceleration"], self["Maximum_Acceleration"])
         return touched
 
-    def save(self, cells: Iterable[int] = range(SIZE)) -> None:
-        """Save these ``cells``, as far as the servo does."""
-        for cell in cells:
-            if cell in _AT and _AT[cell].access == "saved":
-                self._kept[cell] = self.cells[cell]
-
     def cycle_power(self) -> None:
         """Power off and on: torque off, locked, saved registers kept."""
-        self.cells = bytearray(self._kept)
+        super().cycle_power()
         self["Torque_Limit"] = self["Max_Torque_Limit"]
 
 
@@ -222,20 +150,17 @@ _SETTINGS = {
 }
 
 
-class ServoArm(EmulatedArm):
+class StsArm(ServoArm):
     """Six servos of one arm, powered and holding."""
 
     plant: StsPlant
 
     def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
         """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, arm)
-        self.resistance = resistance
-        self.gripper = gripper
+        super().__init__(plant, gripper, arm, resistance)
         self.servos = [Servo(number) for number in range(1, arm.joints + 2)]
         self._settings = [*plant.settings[0], *gripper.settings[0]]
         self._status = [*plant.status[0], *gripper.status[0]]
-        self._owed = 0.0
         for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
             servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
@@ -244,18 +169,10 @@ class ServoArm(EmulatedArm):
         for index in range(len(self.servos)):
             self.settle(index)
 
-    def advance(self, duration: float) -> None:
-        """Advance by [s], in whole milliseconds."""
-        self._owed += duration
-        steps = int(self._owed / STEP)
-        self._owed -= steps * STEP
-        drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
-        settings = self.plant.settings
-        settings["voltage"][0] = np.maximum(self.voltage - drop, 0.0)
-        settings["warmth"][0] = self.temperature - self.plant.temperature[0]
-        self.gripper.settings["voltage"] = max(SUPPLY_VOLTAGE - drop, 0.0)
-        self.plant.advance(steps * STEP)
-        self.gripper.advance(steps * STEP)
+    def restart(self, index: int) -> None:
+        """Cycle the power of a servo, from 0."""
+        self.servos[index].cycle_power()
+        self.settle(index)
 
     def settle(self, index: int) -> None:
         """Apply the registers of a servo, index from 0."""
@@ -322,24 +239,15 @@ class ServoArm(EmulatedArm):
         return ends
 
 
-def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> ServoArm:
+def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> StsArm:
     """Arm with the wear profile ``wear_name`` behind its servos, at rest; the gripper's is worn as the last joint's."""
-    from rejoint_lab.plant.wear import PARAMETERS, load_wear
-
-    wear, ends = load_wear(wear_name, arm), np.array(_GRIPPER)
-    own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia", "servos")
-    hinge = replace(
-        arm, **{name: getattr(arm, name)[-1:] for name in own}, lower=ends[:1], upper=ends[1:], rest=np.zeros(1)
-    )
-    worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
-    gripper = StsPlant(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
-    built = ServoArm(StsPlant(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
+    wear = load_wear(wear_name, arm)
+    gripper = alone(arm, wear, np.array(_GRIPPER), StsPlant, arm.servos[-1], seed)
+    built = StsArm(StsPlant(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
     built.advance(0.01)  # compiles the plant now instead of during the first request
     return built
 
 
-BYTE = 10e-6
-"""[s] at 1 Mbaud, 8N1"""
 TURN = 20e-6
 """[s] least pause before an answer (chosen: least seen)"""
 DELAY_UNIT = 2e-6
@@ -351,30 +259,20 @@ _BETWEEN = 3
 _WORD = 2
 
 
-class Answer(NamedTuple):
-    """A returning status packet."""
+class StsBus(EmulatedBus):
+    """Servos of an SO-101 on their wire."""
 
-    servo: int
-    """from 0"""
-    after: float
-    """[s] from request to end of the answer"""
-    data: bytes
-
-
-class EmulatedBus:
-    """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
-
-    def __init__(self, arm: ServoArm) -> None:
-        self.arm = arm
-        self.muted: Callable[[], Iterable[int]] = lambda: ()
+    rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
-        hearing = [(i, servo.number) for i, servo in enumerate(self.arm.servos) if i not in set(self.muted())]
+        hearing = [(index, servo.number) for index, servo in self.hearing()]
         parts = request.parameters
         if request.code == SYNC_READ and len(parts) > _WORD:
             return [
-                self._status(index, number, self._read(index, *parts[:_WORD]), place * (parts[1] + 6 + _BETWEEN) * BYTE)
+                self._status(
+                    index, number, self._read(index, *parts[:_WORD]), place * (parts[1] + 6 + _BETWEEN) * self.byte
+                )
                 for place, asked in enumerate(parts[_WORD:])
                 for index, number in hearing
                 if number == asked
@@ -388,7 +286,7 @@ class EmulatedBus:
                 continue
             data = self._obey(index, request)
             if data is not None and (request.id != BROADCAST or request.code == PING):
-                slot = number * (_BETWEEN + 6) * BYTE if request.id == BROADCAST else 0.0
+                slot = number * (_BETWEEN + 6) * self.byte if request.id == BROADCAST else 0.0
                 answers.append(self._status(index, number, data, slot))
         return answers
 
@@ -426,50 +324,20 @@ class EmulatedBus:
     def _status(self, index: int, number: int, data: bytes, slot: float) -> Answer:
         frame = encode(Packet(number, self.arm.status(index), data))
         delay = max(TURN, self.arm.servos[index]["Return_Delay_Time"] * DELAY_UNIT)
-        return Answer(index, slot + delay + len(frame) * BYTE, frame)
+        return Answer(index, slot + delay + len(frame) * self.byte, frame)
 
 
-ADAPTER = 0.001
-"""[s] of a USB adapter per request and answer (chosen)"""
-
-
-class BusSession(EmulatedConversation[Packet]):
+class StsSession(BusSession):
     """Servos of ``arm`` for one client at a time, with timing."""
 
     scheme = "feetech"
+    reading = frozenset({READ, SYNC_READ})
 
-    def __init__(
-        self,
-        arm: ServoArm,
-        *,
-        adapter: float = ADAPTER,
-        faults: Faults = NONE,
-        **options: Any,  # noqa: ANN401
-    ) -> None:
-        super().__init__(arm, faults=faults, **options)
-        self.bus = EmulatedBus(arm)
-        self.bus.muted = lambda: {
-            joint for spell in in_force(faults, "mute", self._elapsed(self._clock())) for joint in spell.joints
-        }
-        # until when the wire is busy
-        self._adapter, self._free = adapter, 0.0
+    def __init__(self, arm: StsArm, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(StsBus(arm), **options)
 
     def _finder(self) -> PacketFinder:
         return PacketFinder()
 
-    def _answer(self, channel: ByteStream, request: Packet) -> None:
-        self._catch_up()
-        self._free = max(self._came, self._free) + len(encode(request)) * BYTE
-        answers = self.bus.execute(request)
-        if not answers:
-            return
-        if request.code in (READ, SYNC_READ):
-            self._emulated.was_read()
-        pieces = [b""]
-        for answer in answers:
-            first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]
-            pieces[-1] += first
-            pieces += rest
-        self._free += answers[-1].after
-        self.wait(None, self._free + self._adapter + self._wire.delay)
-        self._say(channel, pieces)
+    def _bytes_of(self, request: Packet) -> bytes:
+        return encode(request)

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from rejoint.robots.mycobot.wire import Decoder, Frame, answer, encode
+from rejoint.robots.mycobot.wire import COMMANDS, Decoder, Frame, answer, encode
 from rejoint.robots.wireserver import (
     BACKLOG,
     ByteStream,
@@ -37,14 +37,18 @@ class TruthLog:
     def __init__(self, path: Path, joints: int) -> None:
         self._path = path
         try:
-            self._stream = path.open("w", encoding="utf-8", buffering=1)
+            self._stream = path.open("a", encoding="utf-8", buffering=1)
         except OSError as error:
             raise unwritable(path, error) from error
         names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
-        self._put(["time", "x", "y", "z", *names])
+        self._titles = ["time", "x", "y", "z", *names]
 
     def write(self, now: float, arm: EmulatedArm) -> None:
-        """Add a row: [s], [m], [rad]."""
+        """Add a row: [s], [m], [rad]; the first one replaces what the file held, as the arm is served by then."""
+        if self._titles:
+            self._stream.truncate(0)
+            self._put(self._titles)
+            self._titles = []
         row = [now, *arm.plant.true_tcp()[0], *arm.angles, *arm.plant.link_position()[0]]
         self._put(f"{value:.6f}" for value in row)
 
@@ -189,10 +193,10 @@ class WireSession(EmulatedConversation[Frame]):
             return
         if request.command in READINGS:
             self._emulated.was_read()
-        mean = self._timing.state if reply.is_state else self._timing.acknowledgement
+        mean = self._timing.state if request.command not in COMMANDS else self._timing.acknowledgement
         delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
         self.wait(None, self._clock() + delay + self._wire.delay)
-        self._say(channel, self._wire.pieces(encode(request), encode(reply.frame)))
+        self._say(channel, self._wire.pieces(encode(request), encode(reply)))
 
 
 def beyond_loopback(address: str) -> bool:

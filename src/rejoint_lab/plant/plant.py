@@ -12,14 +12,15 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
 from rejoint.arms.inertia import heavier
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
-from rejoint_lab.plant import servo, sts3215
+from rejoint_lab.plant import servo, sts3215, xseries
 from rejoint_lab.plant.servo import STEP, stream_keys
 from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
 
@@ -330,7 +331,38 @@ RECORDED_P = 32
 """P of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
 
 
-class StsPlant(Plant):
+class ServoPlant(Plant):
+    """Arms whose servos have a firmware, with ``settings`` and ``status`` (B, n, ...)."""
+
+    settings: NDArray[np.void]
+    status: NDArray[np.void]
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
+        super().set_speed_limit(speed)
+        self.settings["speed"].T[:] = (self.servos["speed_limit"] / self.arm.encoder_step).T
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Stop the reference and drop pending commands."""
+        reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
+        self._hold(self._selected(where), reference * self.arm.encoder_step)
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        """Set goal and reference to ``position`` (B, n) [rad]."""
+        super()._hold(ids, position)
+        goal, here = (
+            np.rint(angle[ids] / self.arm.encoder_step).astype(np.int64)
+            for angle in (position, self.servos["measured"])
+        )
+        self.status[ids] = 0
+        self._stand(ids, goal, here)
+
+    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
+        """Let servos that stand ``here`` [counts] hold ``goal``."""
+        raise NotImplementedError
+
+
+class StsPlant(ServoPlant):
     """B arms with STS3215 servos and adjustable `sts3215.SETTING`.
 
     A profile's ``position_gain`` gives the stall torque at `RECORDED_P`, its ``offset`` a constant torque.
@@ -348,17 +380,8 @@ class StsPlant(Plant):
         self.settings["viscous"] = np.maximum(measured - stall / no_load, 0.0)
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
-        self._errors, self._positions = np.zeros((2, *shape, sts3215.WINDOW), np.int64)
-        self._firmware = self.settings, self.status, self._errors, self._positions
-
-    def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
-        super().set_speed_limit(speed)
-        self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
-
-    def halt(self, where: Mask | None = None) -> None:
-        """Stop the reference and drop pending commands."""
-        self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
+        self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
+        self._firmware = self.settings, self.status, self._rings
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -368,22 +391,99 @@ class StsPlant(Plant):
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
         return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
 
-    def _hold(self, ids: Ids, position: Array) -> None:
-        """Set goal and reference to ``position`` (B, n) [rad]."""
-        super()._hold(ids, position)
-        goal, here = (
-            np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
-        )
-        self.status[ids] = 0
+    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
         for name, value in {"goal": goal, "reference": goal, "filtered": here, "position": here}.items():
-            self.status[name][ids] = value[ids]
+            self.status[name][ids] = value
         raw = goal - here
-        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
-        self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]
+        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"][ids], 0)
+        self._rings[ids] = np.stack([error, here], axis=-1)[..., None]
+
+
+class XPlant(ServoPlant):
+    """B arms with servos of ROBOTIS' X series, one or two a joint, and adjustable `xseries.SETTING` (B, n, 2).
+
+    A profile's ``torque_limit`` is the stall torque of a joint's servos; their gains are the registers'.
+    """
+
+    def _equip(self) -> None:
+        arm = self.arm
+        shape = self.count, arm.joints, 2
+        self.settings, self.status = np.zeros(shape, xseries.SETTING), np.zeros(shape, xseries.STATUS)
+        """(B, n, 2)"""
+        for j, name in enumerate(arm.servos):
+            model, count, gains = xseries.drive_of(name)
+            self.settings[:, j, :count] = xseries.as_sold(model)
+            for gain, value in gains.items():
+                self.settings[gain][:, j, :count] = value
+            self.settings["stall"][:, j, :count] = self.joints["torque_limit"][:, j, None] / count
+            self.settings["viscous"][:, j] = xseries.NEW[model]["viscous"] * count
+        bias = self.joints["position_gain"] * self.joints["offset"]
+        self.settings["bias"] = bias[..., None]
+        self._firmware = self.settings, self.status, np.zeros(shape[:2])
+
+    def reset(self, position: Array, where: Mask | None = None) -> None:
+        """Put the arms at rest at encoder ``position`` (B, n) [rad], restarted."""
+        self.settings["torque_on"][self._selected(where)] = 1
+        super().reset(position, where)
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+        first = self.settings[..., 0]
+        share = (torque - first["bias"]) / self.settings["stall"].sum(axis=-1)
+        lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
+        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+
+    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
+        for name, value in {
+            "goal": goal,
+            "aimed": goal,
+            "reference": goal,
+            "position": here,
+            "error": goal - here,
+        }.items():
+            self.status[name][ids] = value[..., None]
+
+
+def plant_of(arm: Arm) -> type[Plant]:
+    """Kind of plant that the servos of an ``arm`` need."""
+    if set(arm.servos) == {"STS3215"}:
+        return StsPlant
+    return XPlant if xseries.drives(arm.servos) else Plant
 
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN202
+# ruff: noqa: ANN001, ANN201, ANN202, ARG001
+
+
+def aim(status, goal):
+    """Set the goal [counts] of a joint's servos."""
+
+
+@overload(aim)
+def _aim(status, goal):
+    def one(status, goal):
+        status.goal = goal
+
+    def several(status, goal):
+        for k in range(len(status)):
+            status[k].goal = goal
+
+    return several if isinstance(status, types.Array) else one
+
+
+def tick_servos(settings, status, rings, joint, state, tick, count, speed):
+    """Let a joint's servos work for a millisecond; returns their torque [N m] on the output."""
+
+
+@overload(tick_servos)
+def _tick_servos(settings, status, rings, joint, state, tick, count, speed):
+    def one(settings, status, rings, joint, state, tick, count, speed):
+        return sts3215.tick_servo(settings, status, rings, joint, state, tick, count, speed)
+
+    def several(settings, status, rings, joint, state, tick, count, speed):
+        return xseries.tick_servos(settings, status, state, count, speed)
+
+    return several if isinstance(status, types.Array) else one
 
 
 @njit(cache=True)
@@ -391,7 +491,7 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
     """Write the next torques of the arms ``ids``.
 
     ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
-    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS (B, n) and rings.
+    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS and rings (B, n, ...) of the joints' servos.
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
@@ -400,28 +500,17 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
             servo.receive(tick[i], due[i], queue[i], servos[i])
             if firmware is not None:
                 for j in range(n):
-                    firmware[1][i, j].goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+                    aim(firmware[1][i, j], int(np.rint(servos[i, j].goal / joints[i, j].encoder_step)))
         for j in range(n):
             joint, state = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
             gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
             seen = state.measured if state.blind else servo.read_encoder(joint, angle, gear_angle)
             if firmware is not None:
-                settings, status, errors, positions = firmware
+                settings, status, rings = firmware
                 state.measured = seen
-                push = sts3215.tick_servo(
-                    settings[i, j],
-                    status[i, j],
-                    (errors[i, j], positions[i, j]),
-                    joint,
-                    state,
-                    tick[i],
-                    int(np.rint(seen / joint.encoder_step)),
-                    speed,
-                )
-                state.torque = push
-                state.load = status[i, j].output / sts3215.PWM_FULL
-                push = push + settings[i, j].bias - settings[i, j].viscous * speed
+                at, count = (tick[i], int(np.rint(seen / joint.encoder_step)))
+                push = tick_servos(settings[i, j], status[i, j], rings[i, j], joint, state, at, count, speed)
             else:
                 push = state.torque = servo.motor_torque(joint, state, seen, speed)
                 state.load += servo.LOAD_FILTER * (push / joint.torque_limit - state.load)

@@ -201,6 +201,21 @@ def record(ids, tick, joints, servos, qpos, history):
                 history[i, tick[i] % HISTORY, j] = read_encoder(joints[i, j], qpos[i, 2 * j], qpos[i, 2 * j + 1])
 
 
+@njit(cache=True)
+def trapezoid(reference, rate, goal, speed, acceleration):
+    """Return reference and rate a tick later, on a trapezoid of speed to ``goal``; in one unit, per s and s^2."""
+    left = goal - reference
+    gain = acceleration * STEP
+    braking = gain * (np.sqrt(0.25 + 2.0 * abs(left) / (gain * STEP)) - 0.5)  # from it the goal is reached in steps
+    wanted = min(speed, braking)
+    wanted = wanted if left >= 0.0 else -wanted
+    rate += min(max(wanted - rate, -gain), gain)
+    stride = rate * STEP
+    if abs(left) <= max(abs(stride), 0.5) and abs(rate) <= 2.0 * gain:
+        return goal, 0.0
+    return reference + stride, rate
+
+
 Interval = tuple[float, float]
 
 _DRAWS = 3

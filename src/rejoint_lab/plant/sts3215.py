@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint_lab.plant.servo import STEP, record_of
+from rejoint_lab.plant.servo import STEP, record_of, trapezoid
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -80,17 +80,7 @@ def ramp(setting, status):
     goal = float(status.goal)
     if setting.least != setting.most:
         goal = min(max(goal, float(setting.least)), float(setting.most))
-    left = goal - status.reference
-    gain = setting.acceleration * STEP
-    braking = gain * (np.sqrt(0.25 + 2.0 * abs(left) / (gain * STEP)) - 0.5)  # from it the goal is reached in steps
-    wanted = min(setting.speed, braking)
-    wanted = wanted if left >= 0.0 else -wanted
-    status.rate += min(max(wanted - status.rate, -gain), gain)
-    stride = status.rate * STEP
-    if abs(left) <= max(abs(stride), 0.5) and abs(status.rate) <= 2.0 * gain:
-        status.reference, status.rate = goal, 0.0
-    else:
-        status.reference += stride
+    status.reference, status.rate = trapezoid(status.reference, status.rate, goal, setting.speed, setting.acceleration)
 
 
 @njit(cache=True)
@@ -191,8 +181,8 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 
 @njit(cache=True)
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
-    """One millisecond of a servo at ``count``; returns the motor torque [N m]."""
-    errors, positions = rings
+    """One millisecond of a servo at ``count``; ``rings`` (2, WINDOW); returns the torque [N m] on the output."""
+    errors, positions = rings[0], rings[1]
     powered, temperature = state.powered, state.temperature
     sense(status, count, positions, tick)
     if not powered or setting.torque_on != 1:
@@ -206,4 +196,6 @@ def tick_servo(setting, status, rings, joint, state, tick, count, speed):
         ramp(setting, status)
         status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
         status.moving = status.rate != 0.0 or status.speed != 0
-    return torque_of(setting, status, powered, speed, joint.no_load_speed)
+    state.torque = torque_of(setting, status, powered, speed, joint.no_load_speed)
+    state.load = status.output / PWM_FULL
+    return state.torque + setting.bias - setting.viscous * speed

@@ -26,6 +26,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach
 from rejoint.system.errors import ProfileError, first_line
 from rejoint.system.tomltable import Number, Positive, Table, read_toml
+from rejoint_lab.plant import xseries
 from rejoint_lab.plant.servo import AMBIENT, STEP
 
 FLOOR = 0.3
@@ -153,6 +154,11 @@ def severity(young: Wear, arm: Arm) -> Array:
     return rubbed
 
 
+NEW = "new"
+"""Profile of new servos of known types"""
+PLAY = np.radians(0.25)
+"""[rad] of a new gear (ROBOTIS' data sheets)"""
+_WEAKEST, _ROUGHER = 0.5, 1.5  # of a worn servo, by a new one's torque and friction (chosen)
 _PROFILES = Path(__file__).parent / "profiles"
 _SPREAD = 0.3
 # What a drawn arm has of the torque that lifts it (chosen).
@@ -240,14 +246,58 @@ def load_wear(name: str, arm: Arm) -> Wear:
 
 def wear_arm(name: str) -> str | None:
     """Name of the one arm of a profile; None: for others too."""
-    found = _profile(_options(name)[0])
+    base = _options(name)[0]
+    if base == NEW:
+        return None
+    found = _profile(base)
     return None if found.scales else found.arm
 
 
+def new_wear(arm: Arm) -> Wear:
+    """Wear of new servos of `xseries.NEW`, in links as stiff as a healthy arm's; of others a healthy arm's."""
+    healthy = scale_wear(_profile("healthy").wear("healthy", mycobot280().joints), arm)
+    if not xseries.drives(arm.servos):
+        return healthy
+    rows = [(xseries.NEW[model], count) for model, count, _ in map(xseries.drive_of, arm.servos)]
+    named = {"torque_limit": "stall", "coulomb": "coulomb", "reflected_inertia": "inertia"}
+    values: dict[str, Any] = {name: np.array([row[own] * count for row, count in rows]) for name, own in named.items()}
+    stall = values["torque_limit"]
+    gain = np.array([row["Position_P_Gain"] / row["divisor"] for row, _ in rows]) * xseries.COUNTS / xseries.FULL
+    return Wear(
+        name=NEW,
+        **values,
+        position_gain=stall * gain / (2 * np.pi),
+        damping_gain=np.zeros(arm.joints),
+        stiction=1.2 * values["coulomb"],
+        load_friction=np.array([row["load_friction"] for row, _ in rows]),
+        play=np.full(arm.joints, PLAY),
+        link_stiffness=healthy.link_stiffness,
+        ripple=0.003 * stall,
+        torque_noise=0.002 * stall,
+        play_in_loop=True,
+    )
+
+
+def _of_servos(wear: Wear, new: Wear) -> Wear:
+    """``wear`` of an arm whose servos were once ``new``: their inertia, at least half their torque, more friction."""
+    return replace(
+        wear,
+        torque_limit=np.maximum(wear.torque_limit, _WEAKEST * new.torque_limit),
+        coulomb=np.maximum(wear.coulomb, _ROUGHER * new.coulomb),
+        stiction=np.maximum(wear.stiction, _ROUGHER * new.stiction),
+        reflected_inertia=new.reflected_inertia,
+        position_gain=new.position_gain,
+        damping_gain=new.damping_gain,
+    )
+
+
 def _fitted(base: str, arm: Arm) -> Wear:
+    if base == NEW:
+        return new_wear(arm)
     found = _profile(base)
     if found.scales:
-        return scale_wear(found.wear(base, mycobot280().joints), arm)
+        scaled = scale_wear(found.wear(base, mycobot280().joints), arm)
+        return _of_servos(scaled, new_wear(arm)) if xseries.drives(arm.servos) else scaled
     if found.arm not in (None, arm.name):
         raise ProfileError(
             f"wear {base} describes the arm {found.arm} alone, not {arm.name}; give --arm {found.arm} or a run of that "
@@ -345,7 +395,7 @@ class _WearFile(Table):
 
 def _profile(base: str) -> _WearFile:
     """Return the profile of a name or a TOML file; ProfileError, FileError."""
-    known = f"known profiles: {', '.join(wear_names())}, each also with ?seed=N or ?hours=H, or a .toml file"
+    known = f"known profiles: {', '.join(wear_names())} and {NEW}, each also with ?seed=N or ?hours=H, or a .toml file"
     if base not in wear_names() and not base.endswith(".toml"):
         raise ProfileError(f"no wear profile is called {base!r}; {known}")
     return read_toml(_PROFILES / f"{base}.toml" if base in wear_names() else Path(base), _WearFile, known)

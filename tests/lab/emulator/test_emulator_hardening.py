@@ -30,14 +30,14 @@ def test_fuzzed_frames_never_raise_and_leave_a_posture(worn):
     assert ends["ignored"] > 1_000
     worn.power(True)
     worn.calibrate(0)
-    assert answer(worn, Frame(0x20)).frame.payload
+    assert answer(worn, Frame(0x20)).payload
 
 
 def test_orders_that_nobody_waits_for_fill_no_queue_without_end(firmware):
     move = Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x64")
     for fresh in (0, 1):
         answer(firmware, Frame(0x16, bytes((fresh,))))
-        taken = [answer(firmware, move).frame.payload for _ in range(1000)]
+        taken = [answer(firmware, move).payload for _ in range(1000)]
         assert taken.count(b"\x00") == (0 if fresh else 1000 - MAX_QUEUE - 1)
     assert len(firmware.outbox) == MAX_WRITES
     firmware.advance(2.0)

@@ -35,7 +35,7 @@ def test_a_ramp_moves_each_joint_at_its_own_set_speed():
 
 def test_joints_on_a_path_arrive_together_within_speed_and_acceleration():
     m = motion()
-    m.follow(joint_path(m.reference, np.array([1.0, -0.5]), FULL), 1.0)
+    m.enqueue(joint_path(m.reference, np.array([1.0, -0.5]), FULL), 1.0)
     seen = run(m, 2.0)
     np.testing.assert_allclose(seen[:, 1], -0.5 * seen[:, 0], atol=1e-9)
     speed = np.diff(seen[:, 0]) / 0.01
@@ -55,31 +55,6 @@ def test_a_queue_passes_every_waypoint_in_order():
     reached = [int(np.argmax(np.abs(seen - stop).max(axis=1) < 1e-9)) for stop in stops]
     assert 0 < reached[0] < reached[1] < reached[2]
     assert not m.moving
-
-
-def test_a_ramp_forgets_the_queue_and_starts_where_the_reference_is():
-    m = motion()
-    for stop in ([1.0, 0.0], [2.0, 0.0]):
-        m.enqueue(joint_path(m.end, np.array(stop), FULL), 1.0)
-    before = run(m, 0.3)[-1]
-    m.ramp(np.array([0.0, 0.5]), 1.0)
-    np.testing.assert_array_equal(m.reference, before)
-    np.testing.assert_array_equal(run(m, 2.0)[-1], [0.0, 0.5])
-
-
-def test_hold_and_pause():
-    m = motion()
-    m.follow(joint_path(m.reference, np.array([1.0, 0.0]), FULL), 1.0)
-    run(m, 0.3)
-    m.paused = True
-    there = m.reference.copy()
-    np.testing.assert_array_equal(run(m, 0.5)[-1], there)
-    m.paused = False
-    m.advance(0.01)
-    assert m.reference[0] > there[0]
-    m.hold()
-    assert not m.moving
-    np.testing.assert_array_equal(m.goal, m.reference)
 
 
 START = np.radians([20.0, 0.0, -85.0, -5.0, 0.0, 0.0])

@@ -51,8 +51,3 @@ def test_euler_angles_are_zyx_and_invert(rx, ry, rz):
 def test_euler_angles_at_the_singularity_give_the_same_rotation(rx, ry, rz):
     pose = to_pose(np.array([0, 0, 0, rx, ry, rz]))
     np.testing.assert_allclose(to_pose(to_coords(pose)), pose, atol=1e-6)
-
-
-def test_encoder_counts():
-    assert values.pack_encoders(np.array([0.0, STEP, -2 * STEP]), STEP) == bytes.fromhex("0800 0801 07FE")
-    assert values.encoder_angle(2048 + 1024, STEP) == pytest.approx(np.pi / 2)

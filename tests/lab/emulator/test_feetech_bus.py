@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
 from rejoint_lab.emulator import feetech as packets
-from rejoint_lab.emulator.feetech import BROADCAST, SIZE, TABLE, EmulatedBus, Packet, PacketFinder, build_arm
+from rejoint_lab.emulator.feetech import BROADCAST, SIZE, TABLE, Packet, PacketFinder, StsBus, build_arm
 
 ARM = load_arm("so101")
 
 
 @pytest.fixture
 def bus():
-    return EmulatedBus(build_arm(ARM, "so101"))
+    return StsBus(build_arm(ARM, "so101"))
 
 
 def word(value):
@@ -120,4 +120,4 @@ def test_no_packet_ends_the_bus(number, code, parameters):
     assert np.isfinite(BUS.arm.angles).all()
 
 
-BUS = EmulatedBus(build_arm(ARM, "so101"))
+BUS = StsBus(build_arm(ARM, "so101"))

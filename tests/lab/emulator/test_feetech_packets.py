@@ -16,9 +16,8 @@ from rejoint_lab.emulator.feetech import (
     Packet,
     PacketFinder,
     encode,
-    magnitude,
-    signed,
 )
+from rejoint_lab.emulator.servobus import magnitude, signed
 
 GOAL = (0x0873).to_bytes(2, "little")
 GOLDEN = {

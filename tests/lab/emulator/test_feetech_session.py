@@ -6,17 +6,17 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint_lab.emulator.faults import parse_faults, size_of
 from rejoint_lab.emulator.feetech import (
-    ADAPTER,
     BROADCAST,
     READ,
     SYNC_READ,
     SYNC_WRITE,
-    BusSession,
     Packet,
     PacketFinder,
+    StsSession,
     build_arm,
     encode,
 )
+from rejoint_lab.emulator.servobus import ADAPTER
 
 ARM = load_arm("so101")
 MOVE = encode(Packet(BROADCAST, SYNC_WRITE, bytes([42, 2, 1, 0, 8, 2, 0, 8])))
@@ -34,7 +34,7 @@ class Client:
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
         arm = build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
-        self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        self.session = StsSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
         self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
         self.session.bus.execute = self._obey
         self.session.converse(self)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import mycobot280, so101
+from rejoint.arms import mycobot280
 from rejoint.system.errors import FileError, ProfileError
 from rejoint_lab.plant.wear import (
     PARAMETERS,
@@ -83,13 +83,3 @@ def test_every_profile_of_the_package_lifts_the_arm_everywhere_in_the_region():
         assert (wear.torque_limit >= lifting_torque(wear, ARM))[:3].all(), name
         moving = largest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
         assert (wear.torque_limit >= 1.1 * moving).all(), name
-
-
-def test_the_profile_of_the_so101_holds_what_was_identified_on_a_real_one():
-    wear = load_wear("so101", so101())
-    np.testing.assert_allclose(wear.position_gain, [25, 19, 20, 23, 26])
-    viscous = wear.damping_gain + wear.torque_limit / 5.0  # the motor brakes by its back-EMF as well
-    np.testing.assert_allclose(viscous, [1.6, 0.8, 0.9, 1.1, 1.3], atol=0.005)
-    np.testing.assert_allclose(np.degrees(wear.offset), [0, 0.8, 0.95, 0.3, -0.1])
-    assert wear.play_in_loop
-    assert (load_wear("so101?seed=1", so101()).offset == wear.offset).all()

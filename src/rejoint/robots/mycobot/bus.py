@@ -7,7 +7,6 @@ asked while bytes wait, and failures resynchronise both sides. The emulator's co
 from __future__ import annotations
 
 import contextlib
-import errno
 import locale
 import logging
 import select
@@ -66,11 +65,9 @@ def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280S
         logging.getLogger("pymycobot").setLevel(logging.CRITICAL)  # failures become errors in `rejoint.robots.bus`
     try:
         client._serial_port.exclusive = True  # it opens the port for everybody
-    except OSError as error:
+    except OSError:
         client.close()
-        if error.errno != errno.EWOULDBLOCK:
-            raise
-        raise OSError("another program drives the arm there; end it first") from error
+        raise
     return client
 
 

@@ -169,14 +169,14 @@ class Mover(ABC):
             return False
         if not self._is_clear(path.points[-1]) or not self._ready():
             return False
-        return self._motion.follow(path, rate) if self.fresh else self._motion.enqueue(path, rate)
+        return self._motion.enqueue(path, rate, now=self.fresh)
 
     def jog_joint(self, joint: int, forwards: int, rate: float) -> bool:
         """Run one joint to its limit or a stop."""
         goal = self.planned_angles
         goal[joint] = self.upper[joint] if forwards else self.lower[joint]
         path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
-        return self._ready() and self._motion.follow(path, rate)
+        return self._ready() and self._motion.enqueue(path, rate, now=True)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
         """Run the tool straight to ``pose`` (4, 4)."""
@@ -185,7 +185,8 @@ class Mover(ABC):
         if reach < 2:
             self.error = NO_LINE
             return False
-        return self._ready() and self._motion.follow(TimedPath(path.points[:reach], path.time[:reach]), rate)
+        within = TimedPath(path.points[:reach], path.time[:reach])
+        return self._ready() and self._motion.enqueue(within, rate, now=True)
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:  # noqa: ARG002 - always turned here
         """Return a posture (n,) [rad] for a pose (4, 4), or None."""
@@ -204,7 +205,7 @@ class Mover(ABC):
     def _reach(self, path: TimedPath) -> int:
         """Return the number of points before the first one beyond a limit."""
         inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
-        return len(inside) if inside.all() else int(np.argmin(inside))
+        return int(np.argmin(np.append(inside, False)))
 
 
 CARTESIAN_SPEED = 0.1
@@ -325,13 +326,10 @@ class Motion:
         self.goal = goal.copy()
         self.ramp_speed = rate * self._full_speed
 
-    def follow(self, path: TimedPath, rate: float) -> bool:
-        """Drop all moves; follow ``path``; True."""
-        self.hold()
-        return self.enqueue(path, rate)
-
-    def enqueue(self, path: TimedPath, rate: float) -> bool:
-        """Queue ``path``; False: the queue is full."""
+    def enqueue(self, path: TimedPath, rate: float, *, now: bool = False) -> bool:
+        """Queue ``path``, or drop all moves before; False: the queue is full."""
+        if now:
+            self.hold()
         if not self.moving:
             self._begin(path, rate)
         elif len(self.queue) < MAX_QUEUE:
@@ -361,12 +359,9 @@ class Motion:
         if self._path is None:
             reach = self.ramp_speed * duration
             self.reference = self.reference + np.clip(self.goal - self.reference, -reach, reach)
-            self._go_on(np.array_equal(self.reference, self.goal))
-            return
-        self._advance_path(self._path, duration)
-
-    def _go_on(self, ended: bool) -> None:
-        if ended and self.queue:
+        else:
+            self._advance_path(self._path, duration)
+        if self._path is None and self.queue and np.array_equal(self.reference, self.goal):
             self._begin(*self.queue.popleft())
 
     def _begin(self, path: TimedPath, rate: float) -> None:
@@ -381,6 +376,5 @@ class Motion:
         self._done += self._rate * duration
         if left <= 1e-9 or path.duration - self._done <= 1e-4:
             self.reference, self._path = self.goal.copy(), None
-            self._go_on(True)
         else:
             self.reference = path.at(self._done)

@@ -7,13 +7,13 @@ elephantrobotics/mycobot_docs, 18-communication, and pymycobot 4.0.7.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
@@ -31,9 +31,9 @@ _POSE_SCALE = np.array([LENGTH_SCALE * 1e3] * 3 + [np.degrees(1.0) * ANGLE_SCALE
 _SAME = 6
 
 
-def pack_int16(values: Iterable[float]) -> bytes:
+def pack_int16(values: ArrayLike) -> bytes:
     """Truncate towards zero, clip to 16 bit and pack."""
-    whole = np.trunc(np.round(np.asarray(list(values), dtype=float), _SAME))
+    whole = np.trunc(np.round(np.asarray(values, dtype=float), _SAME))
     return np.clip(whole, -32768, 32767).astype(">i2").tobytes()
 
 
@@ -45,11 +45,6 @@ def unpack_int16(payload: bytes) -> Array:
 def pack_bytes(values: Iterable[float]) -> bytes:
     """Truncate and clip every value to one unsigned byte."""
     return bytes(int(np.clip(value, 0, 255)) for value in values)
-
-
-def unpack_word(payload: bytes) -> int:
-    """One signed 16-bit number."""
-    return int(struct.unpack(">h", payload)[0])
 
 
 def pack_angles(angles: Array) -> bytes:
@@ -72,11 +67,6 @@ def unpack_coords(payload: bytes) -> Array:
     return unpack_int16(payload) / _POSE_SCALE
 
 
-def scale_axis(axis: int, value: float) -> float:
-    """Return a coordinate in SI: axes 0-2 [m], 3-5 [rad]."""
-    return float(value / _POSE_SCALE[axis])
-
-
 def pack_encoders(angles: Array, step: float) -> bytes:
     """Joint angles (n,) [rad] as encoder counts of ``step`` [rad]."""
     return pack_int16(ENCODER_ZERO + np.round(angles / step))
@@ -84,7 +74,7 @@ def pack_encoders(angles: Array, step: float) -> bytes:
 
 def encoder_angle(count: float | Array, step: float) -> Array:
     """Joint angle [rad] of an encoder count."""
-    return (np.asarray(count, dtype=float) - ENCODER_ZERO) * step
+    return np.subtract(count, ENCODER_ZERO) * step
 
 
 HEADER = b"\xfe\xfe"
@@ -141,9 +131,9 @@ FIELDS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
     "b": (1, lambda _, data: data[0]),
     "s": (1, lambda _, data: min(max(data[0], 1), 100) / 100.0),
     "j": (1, lambda computer, data: joint_index(computer, data[0])),
-    "w": (2, lambda _, data: unpack_word(data)),
+    "w": (2, lambda _, data: unpack_int16(data)[0]),
     "a": (2, lambda _, data: unpack_angles(data)[0]),
-    "e": (2, lambda computer, data: float(encoder_angle(unpack_word(data), computer.arm.encoder_step))),
+    "e": (2, lambda computer, data: encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)),
     "x": (12, lambda _, data: data),
     "A": (12, lambda _, data: unpack_angles(data)),
     "E": (12, lambda computer, data: encoder_angle(unpack_int16(data), computer.arm.encoder_step)),
@@ -166,9 +156,9 @@ def joint_index(computer: Mover, identity: int) -> int | None:
     return identity - 1 if 1 <= identity <= computer.arm.joints else None
 
 
-def _move_one(computer: Mover, joint: int, angle: float, rate: float) -> bool:
+def _move_one(computer: Mover, joint: int, angle: float, rate: float, *, relative: bool = False) -> bool:
     angles = computer.destination
-    angles[joint] = angle
+    angles[joint] = angle + (angles[joint] if relative else 0.0)
     return computer.move_joints(angles, rate)
 
 
@@ -177,7 +167,7 @@ def _move_axis(computer: Mover, number: int, value: float, rate: float, *, relat
     if not 0 <= axis < 6:
         return False
     coords = to_coords(tcp_pose(computer.arm, computer.destination))
-    coords[axis] = scale_axis(axis, value) + (coords[axis] if relative else 0.0)
+    coords[axis] = value / _POSE_SCALE[axis] + (coords[axis] if relative else 0.0)
     return computer.move_tool(to_pose(coords), rate, straight=False, turned=axis >= 3)
 
 
@@ -185,7 +175,8 @@ def _move_tool(computer: Mover, pose: Array, rate: float, mode: int = 0) -> bool
     return computer.move_tool(pose, rate, straight=mode == 1)
 
 
-def _jog_axis(computer: Mover, axis: int, forwards: int, rate: float) -> bool:
+def _jog_axis(computer: Mover, number: int, forwards: int, rate: float, *, first: int) -> bool:
+    axis = number - first
     if not 0 <= axis < 6:
         return False
     change = np.zeros(6)
@@ -198,7 +189,7 @@ def _drag(computer: Mover, angles: Array, speeds: bytes) -> bool:
     return computer.move_joints(angles, float(np.clip(speed / FULL_SPEED, 0.01, 1.0)))
 
 
-def _set_limit(computer: Mover, joint: int, word: int, *, upper: bool) -> bool:
+def _set_limit(computer: Mover, joint: int, word: float, *, upper: bool) -> bool:
     angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
     lower, higher = (computer.lower[joint], angle) if upper else (angle, computer.upper[joint])
     if lower >= higher or lower < computer.arm.lower[joint] - slack or higher > computer.arm.upper[joint] + slack:
@@ -207,9 +198,9 @@ def _set_limit(computer: Mover, joint: int, word: int, *, upper: bool) -> bool:
     return True
 
 
-def _set_register(computer: Mover, servo: int, address: int, value: int, _: int = 0) -> bool:
+def _set_register(computer: Mover, servo: int, address: int, value: float, _: int = 0) -> bool:
     if known := 1 <= servo <= _GRIPPER:
-        computer.registers[servo, address] = value
+        computer.registers[servo, address] = int(value)
     return known
 
 
@@ -218,7 +209,7 @@ def _register(computer: Mover, servo: int, address: int, wide: int = 0) -> bytes
     return pack_int16([value]) if wide == 1 else bytes((value & 0xFF,))
 
 
-def _switch(computer: Mover, identity: int, *, on: bool) -> bool:
+def _switch(computer: Mover, identity: int, _: int = 0, *, on: bool) -> bool:
     """Hold with one servo, or release it; 0: all."""
     joint = joint_index(computer, identity)
     if (joint is None and identity != 0) or (on and not computer.powered):
@@ -229,7 +220,7 @@ def _switch(computer: Mover, identity: int, *, on: bool) -> bool:
     return True
 
 
-def _free(computer: Mover, free: int) -> None:
+def _free(computer: Mover, free: int = 1) -> None:
     computer.enable(np.full(computer.arm.joints, computer.powered and not free))
 
 
@@ -272,35 +263,35 @@ ORDERS = _table(
     (0x08, "", lambda computer: setattr(computer, "error", 0)),
     (0x10, "", lambda computer: computer.power(True)),
     (0x11, "", lambda computer: computer.power(False)),
-    (0x13, "", lambda computer: _free(computer, 1)),
+    (0x13, "", _free),
     (0x13, "b", lambda computer, _: _free(computer, 1)),
     (0x16, "b", lambda computer, fresh: setattr(computer, "fresh", fresh == 1)),
     (0x1A, "b", _free),
     (0x21, "jas", _move_one),
     (0x22, "As", "move_joints"),
-    (0x24, "bws", lambda *given: _move_axis(*given, relative=False)),
+    (0x24, "bws", partial(_move_axis, relative=False)),
     (0x25, "Ps", _move_tool),
     (0x25, "Psb", _move_tool),
     (0x26, "", "pause"),
     (0x28, "", "resume"),
     (0x29, "", "stop"),
     (0x30, "jbs", "jog_joint"),
-    (0x31, "bbs", lambda computer, axis, forwards, rate: _jog_axis(computer, axis + 2, forwards, rate)),
-    (0x32, "bbs", lambda computer, axis, forwards, rate: _jog_axis(computer, axis - 1, forwards, rate)),
-    (0x33, "jas", lambda arm, joint, angle, rate: _move_one(arm, joint, arm.destination[joint] + angle, rate)),
-    (0x34, "bws", lambda *given: _move_axis(*given, relative=True)),
+    (0x31, "bbs", partial(_jog_axis, first=-2)),
+    (0x32, "bbs", partial(_jog_axis, first=1)),
+    (0x33, "jas", partial(_move_one, relative=True)),
+    (0x34, "bws", partial(_move_axis, relative=True)),
     (0x3A, "jes", _move_one),
     (0x3C, "Es", "move_joints"),
     (0x3E, "Ex", _drag),
-    (0x4C, "jw", lambda *given: _set_limit(*given, upper=False)),
-    (0x4D, "jw", lambda *given: _set_limit(*given, upper=True)),
+    (0x4C, "jw", partial(_set_limit, upper=False)),
+    (0x4D, "jw", partial(_set_limit, upper=True)),
     (0x52, "bbb", _set_register),
     (0x52, "bbwb", _set_register),
     (0x54, "j", "calibrate"),
     (0x55, "j", "stop"),
-    (0x56, "b", lambda computer, servo: _switch(computer, servo, on=False)),
-    (0x56, "bb", lambda computer, servo, _: _switch(computer, servo, on=False)),
-    (0x57, "b", lambda computer, servo: _switch(computer, servo, on=True)),
+    (0x56, "b", partial(_switch, on=False)),
+    (0x56, "bb", partial(_switch, on=False)),
+    (0x57, "b", partial(_switch, on=True)),
     # frames of tool and base, and which of them counts: the arm's own
     *((command, "x", lambda _, frame: not any(frame)) for command in (0x81, 0x83)),
     *((command, "b", lambda _, frame: not frame) for command in (0x85, 0x87, 0x89)),
@@ -349,31 +340,22 @@ QUESTIONS = _table(
 """Answers likewise; None: silence"""
 
 
-class Reply(NamedTuple):
-    """An answer; reports of states are slower."""
-
-    frame: Frame
-    is_state: bool
-
-
-def answer(computer: Mover, request: Frame) -> Reply | None:
+def answer(computer: Mover, request: Frame) -> Frame | None:
     """Execute ``request``; None: silence."""
-    command, payload = request.command, request.payload
-    for is_state, table in ((True, QUESTIONS), (False, ORDERS)):
-        if (command, len(payload)) not in table:
-            continue
-        (layout, act), given, start = table[command, len(payload)], [], 0
-        for size, read in (FIELDS[part] for part in layout):
-            given.append(read(computer, payload[start : start + size]))
-            start += size
-        if isinstance(act, bytes):
-            answered: bytes | None = act
+    kind, given, start = (request.command, len(request.payload)), [], 0
+    is_order = kind in ORDERS
+    if not is_order and kind not in QUESTIONS:
+        return None
+    layout, act = (ORDERS if is_order else QUESTIONS)[kind]
+    for size, read in (FIELDS[part] for part in layout):
+        given.append(read(computer, request.payload[start : start + size]))
+        start += size
+    if isinstance(act, bytes):
+        found: bytes | None = act
+    else:
+        call = getattr(computer, act) if isinstance(act, str) else partial(act, computer)
+        if is_order:
+            found = flag(all(part is not None for part in given) and call(*given) is not False)
         else:
-            call = getattr(computer, act) if isinstance(act, str) else partial(act, computer)
-            answered = (
-                call(*given)
-                if is_state
-                else flag(all(part is not None for part in given) and call(*given) is not False)
-            )
-        return None if answered is None else Reply(frame=Frame(command, answered), is_state=is_state)
-    return None
+            found = call(*given)
+    return None if found is None else Frame(request.command, found)

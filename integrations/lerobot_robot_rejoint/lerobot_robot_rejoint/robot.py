@@ -10,9 +10,8 @@ from typing import Any
 from lerobot.robots.robot import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from .config_rejoint_so101 import RejointSo101Config
+from .config import RejointConfig, RejointKochConfig, RejointSo101Config, RejointViperxConfig
 
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 GRIPPER = "gripper"
 DEGREES = math.degrees(1.0) * 4096 / 4095
 """LeRobot's degrees in a radian: it divides a turn of 4096 counts by 4095"""
@@ -20,17 +19,18 @@ END = 15.0
 """[s] that the program may take to bring the arm to a hold and to keep its log"""
 
 
-class RejointSo101(Robot):
-    """An SO-101 behind the law and the guard of `rejoint`.
+class RejointArm(Robot):
+    """An arm behind the law and the guard of `rejoint`.
 
     Connecting moves nothing, and disconnecting leaves the arm holding where it is: its torque is never switched off.
-    Calibration stays LeRobot's: make it with `lerobot-calibrate --robot.type=so101_follower`, under the same id.
+    Calibration stays LeRobot's: make it with `lerobot-calibrate`, with the type of LeRobot's own and the same id.
     """
 
-    config_class = RejointSo101Config
-    name = "rejoint_so101"
+    joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+    scheme = "feetech"
+    """of the arm's address"""
 
-    def __init__(self, config: RejointSo101Config) -> None:
+    def __init__(self, config: RejointConfig) -> None:
         super().__init__(config)
         self.config = config
         self.cameras: dict[str, Any] = {}
@@ -39,12 +39,12 @@ class RejointSo101(Robot):
 
             self.cameras = make_cameras_from_configs(config.cameras)
         self._program: subprocess.Popen | None = None
-        self._middle = [0.0] * len(JOINTS)
+        self._middle = [0.0] * len(self.joints)
         self._gripper = 0.0
 
     @property
     def _motors(self) -> dict[str, type]:
-        return {f"{name}.pos": float for name in (*JOINTS, GRIPPER)}
+        return {f"{name}.pos": float for name in (*self.joints, GRIPPER)}
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
@@ -92,9 +92,9 @@ class RejointSo101(Robot):
         except OSError as error:
             raise DeviceNotConnectedError(f"{command[0]} cannot be started ({error}); set --robot.rejoint") from error
         told = self._hear()
-        if tuple(told["joints"]) != JOINTS:
+        if tuple(told["joints"]) != self.joints:
             self._end()
-            raise DeviceNotConnectedError(f"the run is of an arm with joints {told['joints']}, expected {JOINTS}")
+            raise DeviceNotConnectedError(f"the run is of an arm with joints {told['joints']}, expected {self.joints}")
         self._middle = told["middle"]
         for camera in self.cameras.values():
             camera.connect()
@@ -112,7 +112,7 @@ class RejointSo101(Robot):
         The arm goes there by itself, while LeRobot goes on. What is not in ``action`` stays where it was sent.
         """
         order: dict[str, Any] = {}
-        if any(f"{name}.pos" in action for name in JOINTS):
+        if any(f"{name}.pos" in action for name in self.joints):
             goal = self._goal(action)
             order["goal"] = [degrees / DEGREES + middle for degrees, middle in zip(goal, self._middle, strict=True)]
         if f"{GRIPPER}.pos" in action:
@@ -121,7 +121,7 @@ class RejointSo101(Robot):
         taken = dict(action)
         if answer["goal"] is not None:
             taken |= self._named(answer["goal"])
-            self._last = [taken[f"{name}.pos"] for name in JOINTS]
+            self._last = [taken[f"{name}.pos"] for name in self.joints]
         if "gripper" in order:
             taken[f"{GRIPPER}.pos"] = order["gripper"]
         return taken
@@ -140,15 +140,15 @@ class RejointSo101(Robot):
         if "://" in port:
             return port
         file = Path(self.calibration_fpath)
-        return f"feetech://{port}" + (f"?calibration={file}" if file.is_file() else "")
+        return f"{self.scheme}://{port}" + (f"?calibration={file}" if file.is_file() else "")
 
     def _goal(self, action: dict[str, Any]) -> list[float]:
         """Goals of all joints [deg]; those that are not named stay."""
         last = getattr(self, "_last", None)
         if last is None:
             now = self._observed(self._ask({}))
-            last = [now[f"{name}.pos"] for name in JOINTS]
-        return [float(action.get(f"{name}.pos", old)) for name, old in zip(JOINTS, last, strict=True)]
+            last = [now[f"{name}.pos"] for name in self.joints]
+        return [float(action.get(f"{name}.pos", old)) for name, old in zip(self.joints, last, strict=True)]
 
     def _observed(self, answer: dict[str, Any]) -> dict[str, Any]:
         if answer["gripper"] is not None:
@@ -158,7 +158,7 @@ class RejointSo101(Robot):
     def _named(self, radians: list[float]) -> dict[str, float]:
         return {
             f"{name}.pos": (angle - middle) * DEGREES
-            for name, angle, middle in zip(JOINTS, radians, self._middle, strict=True)
+            for name, angle, middle in zip(self.joints, radians, self._middle, strict=True)
         }
 
     def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
@@ -201,3 +201,22 @@ class RejointSo101(Robot):
             program.terminate()
             program.wait()
         program.stdout.close()
+
+
+class RejointSo101(RejointArm):
+    """An SO-100 or SO-101."""
+
+    config_class, name = RejointSo101Config, "rejoint_so101"
+
+
+class RejointKoch(RejointArm):
+    """A Koch v1.1 follower."""
+
+    config_class, name, scheme = RejointKochConfig, "rejoint_koch", "dynamixel"
+
+
+class RejointViperx(RejointArm):
+    """A ViperX 300S or WidowX 250S."""
+
+    config_class, name, scheme = RejointViperxConfig, "rejoint_viperx", "dynamixel"
+    joints = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate")

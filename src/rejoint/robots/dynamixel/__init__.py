@@ -1,0 +1,1 @@
+"""Arms on ROBOTIS Dynamixel X servos (protocol 2.0): Koch, WidowX, ViperX, OpenMANIPULATOR."""

@@ -1,0 +1,387 @@
+"""An arm of Dynamixel X servos: one synchronous read of all, in one packet where they can, and one write per cycle.
+
+Registers that outlast the power are never written. What the driver changes in the others is put back when it closes,
+but for the bus watchdog: one left armed would trip as soon as the bus is quiet, and what a position servo does then its
+maker does not say. With it off, a servo whose computer is gone holds its last goal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2PacketHandler
+
+from rejoint.arms import Arm
+from rejoint.logs.joints import COUNTS_PER_TURN
+from rejoint.robots.bus import Bus, Reading, Vitals
+from rejoint.robots.dynamixel.registers import ERRORS, MODELS, RUNGS, TABLE, DynamixelAddress, Model
+from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.knobs import LIMIT, Values
+from rejoint.robots.servobus import (
+    OK,
+    QUIET,
+    RETRY,
+    SILENT,
+    STEP,
+    VOLT,
+    BlockingPort,
+    Counts,
+    ServoBus,
+    Zeros,
+    judge,
+    listed,
+    read_calibration,
+    trouble,
+)
+from rejoint.system.errors import InputError, RejointError, RobotError
+from rejoint.system.stopping import shielded
+
+ALERT = 0x80
+"""Bit of the error byte: the servo has switched itself off"""
+LATENCY = 50.0
+"""[ms] after which an answer is missing (chosen: three times an adapter's latency as sold)"""
+ECHO = 0.002
+"""[s] after the answer of one servo in which another's with the same ID would come (chosen)"""
+REFUSED = {4: "a value out of range", 6: "a value beyond a limit", 7: "a register that is locked under torque"}
+"""Numbers in an error byte that say why"""
+_ID, _LENGTH, _ERROR = 4, 5, 8  # places in a status packet
+_BETWEEN = 4  # [bytes] error, ID and CRC around each servo's data in a fast answer
+
+
+class DynamixelPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the maker's package has no types
+    """Waits for whole answers."""
+
+    def setPacketTimeout(self, length: int) -> None:  # noqa: N802 - the maker's name
+        """Begin to wait for ``length`` bytes."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * length + LATENCY)
+
+
+class DynamixelWire:
+    """An open bus, see `rejoint.robots.servobus.ServoWire`."""
+
+    def __init__(self, address: TcpAddress | SerialAddress) -> None:
+        self._port = DynamixelPort(address).connect()
+        self.quieten, self.close = self._port.quieten, self._port.closePort
+        self._client = Protocol2PacketHandler()
+        self.fast = False
+        """whether all servos answer in one packet"""
+        self.alerts: set[int] = set()
+        """servos whose last answer had the alert bit"""
+
+    def model(self, servo: int) -> int:
+        """Model number of a servo; ValueError where two answer."""
+        number, result, error = self._client.ping(self._port, servo)
+        if result == COMM_RX_CORRUPT or (result == OK and self.quieten(ECHO)):
+            raise ValueError(f"have two servos the ID {servo}? A new one has 1")
+        self._take(result, servo, error)
+        return int(number)
+
+    def read(self, servo: int, address: int, size: int) -> bytes:
+        """Read ``size`` registers."""
+        packet: list[int] = []
+        result = self._client.readTx(self._port, servo, address, size)
+        while result == OK and (not packet or packet[_ID] != servo):
+            packet, result = self._client.rxPacket(self._port, False)
+        self._take(result, servo, packet[_ERROR] if result == OK else 0)
+        data = _data(packet)
+        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
+            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
+        return data
+
+    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
+        """Write registers; the servo confirms."""
+        result, error = self._client.writeTxRx(self._port, servo, address, len(data), list(data))
+        self._take(result, servo, error)
+        if error & ~ALERT:
+            why = REFUSED.get(error & ~ALERT, f"error {error & ~ALERT}")
+            raise ValueError(f"servo {servo} refused {list(data)} for register {address}: {why}")
+
+    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
+        """Read ``size`` registers of all ``servos``; without silent ones."""
+        if self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast) != OK:
+            raise OSError("the port did not take the request")
+        rows = self._fast(len(servos), size) if self.fast else self._each(len(servos))
+        found = {servo: (error, data) for servo, error, data in rows if servo in servos and len(data) == size}
+        self.alerts -= set(found)
+        self.alerts |= {servo for servo, (error, _) in found.items() if error & ALERT}
+        return {servo: data for servo, (_, data) in found.items()}
+
+    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
+        """Write registers of all ``servos``, without answers."""
+        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
+        if self._client.syncWriteTxOnly(self._port, address, len(data[0]), words, len(words)) != OK:
+            raise OSError("the port did not take the request")
+
+    def reboot(self, servo: int) -> None:
+        """Restart a servo: its torque is off, and its registers above 63 are as sold."""
+        judge(self._client.reboot(self._port, servo)[0], servo)
+
+    def _take(self, result: int, servo: int, error: int) -> None:
+        judge(result, servo)
+        (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
+
+    def _fast(self, count: int, size: int) -> list[tuple[int, int, bytes]]:
+        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, (size + _BETWEEN) * count)
+        if result != OK:
+            return []
+        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in range(0, len(data), size + _BETWEEN)]
+
+    def _each(self, count: int) -> list[tuple[int, int, bytes]]:
+        rows = []
+        for _ in range(2 * count):  # among them garbled ones
+            packet, result = self._client.rxPacket(self._port, False)
+            if result in SILENT:
+                break
+            if result == OK:
+                rows.append((packet[_ID], packet[_ERROR], _data(packet)))
+            if len({servo for servo, *_ in rows}) == count:
+                break
+        return rows
+
+
+def _data(packet: Sequence[int]) -> bytes:
+    """Return the data of a status packet, which end before its last two counted bytes."""
+    return bytes(packet[_ERROR + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])
+
+
+POSITION, MODES = 3, (3, 4, 5)
+"""Operating modes with goal positions: position, extended, current-based"""
+NEAR = 1024
+"""[counts] largest homing offset that is obeyed in the mode `POSITION`"""
+FARTHEST = 1_048_575
+"""[counts] of goals in the other modes"""
+MIDDLE = 2048
+"""[counts] at zero of a joint without a calibration"""
+APART = 45
+"""[counts] allowed difference of two servos of one joint (chosen: four degrees; backlash is 3 counts)"""
+FIGHT = "its two servos pull against each other"
+FIRST = {"omx": 11}
+"""ID of an arm's first servo; others count from 1"""
+AWAKE = 3.0
+"""[s] for a restart (chosen: ten times what users report)"""
+LEAVE = 1.0
+"""[s] for an answer at the end (chosen)"""
+DELAY_UNIT, PROMPT = 2, 20
+"""[us] per count of a servo's return delay, and the longest that is not named (chosen)"""
+TIMER = "/sys/bus/usb-serial/devices/{}/latency_timer"
+PROFILE = ("acceleration", "speed")
+"""Registers at zero while the arm is driven: the controller's command is the profile"""
+BLOCK = struct.Struct("<hii")
+"""Registers ``load``, velocity and ``position``"""
+SUPPLY = struct.Struct("<HB")
+"""Registers ``voltage`` and ``heat``"""
+
+
+@cache
+def say(text: str) -> None:
+    """Tell the owner, once."""
+    logging.getLogger("rejoint").warning(text)
+
+
+def counted(arm: Arm) -> list[tuple[int, ...]]:
+    """IDs of each joint's servos, without gaps; a description calls two of them ``2 XM430-W350``."""
+    found, servo = [], FIRST.get(arm.name, 1)
+    for kind in arm.servos or ("",) * arm.joints:
+        count = 2 if kind.startswith("2 ") else 1
+        found.append(tuple(range(servo, servo + count)))
+        servo += count
+    return found
+
+
+class DynamixelBus(ServoBus):
+    """The servos of an arm by ID, without the gripper."""
+
+    name = "Dynamixel arm"
+    advice = f"{Bus.advice} `rejoint emulate --arm koch` starts an arm to try"
+    models = {number: model.name for number, model in MODELS.items()}  # noqa: RUF012
+    ladder, memory = RUNGS, ("p", "i", "d", LIMIT)
+    confirms, last = 2, 20
+    wire: DynamixelWire
+
+    def __init__(self, address: DynamixelAddress, arm: Arm) -> None:
+        path = address.calibration
+        self._file = file = None if path is None else read_calibration(path, arm, turned=True)
+        ids = [*address.ids] or counted(arm)
+        if file and not address.ids:
+            ids = [(servo, *file.seconds.get(j, ())) for j, servo in enumerate(file.ids)]
+        if len(ids) != arm.joints:
+            raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
+        if strange := set(address.reverse) - set(arm.joint_names):
+            raise InputError(f"reverse= of the address: {arm.name} has no {listed(sorted(strange))}")
+        super().__init__(address, arm, ids)
+        self._owner = address
+        self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
+        self._kinds: dict[int, Model] = {}
+        self._volts: list[float] = []
+        self._first_volts: list[float] = []
+        self._words = [""] * len(self.ids)
+        self._before: tuple[Values, dict[str, Counts]] | None = None
+        self._sound = False  # whether the last question was answered, and without an alert
+
+    def open(self) -> None:
+        """Open the port."""
+        self._wire = DynamixelWire(self.place)
+
+    def check_model(self, servo: int, number: int) -> None:
+        """Require the model of the arm's description."""
+        model = self._kinds[servo] = MODELS[number]
+        wanted = (self._arm.servos or (model.name,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
+        if model.name not in wanted:
+            raise RobotError(
+                f"{self.call(servo)} is of model {model.name}, and {self._arm.name} has {wanted} there; say which arm "
+                "this is with --arm, or which servos turn each joint with ids= in the address"
+            )
+
+    def check(self, servo: int) -> None:
+        """Require a mode with positions and no alert; switch a watchdog off, which would refuse goals."""
+        if servo in self.wire.alerts and self._owner.reboot and not self._was_ready:
+            self._restart(servo)
+        if servo in self.wire.alerts and not self._was_ready:
+            errors = trouble(ERRORS, self.get(servo, "error"))
+            raise RobotError(
+                f"{self.call(servo)} has switched itself off ({errors}); find out why, let it cool down, support the "
+                "arm, then say reboot=yes in the address, or switch the power off and on"
+            )
+        mode, homing = self.get(servo, "mode"), self.get(servo, "homing")
+        if mode not in MODES:
+            raise RobotError(f"{self.call(servo)} has no position mode; set its register {TABLE['mode'].address} to 3")
+        if mode == POSITION and abs(homing) > NEAR:
+            raise RobotError(
+                f"{self.call(servo)} ignores its homing offset of {homing} counts in position mode; set its register "
+                f"{TABLE['mode'].address} to 4, or calibrate it again"
+            )
+        if self.get(servo, "watchdog"):
+            say(f"{self.call(servo)} had a bus watchdog: it is off now, and stays so until something sets it again")
+            self.set(servo, "watchdog", 0)
+
+    def find_zeros(self) -> Zeros:
+        """Read where the joints are; a servo may count from another turn than its calibration."""
+        homing, drive, mode, low, high, place = map(
+            self.get_all, ("homing", "drive", "mode", "low", "high", "position")
+        )
+        arm, file, lead = self._arm, self._file, self.leads
+        middle = np.full(len(self.ids), float(MIDDLE))
+        if file is None:
+            say(f"No calibration= in the address: {MIDDLE} counts of each servo are taken for zero of {arm.name}")
+        else:
+            file.require(arm, homing[lead])
+            turned = file.turned != drive[lead] % 2
+            if turned.any():
+                raise RobotError(f"{listed(np.array(arm.joint_names)[turned])}: other drive mode than in the file")
+            middle = ((file.low + file.high) / 2)[self.joint]
+        middle += COUNTS_PER_TURN * np.round((place - middle) / COUNTS_PER_TURN)
+        apart = place - middle - (place - middle)[lead][self.joint]
+        if (np.abs(apart) > APART).any():
+            at = int(np.argmax(np.abs(apart)))
+            raise RobotError(
+                f"{self.call(self.ids[at])} stands {apart[at]:.0f} counts from the other servo of its joint, and would "
+                f"pull against it: set its homing offset (register {TABLE['homing'].address}) and its drive mode"
+            )
+        free = mode != POSITION
+        rows = (
+            middle,
+            self.address.middle(arm)[self.joint],
+            np.where(free, -FARTHEST, low),
+            np.where(free, FARTHEST, high),
+            STEP * self._sign[self.joint],
+        )
+        return Zeros(*(tuple(row.tolist()) for row in rows))
+
+    def set_up(self) -> None:
+        """Find what is quick, and take the profiles away."""
+        wire, block = self.wire, TABLE["load"].address
+        wire.fast = True
+        wire.fast = any(len(wire.read_all(self.ids, block, BLOCK.size)) == len(self.ids) for _ in range(2))
+        wire.quieten(0.0 if wire.fast else QUIET)
+        self._before = self._before or (self.read_gains(), {name: self.get_all(name) for name in PROFILE})
+        for name in PROFILE:
+            for servo, value in zip(self.ids, self.get_all(name), strict=True):
+                if value:
+                    self.set(servo, name, 0)
+        self._care()
+        self._first_volts = self._first_volts or self._volts
+        slow = DELAY_UNIT * int(self.get_all("delay").max())
+        if slow > PROMPT:
+            say(f"A servo waits {slow} us before it answers; register {TABLE['delay'].address} set to 0 would end that")
+        held = _latency(self.place.device) if isinstance(self.place, SerialAddress) else 1
+        if held > 1:
+            say(f"The USB adapter keeps answers for {held} ms; 1 is better: write it to {TIMER.format('ttyUSB*')}")
+
+    def read(self) -> Reading:
+        """Ask all servos; those with an alert, why."""
+        self._sound = False
+        rows = [BLOCK.unpack(row) for row in self.ask_all(TABLE["load"].address, BLOCK.size)]
+        if self.wire.alerts:
+            errors = self.ask_all(TABLE["error"].address, 1)
+            self._words = [trouble(ERRORS, error[0]) or word for error, word in zip(errors, self._words, strict=True)]
+        self._sound = not self.wire.alerts
+        places = np.array(self.zeros.radians([row[2] for row in rows]))
+        position = places[self.leads]
+        apart = np.abs(places - position[self.joint]) > APART * STEP
+        loads = [self._kinds[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
+        words = self._named([word or FIGHT * bad for word, bad in zip(self._words, apart.tolist(), strict=True)])
+        return Reading(
+            position=position,
+            load=self._sign * loads,
+            voltage=np.array(self._volts)[self.leads],
+            fault=np.array([bool(word) for word in words]),
+            trouble=tuple(words) if any(words) else None,
+        )
+
+    def vitals(self) -> tuple[Callable[[], Vitals], ...]:
+        """Further questions."""
+        return (self._care,)
+
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Share of the largest torque, and temperature [deg C]."""
+        servo = self.ids[self.leads[joint]]
+        return abs(self._kinds[servo].share(self.get(servo, "load"))), self.get(servo, "heat")
+
+    def close(self) -> None:
+        """Put registers back and release the port; the servos hold."""
+        if self._wire is not None and self._sound and self._before:
+            gains, profile = self._before
+            with contextlib.suppress(RejointError, OSError), shielded(), self.by(self.clock.now() + LEAVE):
+                self._tuning.walk(gains)
+                for name, values in profile.items():
+                    for servo, value in zip(self.ids, values.tolist(), strict=True):
+                        if value:
+                            self.set(servo, name, value)
+        self._sound = False
+        super().close()
+
+    def _care(self) -> Vitals:
+        """Ask for supply and temperature."""
+        rows = [SUPPLY.unpack(row) for row in self.ask_all(TABLE["voltage"].address, SUPPLY.size)]
+        self._volts = [VOLT * row[0] for row in rows]
+        before = self._first_volts or self._volts
+        self._words = [trouble({}, 0, volt, was) for volt, was in zip(self._volts, before, strict=True)]
+        return Vitals(temperature=np.maximum.reduceat([float(row[1]) for row in rows], self.leads))
+
+    def _named(self, words: list[str]) -> list[str]:
+        """Join the troubles of each joint's servos."""
+        return [
+            ", ".join(dict.fromkeys(word for word, of in zip(words, self.joint, strict=True) if word and of == j))
+            for j in range(self._arm.joints)
+        ]
+
+    def _restart(self, servo: int) -> None:
+        self.sure(partial(self.wire.reboot, servo))
+        end = self.clock.now() + AWAKE
+        self.clock.wait(RETRY)
+        while not self.answers(servo) and self.clock.now() < end:
+            self.clock.wait(RETRY)
+
+
+def _latency(device: str) -> int:
+    """Return how long [ms] a USB adapter keeps short answers; 0: not said."""
+    try:
+        return int(Path(TIMER.format(Path(device).resolve().name)).read_text())
+    except (OSError, ValueError):
+        return 0

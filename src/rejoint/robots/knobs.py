@@ -1,0 +1,265 @@
+"""Servos on a bus: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, ServoGains
+from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.system.errors import InputError, RobotError
+from rejoint.system.stopping import ending
+
+
+class Register(NamedTuple):
+    """A value in the memory of a servo, lowest byte first."""
+
+    address: int
+    size: int = 1
+    sign: int | None = None
+    """sign bit, `COMPLEMENT`, or None"""
+
+    def decode(self, data: bytes) -> int:
+        """Read the value."""
+        if self.sign == COMPLEMENT:
+            return int.from_bytes(data, "little", signed=True)
+        word = int.from_bytes(data, "little")
+        return word if self.sign is None else signed(word, self.sign)
+
+    def encode(self, value: int) -> bytes:
+        """Write a value; one below zero as two's complement."""
+        return value.to_bytes(self.size, "little", signed=value < 0)
+
+
+COMPLEMENT = -1
+"""`Register.sign` of two's complement"""
+
+
+def signed(word: int, bit: int) -> int:
+    """Return number with a sign ``bit``."""
+    return -(word & ~(1 << bit)) if word & 1 << bit else word
+
+
+class Knob(NamedTuple):
+    """An adjustable gain."""
+
+    names: tuple[str, ...]
+    """registers that it sets"""
+    low: int
+    high: int
+    stride: int
+    """largest change at once: limits the arm's jump; negative: a smaller value is the stiffer one"""
+    beside: tuple[tuple[str, int], ...] = ()
+    """other registers that a value above zero needs"""
+
+
+LIMIT = "limit"
+"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+
+Knobs = Mapping[str, Knob]
+Gains = Mapping[str, int]
+Values = dict[str, tuple[int, ...]]
+"""One per joint, by name"""
+
+
+def strides_of(knobs: Knobs) -> dict[str, int]:
+    """`Knob.stride` by register; one beside changes at once."""
+    found = {name: knob.stride for knob in knobs.values() for name in knob.names}
+    return {name: most for knob in knobs.values() for name, most in knob.beside} | found
+
+
+def read_gains(given: Mapping[str, str], knobs: Knobs) -> Gains:
+    """Read gains from address options; ValueError."""
+    found = {}
+    for name, text in given.items():
+        knob = knobs[name]
+        if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
+            raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
+        found[name] = int(text)
+    return found
+
+
+def for_all(gains: Gains, joints: int, knobs: Knobs) -> Values:
+    """Equal gains for all ``joints``, with what they need beside."""
+    found: dict[str, int] = {}
+    for knob, value in gains.items():
+        found |= dict(knobs[knob].beside if value else ()) | dict.fromkeys(knobs[knob].names, value)
+    return {name: (value,) * joints for name, value in found.items()}
+
+
+PAUSE = 0.05
+"""[s] between steps (chosen: longer than a servo rings)"""
+LOOKS = 6
+"""Further looks at a servo that labours (chosen: 0.3 s)"""
+
+
+def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) -> Iterator[dict[str, list[int]]]:
+    """Yield values to write in small steps, by name, one per joint; `LIMIT` rises first and falls last."""
+    ways = [(name, before[name], wanted[name]) for name in before if name in wanted and name != LIMIT]
+    if LIMIT in wanted:
+        most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
+        ways = [(LIMIT, before[LIMIT], most), *ways, (LIMIT, most, wanted[LIMIT])]
+    for name, here, there in ways:
+        now, stride = list(here), abs(strides[name])
+        while now != list(there):
+            now = [min(max(end, value - stride), value + stride) for value, end in zip(now, there, strict=True)]
+            yield {name: now}
+
+
+class GainMemory(Protocol):
+    """Where the gains of n joints are."""
+
+    @property
+    def strides(self) -> Mapping[str, int]:
+        """`Knob.stride` by register."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """(n,) names of the servos, in messages."""
+
+    def read_gains(self) -> Values:
+        """Gains in force."""
+
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all servos."""
+
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Share of the largest torque, and temperature [deg C]."""
+
+    def wait(self, duration: float) -> None:
+        """Wait [s]."""
+
+
+class Tuning:
+    """Gains of servos; ``wanted`` ones hold on every connection."""
+
+    def __init__(self, memory: GainMemory, wanted: ServoGains) -> None:
+        self.values: Values = {}
+        """in force"""
+        self._memory, self._wanted = memory, wanted
+
+    def prepare(self) -> None:
+        """Read the gains, and set the wanted ones."""
+        self.look_up()
+        self.walk(self._wanted, hottest=HOTTEST)
+
+    def tune(self, gains: ServoGains) -> None:
+        """Set gains, also on later connections; RobotError where a servo does not bear them."""
+        self.walk(gains)
+        self._wanted = {name: tuple(values) for name, values in gains.items()}
+
+    def look_up(self) -> None:
+        """Read the gains."""
+        self.values = self._memory.read_gains()
+
+    def walk(self, wanted: ServoGains, *, hottest: float = np.inf) -> None:
+        """Set gains in small steps, on this connection."""
+        before, joints = self.values, len(self._memory.names)
+        strange = [name for name in wanted if name not in before or len(wanted[name]) != joints]
+        if strange:
+            known = f"{', '.join(before)} of {joints} joints"
+            raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
+        there, strides = self._memory.read_gains(), self._memory.strides
+        for step in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
+            self._take(step)
+            try:
+                if not ending():
+                    self._require_strength(step, there, hottest)
+            except OverloadedError:
+                for back in steps(self._memory.read_gains(), before, strides):
+                    self._take(back)
+                raise
+        self.look_up()
+
+    def _take(self, step: Mapping[str, Sequence[int]]) -> None:
+        for name, values in step.items():
+            self._memory.write_gain(name, values)
+        self._memory.wait(PAUSE)
+
+    def _require_strength(self, step: Mapping[str, Sequence[int]], there: Values, hottest: float) -> None:
+        ((name, values),) = step.items()
+        for joint, (old, value) in enumerate(zip(there[name], values, strict=True)):
+            if (value - old) * self._memory.strides[name] <= 0:
+                continue  # else one that labours could not be relieved
+            load, heat = self._memory.strain(joint)
+            for _ in range(LOOKS if load > HEAVIEST else 0):  # while it moves there it may labour
+                self._memory.wait(PAUSE)
+                load = min(load, self._memory.strain(joint)[0])
+            if load > HEAVIEST or heat > hottest:
+                said = f"{self._memory.names[joint]} does not bear {name}={value}"
+                raise OverloadedError(
+                    f"{said}: load {100 * load:.0f} %, {heat:.0f} deg C; the gains are as before", joint
+                )
+
+
+def _degrees(text: str) -> tuple[float, ...]:
+    try:
+        found = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        found = ()
+    if not found or not all(-180.0 <= angle <= 180.0 for angle in found):
+        raise ValueError(f"expected zero=DEG,DEG,... from -180 to 180, one per joint, got {text!r}")
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoAddress:
+    """A bus of servos, and what is known of its arm."""
+
+    port: ClassVar[int]
+    """of TCP addresses"""
+    baud: ClassVar[int] = 1_000_000
+    knobs: ClassVar[Knobs] = {}
+    table: ClassVar[Mapping[str, Register]] = {}
+    options: ClassVar[dict[str, Callable[[str], Any]]] = {
+        "calibration": lambda text: Path(text).expanduser(),
+        "zero": _degrees,
+    }
+    """how further fields are read"""
+
+    wire: TcpAddress | SerialAddress
+    calibration: Path | None = None
+    """LeRobot's; None: none"""
+    zero: tuple[float, ...] = ()
+    """[deg] of each joint in mid-range; empty: unsaid"""
+    gains: Gains = field(default_factory=dict)
+    """by `knobs`; empty: unchanged"""
+
+    @property
+    def spot(self) -> str:
+        """Equal for all its addresses."""
+        return self.wire.spot
+
+    def middle(self, arm: Arm) -> Array:
+        """Angles (n,) [rad] in mid-range, where LeRobot has its zeros; InputError."""
+        if self.zero and len(self.zero) != arm.joints:
+            raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(self.zero)}")
+        return np.radians(self.zero or (0.0,) * arm.joints)
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """Read ``SCHEME:///dev/DEVICE`` or ``SCHEME://HOST:PORT``, with options; ValueError."""
+        plain, _, query = text.partition("?")
+        options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
+        known = ("baud", *cls.options, *cls.knobs)
+        if set(options) - set(known) or any(len(values) > 1 or not values[0] for values in options.values()):
+            raise ValueError(f"expected each of {', '.join(known)} once at most, got {query!r}")
+        given = {name: values[0] for name, values in options.items()}
+        wire: TcpAddress | SerialAddress
+        if not urlsplit(plain).netloc:
+            wire = serial_address(f"{plain}?baud={given.get('baud', cls.baud)}", baud=cls.baud)
+        elif "baud" in given:
+            raise ValueError("the baud rate is that of the other machine; leave it out")
+        else:
+            wire = tcp_address(plain, port=cls.port)
+        return cls(
+            wire=replace(wire, text=text),
+            gains=read_gains({name: given[name] for name in cls.knobs if name in given}, cls.knobs),
+            **{name: read(given[name]) for name, read in cls.options.items() if name in given},
+        )

@@ -1,0 +1,140 @@
+"""Serial ports of this computer, why one cannot be opened, and which kind of arm answers there."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from select import select
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import serial
+from serial.tools.list_ports import comports
+
+from rejoint.robots.family import Place, SerialAddress, TcpAddress
+from rejoint.system.errors import AddressError
+
+Wire = SerialAddress | TcpAddress
+
+HEARD = 0.15
+"""[s] in which an arm answers (chosen: ten times its usual time)"""
+
+
+class Kind(NamedTuple):
+    """How arms of a kind are asked for a sign of life, without motion."""
+
+    name: str
+    scheme: Callable[[Wire], str]
+    """of its address"""
+    hello: tuple[bytes, ...]
+    """questions"""
+    begins: bytes
+    """of an answer"""
+    bauds: tuple[int, ...]
+    """[1/s], the usual one first"""
+
+
+KINDS = (
+    Kind(
+        "a myCobot 280",
+        lambda wire: "tcp" if isinstance(wire, TcpAddress) else "serial",
+        (b"\xfe\xfe\x02\x12\xfa",),  # is it powered on?
+        b"\xfe\xfe",
+        (1_000_000, 115_200),
+    ),
+    Kind(
+        "an arm with Dynamixel servos, such as a Koch,",
+        lambda _: "dynamixel",
+        (b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42",),  # a ping of all
+        b"\xff\xff\xfd\x00",
+        (1_000_000, 57_600),
+    ),
+    Kind(
+        "an arm with Feetech servos, such as an SO-101,",
+        lambda _: "feetech",
+        tuple(bytes((0xFF, 0xFF, servo, 2, 1, 0xFF & ~(servo + 3))) for servo in range(1, 4)),  # pings
+        b"\xff\xff",
+        (1_000_000, 500_000, 115_200),
+    ),
+)
+
+
+def ports() -> dict[str, str]:
+    """Return the serial ports of this computer, each with what the system says of it."""
+    return {one.device: one.description for one in sorted(comports()) if one.vid is not None or "AMA" in one.device}
+
+
+def ports_line() -> str:
+    """Name the ports in one line."""
+    return f"ports of this computer: {', '.join(ports()) or 'none; is the cable in, and the arm switched on?'}"
+
+
+def why_closed(error: BaseException, device: str) -> str | None:
+    """Say why a ``device`` cannot be opened and what to do, where its number tells."""
+    match getattr(error, "errno", None):
+        case errno.ENOENT | errno.ENODEV | errno.ENXIO:
+            return f"there is no port {device}; {ports_line()}"
+        case errno.EACCES | errno.EPERM:
+            group = "dialout"
+            with suppress(OSError, KeyError):
+                group = Path(device).group()
+            return f"no permission for {device}; run: sudo usermod -aG {group} $USER, then log out and in again"
+        case errno.EBUSY | errno.EWOULDBLOCK:
+            return "another program drives the arm there; end it first"
+    return None
+
+
+def answering(wire: Wire) -> tuple[Kind, int] | None:
+    """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None where all is silent."""
+    bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
+    with suppress(OSError, ValueError):
+        for baud in bauds:
+            with ExitStack() as stack:
+                if isinstance(wire, TcpAddress):
+                    port = stack.enter_context(socket.create_connection((wire.host, wire.port), 1.0)).fileno()
+                else:
+                    port = stack.enter_context(serial.Serial(wire.device, baud, exclusive=True)).fileno()
+                for kind in KINDS:
+                    if (not baud or baud in kind.bauds) and any(_heard(port, one, kind.begins) for one in kind.hello):
+                        return kind, baud
+    return None
+
+
+def _heard(port: int, question: bytes, begins: bytes) -> bool:
+    os.write(port, question)
+    until, came = time.monotonic() + HEARD, b""
+    while (left := until - time.monotonic()) > 0.0 and len(came) <= len(question):
+        if select([port], [], [], left)[0]:
+            if not (data := os.read(port, 64)):
+                break
+            came += data
+    return begins in came.removeprefix(question)  # some adapters echo
+
+
+def other_arm(place: Place[Any]) -> str:
+    """Say which arm answers at a ``place`` that another one does not; empty where nothing does."""
+    wire = getattr(place.detail, "wire", place.detail)
+    if not isinstance(wire, SerialAddress | TcpAddress) or (found := answering(wire)) is None:
+        return ""
+    kind, baud = found
+    scheme, own = kind.scheme(wire), getattr(wire, "baud", 0)
+    if (scheme, baud) == (place.family.scheme, own):
+        return ""
+    rate = f"?baud={baud}" if baud and baud != kind.bauds[0] else ""
+    return f"{kind.name} answers there: give {scheme}:{place.text.partition(':')[2].partition('?')[0]}{rate}"
+
+
+def why_not(place: Place[Any], error: AddressError) -> str | None:
+    """Say why the arm at a ``place`` could not be opened, where more can be found out than the ``error`` says."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and (why := why_closed(cause, urlsplit(place.text).path)):
+            return f"{place}: {why}"
+        cause = cause.__cause__
+    other = other_arm(place)
+    return f"another arm than expected is at {place}; {other}" if other else None

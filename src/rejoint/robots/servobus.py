@@ -1,0 +1,577 @@
+"""One arm on the bus of its servos: found by ID, held, driven, waited for; by whatever client of their maker.
+
+Torque is never switched off. A joint may have several servos; the first of them says where it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from select import select
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
+
+import numpy as np
+import serial
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.control.servogains import Rung, ServoGains
+from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
+from rejoint.robots.bus import Bus, connected, persist
+from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.knobs import Register, ServoAddress, Tuning, Values, for_all, strides_of
+from rejoint.system.errors import ConnectionLostError, InputError, NoReplyError, PowerLostError, RobotError
+
+T = TypeVar("T")
+
+QUIET = 0.03
+"""[s] without a late answer (chosen)"""
+RETRY = 0.05
+"""[s] between questions to a silent servo (chosen)"""
+READ, WRITE = 2, 3
+"""Instructions of `ServoBus.relay`: servo ID (0: the one behind the joints'), address, and size or data"""
+CONNECT = 5.0
+"""[s] (chosen, as pyserial does)"""
+WAIT = 0.02
+"""[s] of one wait for bytes (chosen)"""
+OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
+"""Results of Feetech's client and ROBOTIS'; all others are garbled answers"""
+
+
+class BlockingPort:
+    """A port for the makers' clients, which waits in the system instead of asking all the time.
+
+    Put it before their ``PortHandler`` among the bases.
+    """
+
+    is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
+    port_name: TcpAddress | SerialAddress
+    baudrate: int
+
+    def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
+        """Open; OSError."""
+        place = self.port_name
+        self.ser: Any
+        if isinstance(place, TcpAddress):
+            self.ser = socket.create_connection((place.host, place.port), CONNECT)
+            self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
+        else:
+            self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
+        self._descriptor: int = self.ser.fileno()
+        self.is_open = True
+        self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
+        return True
+
+    def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
+        """Return what comes within ``wait`` [s]; OSError."""
+        if length <= 0:  # as a client asks behind a packet that says it is shorter than any
+            return b""
+        if not select([self._descriptor], [], [], wait)[0]:
+            return b""
+        data = os.read(self._descriptor, length)
+        if not data:
+            raise OSError("the port is gone")
+        return data
+
+    def clearPort(self) -> None:  # noqa: N802 - the maker's name
+        """Drop the buffer."""
+        while self.readPort(4096, 0.0):
+            pass
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
+        """Write; returns the number of bytes."""
+        return os.write(self._descriptor, bytes(packet))
+
+    def connect(self) -> Self:
+        """Open at the address's rate; ValueError, OSError."""
+        place = self.port_name
+        baud = place.baud if isinstance(place, SerialAddress) else self.baudrate
+        if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
+            raise ValueError(f"the maker's client knows no baud rate {baud}")
+        return self
+
+    def quieten(self, pause: float) -> bool:
+        """Drop what comes within ``pause`` [s]; whether anything did."""
+        end, found = time.monotonic() + pause, False
+        while (left := end - time.monotonic()) > 0.0:
+            found = bool(self.readPort(4096, left)) or found
+        return found
+
+
+def judge(result: int, servo: int) -> None:
+    """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
+    if result == OK:
+        return
+    if result in SILENT:
+        raise TimeoutError(f"servo {servo} does not answer")
+    if result in UNSENT:
+        raise OSError("the port did not take the request")
+    raise ValueError(f"the answer of servo {servo} is garbled")
+
+
+class ServoWire(Protocol):
+    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken)."""
+
+    def model(self, servo: int) -> int:
+        """Model number of a servo; ignores late answers."""
+
+    def read(self, servo: int, address: int, size: int) -> bytes:
+        """Read ``size`` registers."""
+
+    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
+        """Write registers; the servo confirms."""
+
+    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
+        """Read ``size`` registers of all ``servos``; without silent ones."""
+
+    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
+        """Write registers of all ``servos``, without answers."""
+
+    def quieten(self, pause: float) -> bool:
+        """Drop what comes within ``pause`` [s]; whether anything did."""
+
+    def close(self) -> None:
+        """Release the port; the servos hold."""
+
+
+class ServoBus(Bus):
+    """The servos of an arm by ID, without the gripper."""
+
+    models: ClassVar[Mapping[int, str]]
+    """by number"""
+    ladder: ClassVar[tuple[Rung, ...]]
+    """search order of gains"""
+    memory: ClassVar[tuple[str, ...]]
+    """registers of gains"""
+    protected: ClassVar[frozenset[str]] = frozenset(("id",))
+    """registers that no client may write"""
+    confirms: ClassVar[int] = 1
+    """least value of the register, from which a servo confirms what it is told"""
+    last: ClassVar[int] = 12
+    """ID in a search (chosen)"""
+
+    def __init__(self, address: ServoAddress, arm: Arm, ids: Sequence[Sequence[int]]) -> None:
+        """``ids`` of each joint's servos."""
+        self.address, self.place, self._arm = address, address.wire, arm
+        self.ids = tuple(servo for one in ids for servo in one)
+        self.joint = np.repeat(np.arange(arm.joints), [len(one) for one in ids])
+        """(m,) of each servo"""
+        self.leads = np.searchsorted(self.joint, np.arange(arm.joints)).tolist()
+        """(n,) places of the joints' first servos"""
+        self.table, self.strides = address.table, strides_of(address.knobs)
+        self.names = [self.call(self.ids[lead]) for lead in self.leads]
+        self._tuning = Tuning(self, for_all(address.gains, arm.joints, address.knobs))
+        self.zeros = Zeros(middle=(), zero=(), low=(), high=(), step=())
+        """of the prepared arm's servos"""
+        self._wire: ServoWire | None = None
+        self._until: float | None = None  # [s] deadline of `prepare`
+        self._goal: list[int] | None = None
+        self._limp: set[int] = set()
+        self._was_ready = False
+
+    @abstractmethod
+    def check(self, servo: int) -> None:
+        """Raise RobotError for a servo that is not to be driven as it is."""
+
+    @abstractmethod
+    def find_zeros(self) -> Zeros:
+        """Read where the joints are at zero; RobotError."""
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """Let the servos be prompt."""
+
+    @abstractmethod
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Share of the largest torque, and temperature [deg C]."""
+
+    def prepare(self, until: float | None = None) -> None:
+        """Check all servos, read their zeros, and hold."""
+        with self.by(until):
+            self._find_servos()
+            self.zeros = self.find_zeros()
+            if self._was_ready:
+                self._require_torque()
+            limp = [servo for servo in self.ids if self.get(servo, "torque") != 1]
+            for servo in limp:
+                self.set(servo, "goal", self.get(servo, "position"))
+            for servo in limp:
+                self.set(servo, "torque", 1)
+            self.set_up()
+            self._tuning.prepare()
+            self._was_ready = True
+
+    def send(self, goal: Array) -> None:
+        """Send goals, clipped to the servos' limits; no answers."""
+        self._goal = self.zeros.counts(goal[self.joint])
+        self._send(self._goal)
+
+    def stop(self) -> None:
+        """Send the last goals again: at the measured position the arm would sink."""
+        if self._goal is not None:
+            self._send(self._goal)
+
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Read or write registers of another servo, such as the gripper's."""
+        servo, address, *rest = payload
+        servo = servo or max(self.ids) + 1
+        if servo in self.ids or address in {self.table[name].address for name in self.protected}:
+            raise RobotError(f"register {address} of servo {servo} is not passed on")
+        if command == READ and len(rest) == 1:
+            return self.wire.read(servo, address, rest[0])
+        if command == WRITE:
+            self.wire.write(servo, address, rest)
+            return b""
+        return None
+
+    def resynchronise(self, deadline: float) -> None:
+        """Drop late answers and wait for silent servos.
+
+        ConnectionLostError, PowerLostError.
+        """
+        while self.wire.quieten(QUIET) and self.clock.now() < deadline:
+            pass
+        silent = list(self.ids)
+        while silent := [servo for servo in silent if not self.answers(servo)]:
+            if self.clock.now() + RETRY > deadline:
+                raise ConnectionLostError(f"{self.place}: {listed(map(self.call, silent))} stays silent")
+            self.clock.wait(RETRY)
+        with self.by(deadline):
+            self._require_torque()
+
+    def close(self) -> None:
+        """Release the port; the servos hold."""
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            wire.close()
+
+    @property
+    def wire(self) -> ServoWire:
+        """The open port; OSError."""
+        if self._wire is None:
+            raise OSError("the port is not open")
+        return self._wire
+
+    def servo_gains(self) -> ServoGains:
+        """Return the servo gains by name."""
+        return dict(self._tuning.values)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return the search order of gains."""
+        return self.ladder
+
+    def tune(self, gains: ServoGains) -> None:
+        """Set gains in small steps until power-off."""
+        self._tuning.tune(gains)
+
+    # --- registers --------------------------------------------------------------------------
+
+    def get(self, servo: int, name: str) -> int:
+        """Read a register, again where the answer is lost."""
+        register = self.table[name]
+        return register.decode(self.read_block(servo, register.address, register.size))
+
+    def get_all(self, name: str) -> Counts:
+        """Read a register of every servo, (m,)."""
+        return np.array([self.get(servo, name) for servo in self.ids], dtype=np.int64)
+
+    def set(self, servo: int, name: str, value: int) -> None:
+        """Write a register, again where the answer is lost."""
+        register = self.table[name]
+        try:
+            self.sure(partial(self.wire.write, servo, register.address, register.encode(value)))
+        except NoReplyError as error:
+            if self.get(servo, "confirms") >= self.confirms:
+                raise
+            raise RobotError(
+                f"{self.call(servo)} obeys, but does not confirm it; set its register "
+                f"{self.table['confirms'].address} to {self.confirms}"
+            ) from error
+
+    def read_block(self, servo: int, address: int, size: int) -> bytes:
+        """Read neighbouring registers, again where the answer is lost."""
+        return self.sure(partial(self.wire.read, servo, address, size))
+
+    def ask_all(self, address: int, size: int) -> list[bytes]:
+        """Read registers of all servos at once; TimeoutError names those that are missing."""
+        answers = self.wire.read_all(self.ids, address, size)
+        if len(answers) < len(self.ids):
+            self._require([servo for servo in self.ids if servo not in answers])
+        return [answers[servo] for servo in self.ids]
+
+    def call(self, servo: int) -> str:
+        """Name of a servo in messages."""
+        return f"{self._arm.joint_names[self.joint[self.ids.index(servo)]]} (servo {servo})"
+
+    @contextmanager
+    def by(self, until: float | None) -> Iterator[None]:
+        """Give up questions at ``until`` [s]."""
+        self._until = until
+        try:
+            yield
+        finally:
+            self._until = None
+
+    def sure(self, question: Callable[[], T]) -> T:
+        """Ask again where an answer is lost."""
+
+        def recover(error: RobotError, _: float) -> None:
+            connected(error)
+            self.wire.quieten(QUIET)
+
+        return persist(question, recover, self.clock, self.place, self._until)
+
+    def answers(self, servo: int) -> bool:
+        """Whether a servo answers now."""
+        try:
+            self.wire.model(servo)
+        except (TimeoutError, ValueError, IndexError):
+            return False
+        return True
+
+    def _send(self, goal: Sequence[int]) -> None:
+        register = self.table["goal"]
+        goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}
+        if goals:
+            self.wire.write_all(list(goals), register.address, [register.encode(count) for count in goals.values()])
+
+    def _find_servos(self) -> None:
+        missing = []
+        for servo in self.ids:
+            try:
+                model = self.sure(partial(self.wire.model, servo))
+            except NoReplyError:
+                missing.append(servo)
+                continue
+            if model not in self.models:
+                raise RobotError(f"{self.call(servo)} is of model {model}, expected {listed(self.models)}")
+            self.check_model(servo, model)
+        known = {*self.ids, max(self.ids) + 1}
+        search = () if self._was_ready or not missing else set(range(self.last + 1)) - known
+        self._require(missing, [servo for servo in search if self.answers(servo)], RobotError)  # the others do answer
+        for servo in self.ids:
+            self.check(servo)
+
+    def check_model(self, servo: int, number: int) -> None:
+        """Raise RobotError for a model that the arm does not have there."""
+
+    def _require_torque(self) -> None:
+        self._limp = {servo for servo in self.ids if self.get(servo, "torque") != 1}
+        if self._limp:
+            raise PowerLostError(
+                f"{self.place}: {listed(map(self.call, sorted(self._limp)))} has lost its torque, by a loss of "
+                "power or its own protection; support the arm, then start again"
+            )
+
+    def _require(
+        self, missing: Sequence[int], strangers: Sequence[int] = (), kind: type[Exception] = TimeoutError
+    ) -> None:
+        others = f"; others that answer: {listed(strangers)}" if strangers else ""
+        if len(missing) == len(self.ids):
+            baud = getattr(self.place, "baud", None)
+            rate = f" at {baud} baud" if baud else ""
+            raise NoReplyError(
+                f"{self.place}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
+            )
+        if missing:
+            names = listed(map(self.call, missing))
+            raise kind(f"{names} is missing on the bus; check its cable, its ID and its baud rate{others}")
+
+    # --- the memory of gains ----------------------------------------------------------------
+
+    def read_gains(self) -> Values:
+        """Ask each joint's first servo for all its gains at once."""
+        registers = [self.table[name] for name in self.memory]
+        first = min(register.address for register in registers)
+        size = max(register.address + register.size for register in registers) - first
+        blocks = [self.read_block(self.ids[lead], first, size) for lead in self.leads]
+        return {
+            name: tuple(one.decode(block[one.address - first :][: one.size]) for block in blocks)
+            for name, one in zip(self.memory, registers, strict=True)
+        }
+
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all joints."""
+        for servo, joint in zip(self.ids, self.joint.tolist(), strict=True):
+            self.set(servo, name, values[joint])
+
+    def wait(self, duration: float) -> None:
+        """Wait [s]."""
+        self.clock.wait(duration)
+
+
+def listed(names: Iterable[object]) -> str:
+    """Names with commas."""
+    return ", ".join(map(str, names))
+
+
+Counts = NDArray[np.int64]
+
+STEP = 2 * np.pi / COUNTS_PER_TURN
+"""[rad] per count"""
+
+
+class Zeros(NamedTuple):
+    """Counts and radians of m servos, as plain numbers for speed."""
+
+    middle: tuple[float, ...]
+    """(m,) [counts] at ``zero``"""
+    zero: tuple[float, ...]
+    """(m,) [rad]"""
+    low: tuple[int, ...]
+    """(m,) [counts] goals"""
+    high: tuple[int, ...]
+    """(m,) [counts]"""
+    step: tuple[float, ...]
+    """(m,) [rad] per count"""
+
+    def radians(self, counts: Sequence[int]) -> list[float]:
+        """Joint positions (m,) [rad]."""
+        rows = zip(counts, self.middle, self.zero, self.step, strict=True)
+        return [(count - middle) * step + zero for count, middle, zero, step in rows]
+
+    def counts(self, position: Array) -> list[int]:
+        """Goals (m,) of positions [rad], within the servos' limits."""
+        rows = zip(position.tolist(), *self, strict=True)
+        return [
+            min(max(round((angle - zero) / step + middle), low), high) for angle, middle, zero, low, high, step in rows
+        ]
+
+
+SAGGING = 0.75
+"""share of the first voltage (chosen: servos go silent at half of it)"""
+VOLT = 0.1
+"""[V] per count"""
+
+
+def trouble(names: Mapping[int, str], bits: int, voltage: float = 1.0, before: float = 0.0) -> str:
+    """Name what a servo suffers from, by its error ``bits`` and supply [V]; or empty."""
+    found = [name for bit, name in names.items() if bits & bit]
+    if voltage < SAGGING * before:
+        found.append(f"the supply sags to {voltage:.1f} V from {before:.1f} V")
+    return ", ".join(found)
+
+
+class MotorRanges(NamedTuple):
+    """LeRobot's calibration of the motors (n,)."""
+
+    ids: tuple[int, ...]
+    homing: Counts
+    low: Counts
+    high: Counts
+    turned: Counts
+    """drive modes"""
+    seconds: dict[int, tuple[int]]
+    """IDs of second servos, by joint: LeRobot calls them ``shoulder_shadow``"""
+
+    def require(self, arm: Arm, homing: Counts) -> None:
+        """Raise RobotError unless the servos of ``arm`` have these offsets (n,)."""
+        if (self.homing != homing).any():
+            j = int(np.argmax(self.homing != homing))
+            raise RobotError(
+                f"the calibration file is not that of this arm: {arm.joint_names[j]} has a homing offset of "
+                f"{homing[j]} counts in its servo and {self.homing[j]} in the file; give the arm's own file, or run "
+                "lerobot-calibrate"
+            )
+
+
+def read_calibration(path: Path, arm: Arm, *, turned: bool = False) -> MotorRanges:
+    """Read LeRobot's calibration of ``arm``, perhaps with ``turned`` motors; FileError, InputError for its numbers."""
+    motors = read_homing(path, turned=turned)
+    columns = match_joints(list(motors), arm, path, "calibration").columns
+    joints = [list(motors.values())[column] for column in columns]
+    try:
+        ids, homing, low, high = (
+            np.array([int(joint[name]) for joint in joints])
+            for name in ("id", "homing_offset", "range_min", "range_max")
+        )
+        seconds = {
+            j: (int(motors[name]["id"]),)
+            for j, joint in enumerate(arm.joint_names)
+            if (name := f"{joint}_shadow") in motors
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        wanted = "id, homing_offset, range_min and range_max of every motor"
+        raise InputError(f"{path}: expected {wanted} ({error!r})") from error
+    if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
+        raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
+    modes = np.array([joint.get("drive_mode", 0) for joint in joints])
+    return MotorRanges(tuple(ids.tolist()), homing, low, high, modes, seconds)
+
+
+SOFT = 500
+"""[0.1 %] torque of a gripper whose force can be limited so, in RAM (as in LeRobot)"""
+MOST_SILENT = 3
+"""Unanswered questions before it is given up (chosen)"""
+
+Ask = Callable[[int, bytes], bytes | None]
+"""Passes on an instruction; None: no answer"""
+
+
+class Gripper:
+    """The servo behind the joints', from ``low`` (0 %) to ``high`` (100 %) [counts]; call `serve` each cycle."""
+
+    def __init__(self, ask: Ask, table: Mapping[str, Register], number: int = 0) -> None:
+        """Read its range; ``number``: its ID, 0 for the next one behind the joints'."""
+        self.goal: float | None = None
+        """[%]"""
+        self.opened: float | None = None
+        """[%] last reading"""
+        self._ask, self._table, self._number = ask, table, number
+        self._sent: float | None = None
+        self._silent = 0
+        self._counts = self._get("low"), self._get("high")
+
+    @classmethod
+    def find(cls, ask: Ask, table: Mapping[str, Register], number: int = 0) -> Self | None:
+        """Gripper with the ID ``number``; None: no answer, or no range."""
+        with contextlib.suppress(RobotError, TypeError):  # TypeError: it has no answer to count with
+            found = cls(ask, table, number)
+            if found._counts[0] < found._counts[1]:
+                found._read()
+                return found
+        return None
+
+    def serve(self) -> None:
+        """Send a new goal, or read the opening."""
+        if self._silent >= MOST_SILENT:
+            return
+        try:
+            if self.goal is None or self.goal == self._sent:
+                self._read()
+            else:
+                self._send(self.goal)
+            self._silent = 0
+        except RobotError:
+            self._silent += 1
+
+    def _read(self) -> None:
+        self.opened = float(np.interp(self._get("position"), self._counts, (0.0, 100.0)))
+
+    def _send(self, goal: float) -> None:
+        if self._sent is None:
+            if "force" in self._table:
+                self._set("force", SOFT)
+            if not self._get("torque"):
+                self._set("goal", self._get("position"))
+                self._set("torque", 1)
+        self._set("goal", round(np.interp(goal, (0.0, 100.0), self._counts)))
+        self._sent = goal
+
+    def _get(self, name: str) -> int:
+        register = self._table[name]
+        data = self._ask(READ, bytes([self._number, register.address, register.size]))
+        if data is None:
+            raise TypeError(f"servo {self._number} gives no {name}")
+        return register.decode(data)
+
+    def _set(self, name: str, value: int) -> None:
+        register = self._table[name]
+        self._ask(WRITE, bytes([self._number, register.address]) + register.encode(value))

@@ -1,0 +1,308 @@
+"""What the emulated buses of servos share: registers, an arm behind them, and a conversation with its timing."""
+
+from __future__ import annotations
+
+import termios
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.robots.wireserver import ByteStream
+from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
+from rejoint_lab.emulator.servers import EmulatedConversation
+from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
+from rejoint_lab.plant.servo import STEP
+from rejoint_lab.plant.wear import PARAMETERS, Wear
+
+TWO = -1
+"""Sign of numbers in two's complement"""
+
+
+class Packet(NamedTuple):
+    """An instruction or a status."""
+
+    id: int
+    code: int
+    """instruction or error bits"""
+    parameters: bytes = b""
+
+
+class MemoryField(NamedTuple):
+    """A value in the registers."""
+
+    address: int
+    size: int
+    name: str
+    access: str
+    """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept"""
+    default: int
+    sign: int | None = None
+    """sign bit, `TWO`, or None"""
+    low: str = ""
+    high: str = ""
+    """limits: numbers or names of registers"""
+
+    @property
+    def cells(self) -> slice:
+        """Its place."""
+        return slice(self.address, self.address + self.size)
+
+
+def magnitude(value: int, bit: int) -> int:
+    """``value`` as size and sign ``bit``."""
+    if abs(value) >= 1 << bit:
+        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
+    return -value | 1 << bit if value < 0 else value
+
+
+def signed(word: int, bit: int) -> int:
+    """Inverse of `magnitude`."""
+    size = word & ~(1 << bit)
+    return -size if word & 1 << bit else size
+
+
+class Registers:
+    """Registers of one servo."""
+
+    def __init__(self, fields: Mapping[str, MemoryField], size: int, number: int) -> None:
+        self.fields, self.cells = fields, bytearray(size)
+        self.at = {cell: one for one in fields.values() for cell in range(one.address, one.address + one.size)}
+        """by cell"""
+        for name, field in fields.items():
+            self[name] = field.default
+        self["ID"] = number
+        self._kept = bytearray(self.cells)
+        self.writes: list[tuple[int, bytes]] = []
+        """executed: address and data"""
+
+    def __getitem__(self, name: str) -> int:
+        """Value of a register."""
+        field = self.fields[name]
+        word = int.from_bytes(self.cells[field.cells], "little", signed=field.sign == TWO)
+        return word if field.sign in (None, TWO) else signed(word, field.sign)
+
+    def __setitem__(self, name: str, value: int) -> None:
+        """Set a register."""
+        field = self.fields[name]
+        word = value if field.sign in (None, TWO) else magnitude(value, field.sign)
+        self.cells[field.cells] = word.to_bytes(field.size, "little", signed=field.sign == TWO)
+
+    @property
+    def number(self) -> int:
+        """ID."""
+        return self["ID"]
+
+    def save(self, cells: Iterable[int] | None = None) -> None:
+        """Save these ``cells`` or all, as far as the servo does."""
+        for cell in self.at if cells is None else cells:
+            if cell in self.at and self.at[cell].access == "saved":
+                self._kept[cell] = self.cells[cell]
+
+    def cycle_power(self) -> None:
+        """Power off and on: saved registers kept."""
+        self.cells = bytearray(self._kept)
+
+
+P = TypeVar("P", StsPlant, XPlant)
+
+
+def alone(arm: Arm, wear: Wear, ends: Array, kind: type[P], servo: str, seed: int) -> P:
+    """Plant of a gripper's servo, worn as the last joint's; ``ends`` (2,) [rad]."""
+    own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia")
+    hinge = replace(
+        arm,
+        **{name: getattr(arm, name)[-1:] for name in own},
+        lower=ends[:1],
+        upper=ends[1:],
+        rest=np.zeros(1),
+        servos=(servo,),
+    )
+    worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
+    return kind(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
+
+
+class ServoArm(EmulatedArm):
+    """Servos of one arm, powered and holding."""
+
+    plant: StsPlant | XPlant
+    servos: list[Any]
+
+    def __init__(self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, resistance: float) -> None:
+        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
+        super().__init__(plant, arm)
+        self.gripper: Any = gripper
+        self.resistance = resistance
+        self._settings, self._status = list[Any](), list[Any]()
+        """of the servos"""
+        self._owed = 0.0
+        self.clock = 0.0
+        """[s]"""
+        self._nominal = [one.settings["voltage"][0].copy() for one in (self.plant, self.gripper)]
+
+    def advance(self, duration: float) -> None:
+        """Advance by [s], in whole milliseconds."""
+        self._owed += duration
+        steps = int(self._owed / STEP)
+        self._owed -= steps * STEP
+        self.clock += steps * STEP
+        drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
+        supplies = (self.plant, self.voltage), (self.gripper, np.full(1, SUPPLY_VOLTAGE))
+        for (driven, volts), nominal in zip(supplies, self._nominal, strict=True):
+            driven.settings["voltage"][0] = (nominal.T * np.maximum(volts - drop, 0.0) / SUPPLY_VOLTAGE).T
+        warmth = self.temperature - self.plant.temperature[0]
+        self.plant.settings["warmth"][0] = (np.ones_like(self._nominal[0]).T * warmth).T
+        self.plant.advance(steps * STEP)
+        self.gripper.advance(steps * STEP)
+
+    def suffer(self, elapsed: float) -> None:
+        """Let faults begin; ``elapsed`` [s] after the first byte."""
+        same, without = self._begun("same"), self.unpowered
+        super().suffer(elapsed)
+        for joint in np.flatnonzero(self._begun("same") & ~same).tolist():
+            self.servos[joint]["ID"] = self.servos[joint - 1 if joint else 1].number
+        if self.unpowered and not without:
+            for index in range(len(self.servos)):
+                self.restart(index)
+
+    @property
+    def unpowered(self) -> bool:
+        """Whether the supply is off."""
+        return bool(in_force(self.faults, "power", self._elapsed))
+
+    @abstractmethod
+    def restart(self, index: int) -> None:
+        """Cycle the power of a servo, from 0."""
+
+
+BYTE = 10e-6
+"""[s] at 1 Mbaud, 8N1"""
+
+
+class Answer(NamedTuple):
+    """A returning status packet."""
+
+    servo: int
+    """from 0"""
+    after: float
+    """[s] from request to end of the answer"""
+    data: bytes
+
+
+class EmulatedBus:
+    """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
+
+    rates: tuple[int, ...]
+    """[1/s] by register"""
+
+    def __init__(self, arm: Any) -> None:  # noqa: ANN401 - of its own kind
+        self.arm = arm
+        self.muted: Callable[[], Iterable[int]] = lambda: ()
+        self.rate: int | None = None
+        """[1/s] at which the client speaks; None: that of all"""
+
+    @property
+    def byte(self) -> float:
+        """[s] of a byte, 8N1."""
+        return BYTE if self.rate is None else 10.0 / self.rate
+
+    def hearing(self) -> list[tuple[int, Any]]:
+        """Servos that hear the client, with their index."""
+        muted = set(self.muted())
+        return [
+            (index, servo)
+            for index, servo in enumerate(self.arm.servos)
+            if index not in muted and self.rate in (None, self.rates[servo["Baud_Rate"]])
+        ]
+
+    @abstractmethod
+    def execute(self, request: Packet) -> list[Answer]:
+        """Execute a packet; returns the answers in order of time."""
+
+
+def overlaid(answers: list[Answer]) -> list[Answer]:
+    """Answers in order; those that end at one time spoil one another: a zero wins on the wire."""
+    found: list[Answer] = []
+    for answer in answers:
+        if found and abs(found[-1].after - answer.after) < 1e-9:
+            both = zip(found[-1].data, answer.data, strict=False)
+            answer = answer._replace(data=bytes(a & b for a, b in both))
+            found.pop()
+        found.append(answer)
+    return found
+
+
+ADAPTER = 0.001
+"""[s] of a USB adapter per request and answer (chosen)"""
+
+
+def rate_of(channel: ByteStream) -> int | None:
+    """[1/s] that a client gave its serial line; None: it is none, or not set."""
+    try:
+        code = termios.tcgetattr(channel.fileno())[5]
+    except (termios.error, OSError, ValueError):
+        return None
+    return _RATES.get(code)
+
+
+_RATES = {
+    getattr(termios, f"B{rate}"): rate
+    for rate in (9600, 57_600, 115_200, 500_000, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+    if hasattr(termios, f"B{rate}")
+}
+
+
+class BusSession(EmulatedConversation[Packet]):
+    """The servos of ``bus`` for one client at a time, with timing."""
+
+    reading: frozenset[int]
+    """instructions that read"""
+
+    def __init__(
+        self,
+        bus: EmulatedBus,
+        *,
+        adapter: float = ADAPTER,
+        faults: Faults = NONE,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
+        super().__init__(bus.arm, faults=faults, **options)
+        self.bus = bus
+        bus.muted = lambda: self._silenced(faults, self._elapsed(self._clock()))
+        # until when the wire is busy
+        self._adapter, self._free = adapter, 0.0
+
+    def _silenced(self, faults: Faults, now: float) -> Iterable[int]:
+        if in_force(faults, "power", now):
+            return range(len(self.bus.arm.servos))
+        return {joint for spell in in_force(faults, "mute", now) for joint in spell.joints}
+
+    @abstractmethod
+    def _bytes_of(self, request: Packet) -> bytes:
+        """Return what was sent."""
+
+    def converse(self, channel: ByteStream) -> None:
+        """Serve one client until it is gone or the end."""
+        self.bus.rate = None
+        super().converse(channel)
+
+    def _answer(self, channel: ByteStream, request: Packet) -> None:
+        self._catch_up()
+        self.bus.rate, sent = rate_of(channel), self._bytes_of(request)
+        self._free = max(self._came, self._free) + len(sent) * self.bus.byte
+        answers = overlaid(self.bus.execute(request))
+        if not answers:
+            return
+        if request.code in self.reading:
+            self._emulated.was_read()
+        pieces = [b""]
+        for answer in answers:
+            first, *rest = self._wire.pieces(sent, answer.data) or [b""]
+            pieces[-1] += first
+            pieces += rest
+        self._free += answers[-1].after
+        self.wait(None, self._free + self._adapter + self._wire.delay)
+        self._say(channel, pieces)
