@@ -20,7 +20,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import planned
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, own_twin, try_controller
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, open_family, own_twin, try_on
 from rejoint_lab.research.rivals import make_rival
 
 TARGETS, STEPS = 3, 2000
@@ -73,7 +73,7 @@ def main(
         "feedforward": lambda arm: make_controller("feedforward", arm),
         "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),
     }.items():
-        outcome = try_controller(ARM, condition, make, drawn, lambda _: None)
+        outcome = try_on(ARM, lambda: open_family(ARM, condition, drawn), make, drawn)
         found = held_columns(outcome, arms)
         holds(name, *found, shelf)
         shelf = shelf or found

@@ -1,4 +1,4 @@
-"""The policies from the shelf, made again as `python -m rejoint.training ARM` makes them, and compared by what they do.
+"""The policies from the shelf, made again by `python -m rejoint.training.shelf ARM`, and compared by what they do.
 
 On another kind of processor the same seed gives another policy, so the two are compared as two trainings are: on worn
 arms that neither has met.
@@ -16,7 +16,7 @@ from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controllers.catalogue import shelf_arms, shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.training.shelf import make_shelf_policy
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, try_controller
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2
@@ -27,8 +27,8 @@ trainings of three seeds differ by, docs/research.md)"""
 def tried(name: str, file: Path) -> Columns:
     """Hold the policy of ``file`` on worn arms of this build."""
     family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0, threads=2)
-    worn = find_variant("worn")
-    return try_controller(load_arm(name), worn, lambda arm: load_policy(file, arm), family, lambda *_: None)
+    arm = load_arm(name)
+    return try_on(arm, lambda: open_family(arm, WORN, family), lambda arm: load_policy(file, arm), family)
 
 
 def figures(outcome: Columns) -> tuple[float, float, float]:

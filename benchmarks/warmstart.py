@@ -9,6 +9,7 @@ of them, ``--starts random`` from one beginning.
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.family import ArmFamily, TrialArms, try_on
+from rejoint_lab.research.evaluation.family import ArmFamily, try_on
 
 COPIES = 8
 """Trials of one arm side by side (chosen)"""
@@ -48,12 +49,9 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     family = ArmFamily(arms=1, targets=TARGETS, crossings=0)
     wear = load_wear(f"worn?seed={wear_seed}", ARM)
-    arms = TrialArms(
-        open=lambda: EmulatedRobot(ARM, [wear] * COPIES, seed=wear_seed),
-        targets=draw_targets(ARM, sets=COPIES, count=TARGETS, seed=wear_seed),
-        wear_seeds=[wear_seed] * COPIES,
-    )
-    return held_columns(try_on(ARM, arms, lambda arm: load_policy(file, arm), family), arms=1)
+    opened = partial(EmulatedRobot, ARM, [wear] * COPIES, seed=wear_seed)
+    targets = draw_targets(ARM, sets=COPIES, count=TARGETS, seed=wear_seed)
+    return held_columns(try_on(ARM, opened, lambda arm: load_policy(file, arm), family, (targets, None)), arms=1)
 
 
 def main(
@@ -66,7 +64,7 @@ def main(
 ) -> None:
     """Print a row for each beginning and number of updates; ``twins`` keeps twins and policies."""
     drawn = ArmFamily(arms=arms, targets=TARGETS, seed=family)
-    own, seeds = know(drawn, twins), [drawn.wear_seed(i) for i in range(arms)]
+    own, seeds = know(drawn, twins), drawn.wear_seeds
     usual = (DEFAULT.warm or DEFAULT.ppo).iterations
     shelf = together([held(shelf_path(ARM.name), one) for one in seeds])
     holds("shelf, as it comes", *shelf, None)

@@ -8,18 +8,19 @@ import pytest
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
-from rejoint.control.monitor import Bands, Knowledge
+from rejoint.control.monitor import Bands
 from rejoint.control.servogains import (
     SHAKES,
-    Geared,
     _RoundWatch,
+    geared,
     limits_under,
     require_gains,
     search,
     stiffness_under,
     under_gains,
 )
-from rejoint.robots.feetech.gains import LIMIT, for_all, steps
+from rejoint.robots.feetech.gains import STRIDES, for_all
+from rejoint.robots.knobs import LIMIT, steps
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
 from standin import inputs_of, state_of
@@ -108,27 +109,18 @@ def test_a_joint_that_shakes_labours_or_gets_warm_ends_the_round(joint, seen):
 def test_a_controller_drives_under_its_gains_and_leaves_those_before():
     robot = ServoRobot()
     before, tuned = robot.servo_gains(), {"p": (40, 48, 48, 40, 32)}
-    geared = Geared(DefaultController(ARM), tuned)
-    assert geared.name == "servo-gains"
-    with under_gains(robot, geared):
+    gearing = geared(DefaultController(ARM), tuned)
+    assert gearing.name == "servo-gains"
+    with under_gains(robot, gearing):
         assert robot.servo_gains() == before | tuned
     assert robot.servo_gains() == before
-    with pytest.raises(KeyboardInterrupt), under_gains(robot, geared):
+    with pytest.raises(KeyboardInterrupt), under_gains(robot, gearing):
         raise KeyboardInterrupt
     assert robot.servo_gains() == before
     told = len(robot.history)
-    with under_gains(robot, Geared(DefaultController(ARM), before)), under_gains(robot, DefaultController(ARM)):
+    with under_gains(robot, geared(DefaultController(ARM), before)), under_gains(robot, DefaultController(ARM)):
         pass
     assert len(robot.history) == told
-
-
-def test_what_a_diagnosis_tells_of_loads_holds_for_its_gains_alone():
-    robot, knows = ServoRobot(), Knowledge(gain=np.full(5, 20.0))
-    limits = replace(GuardLimits.of(ARM), servos=knows, gains=robot.servo_gains())
-    assert limits_under(limits, robot, None).servos is knows
-    assert limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (40,) * 5})).servos is None
-    robot.tune({"p": (40,) * 5})
-    assert limits_under(limits, robot, None).servos is None
 
 
 def test_under_stiffer_gains_a_joint_stands_in_its_band_as_it_sags_less():
@@ -137,12 +129,12 @@ def test_under_stiffer_gains_a_joint_stands_in_its_band_as_it_sags_less():
     bands = Bands(slope=np.full(5, 0.1), offset=np.zeros(5), reach=np.full(5, 0.3), width=np.full(5, 0.03))
     limits = replace(GuardLimits.of(ARM), bands=bands, gains=robot.servo_gains())
     p = robot.servo_gains()["p"][0]
-    stiff = limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (2 * p,) * 5})).bands
+    stiff = limits_under(limits, robot, geared(DefaultController(ARM), {"p": (2 * p,) * 5})).bands
     assert stiff.slope == pytest.approx(0.05)
     assert stiff.width == pytest.approx(bands.width)
-    assert limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (p // 2,) * 5})).bands is None
+    assert limits_under(limits, robot, geared(DefaultController(ARM), {"p": (p // 2,) * 5})).bands is None
     with_integral = {"p": (2 * p,) * 5, "i": (0, 0, 4, 0, 0)}
-    assert limits_under(limits, robot, Geared(DefaultController(ARM), with_integral)).bands is None
+    assert limits_under(limits, robot, geared(DefaultController(ARM), with_integral)).bands is None
 
 
 class Trained:
@@ -174,12 +166,14 @@ def test_stiffness_goes_with_p():
 
 def test_gains_go_in_small_steps_with_the_limit_before_the_i_part_and_after_it():
     before = for_all({"p": 32, "i": 0}, 2) | {LIMIT: (0, 0)}
-    there = list(steps(before, for_all({"p": 40, "i": 2}, 2)))
+    there = list(steps(before, for_all({"p": 40, "i": 2}, 2), STRIDES))
     assert there[0] == {LIMIT: [50, 50]}
     assert [step["p"] for step in there if "p" in step] == [[36, 36], [40, 40]]
-    back = list(steps(for_all({"p": 40, "i": 2}, 2), before))
+    back = list(steps(for_all({"p": 40, "i": 2}, 2), before, STRIDES))
     assert back[-1] == {LIMIT: [0, 0]}
     assert [step["i"] for step in back if "i" in step] == [[1, 1], [0, 0]]
-    assert list(steps(before, before)) == []
+    assert list(steps(before, before, STRIDES)) == []
     one, other = {LIMIT: (50, 0), "i": (1, 0)}, {LIMIT: (0, 50), "i": (0, 1)}
-    assert list(steps(one, other)) == [{LIMIT: [50, 50]}, {"i": [0, 1]}, {LIMIT: [0, 50]}], "0 is no limit at all"
+    assert list(steps(one, other, STRIDES)) == [{LIMIT: [50, 50]}, {"i": [0, 1]}, {LIMIT: [0, 50]}], (
+        "0 is no limit at all"
+    )

@@ -27,7 +27,7 @@ def inputs(position, target, time=0.0):
 
 
 def command(commander, now, action):
-    return commander.command(now, look(ARM, now.state.position, now.target, now.goal), action)
+    return commander.commands(now, look(ARM, now.state.position, now.target, now.goal), action)
 
 
 def begun(target=None, law=LAW):

@@ -13,11 +13,11 @@ from rejoint.robots import place_of
 from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, try_controller
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 
 
-def test_there_is_one_for_each_arm_of_the_catalogue():
-    assert set(shelf_arms()) == set(CATALOGUE) == set(RECIPES)
+def test_each_is_for_an_arm_of_the_catalogue_and_has_its_recipe():
+    assert {"mycobot280", "so101"} <= set(shelf_arms()) == set(RECIPES) <= set(CATALOGUE)
 
 
 @pytest.mark.parametrize("name", shelf_arms())
@@ -44,13 +44,11 @@ def test_it_takes_part_wherever_it_suits():
 def test_it_repairs_worn_arms_that_it_never_met(name, near, farthest):
     arm = load_arm(name)
     family = ArmFamily(arms=6, targets=2, crossings=0, seed=7, protocol=Protocol(hold=4.0))
-    worn = find_variant("worn")
     as_found, repaired = (
-        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), family, lambda *_: None)[
-            "settled"
-        ][:, : family.targets]
+        try_on(arm, lambda: open_family(arm, WORN, family), lambda arm, name=name: make_controller(name, arm), family)
         for name in ("default", SHELF)
     )
+    as_found, repaired = (found["settled"][:, : family.targets] for found in (as_found, repaired))
     assert np.median(as_found) > 10e-3
     assert repaired.mean() < near
     assert repaired.max() < farthest

@@ -72,7 +72,7 @@ def test_the_policy_does_not_depend_on_the_number_of_threads(tmp_path):
 def test_exported_network_agrees_with_the_trained_one():
     torch.manual_seed(0)
     network = perceptron((50, 128, 64, 6))
-    session = ort.InferenceSession(policy_graph(network, 50, 6).SerializeToString())
+    session = ort.InferenceSession(policy_graph(network, 50).SerializeToString())
     observations = np.random.default_rng(0).normal(0.0, 3.0, (500, 50)).astype(np.float32)
     with torch.no_grad():
         expected = network(torch.from_numpy(observations)).clamp(-1.0, 1.0).numpy()

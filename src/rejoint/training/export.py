@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import onnx
 import torch
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 from torch import Tensor, nn
 
 from rejoint.arms import Arm
@@ -29,9 +32,8 @@ from rejoint.system.errors import ContractError
 from rejoint.system.files import write_whole
 from rejoint.training.presets import Preset
 
-_OPERATORS: dict[type[nn.Module], str] = {nn.Linear: "Gemm", nn.ELU: "Elu", nn.Tanh: "Tanh"}
-_OPSET = 17
-_IR_VERSION = 8  # what ONNX Runtime 1.14 and newer read
+OPSET, IR_VERSION = 18, 8
+"""For ONNX Runtime 1.14 and newer"""
 
 
 def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) -> PolicyContract:
@@ -39,7 +41,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
 
     The exported function is the mean action clipped to [-1, 1].
     """
-    model = policy_graph(network, contract.observation_size, len(contract.joint_names))
+    model = policy_graph(network, contract.observation_size)
     answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     text = encode_contract(complete)
@@ -49,30 +51,42 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     return complete
 
 
-def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> onnx.ModelProto:
-    """Build the ONNX graph of linear, ELU and tanh layers, with a final clip to [-1, 1]."""
-    nodes, weights, last = [], dict[str, NDArray[np.float32]](), INPUT
-    for index, layer in enumerate(network):
-        if type(layer) not in _OPERATORS:
-            raise TypeError(f"cannot export a layer of type {type(layer).__name__}, expected Linear, ELU or Tanh")
-        output = f"layer{index}"
-        own = {f"{output}.{name}": values.detach().numpy().copy() for name, values in layer.named_parameters()}
-        options = {"transB": 1} if own else {"alpha": float(layer.alpha)} if isinstance(layer, nn.ELU) else {}
-        nodes.append(helper.make_node(_OPERATORS[type(layer)], [last, *own], [output], **options))
-        weights, last = weights | own, output
-    weights |= {"low": np.array(-1, dtype=np.float32), "high": np.array(1, dtype=np.float32)}
-    nodes.append(helper.make_node("Clip", [last, "low", "high"], [OUTPUT]))
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["batch", observation_size])],
-        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", joints])],
-        [numpy_helper.from_array(values, name) for name, values in weights.items()],
-    )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION, producer_name="rejoint"
-    )
-    onnx.checker.check_model(model)
+class _Bounded(nn.Sequential):
+    """A network whose answers are clipped to [-1, 1]."""
+
+    def __init__(self, network: nn.Sequential) -> None:
+        super().__init__(*network)
+        self.low, self.high = nn.Buffer(torch.tensor(-1.0)), nn.Buffer(torch.tensor(1.0))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Answers (B, n)."""
+        found: Tensor = super().forward(values)  # type: ignore[no-untyped-call]
+        return found.clamp(self.low, self.high)
+
+
+def policy_graph(network: nn.Sequential, observation_size: int) -> onnx.ModelProto:
+    """ONNX graph of a network for any number of observations, with a final clip to [-1, 1]."""
+    batch = {name: {0: "batch"} for name in (INPUT, OUTPUT)}
+    return to_onnx(_Bounded(network), {INPUT: observation_size}, [OUTPUT], dynamic_axes=batch)
+
+
+def to_onnx(module: nn.Module, inputs: dict[str, int], outputs: list[str], **options: Any) -> onnx.ModelProto:  # noqa: ANN401
+    """ONNX graph of ``module`` for ``inputs`` (1, size) of these names and sizes; ``options`` are PyTorch's."""
+    file = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
+        torch.onnx.export(
+            module,
+            tuple(torch.zeros(1, size) for size in inputs.values()),
+            cast("Any", file),
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(inputs),
+            output_names=outputs,
+            **options,
+        )
+    model = onnx.load_from_string(file.getvalue())
+    model.ir_version, model.producer_name = IR_VERSION, "rejoint"
     return model
 
 

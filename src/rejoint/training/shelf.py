@@ -1,7 +1,7 @@
 """Training of the generic policies: one for any worn arm of a catalogue build, without a twin.
 
-    python -m rejoint.training mycobot280
-    python -m rejoint.training so101
+    python -m rejoint.training.shelf mycobot280
+    python -m rejoint.training.shelf so101
 
 write `rejoint.control.controllers.catalogue.shelf_path` again: first with targets in the target region, then anywhere.
 Other processors give other files; compare by `python -m benchmarks shelf`.
@@ -10,12 +10,14 @@ Other processors give other files; compare by `python -m benchmarks shelf`.
 from __future__ import annotations
 
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rejoint.arms import Arm, load_arm
+from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.training.export import begin_at
 from rejoint.training.presets import DEFAULT, PpoSettings, Preset
 from rejoint.training.ranges import SLOW_BACKLASH, BroadRanges, MixedRanges, Ranges
@@ -81,3 +83,8 @@ def make_shelf_policy(name: str, file: Path) -> TrainingResult:
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(result.policy, file)
     return result
+
+
+if __name__ == "__main__":
+    chosen = sys.argv[1] if len(sys.argv) > 1 else "mycobot280"
+    make_shelf_policy(chosen, shelf_path(chosen))

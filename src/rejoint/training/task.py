@@ -234,7 +234,7 @@ class ReachTask:
     def _command(self, action: Array) -> None:
         inputs, observer = self._inputs(), self.observer
         observer.acted(action)
-        wanted = self.commander.command(inputs, observer.view, action)
+        wanted = self.commander.commands(inputs, observer.view, action)
         self._sent = guard(self._limits, wanted, self._sent, self._no_speed, inputs.state, self._period).command
         self.simulation.send(self._sent)
 

@@ -36,16 +36,15 @@ LARGEST_FILE = 16 * MEGABYTE
 _DAMAGED = "not a readable ONNX file, truncated or damaged"
 
 
-class PolicyController:
+class PolicyController(Commander):
     """Drives B arms with a trained network."""
 
     name = "policy"
 
     def __init__(self, arm: Arm, session: ort.InferenceSession, contract: PolicyContract) -> None:
-        self.arm, self.contract = arm, contract
-        self._session = session
+        super().__init__(arm, contract.law)
+        self.arm, self.contract, self._session = arm, contract, session
         self._observer = Observer(arm, 1, contract.layout)
-        self._commander = Commander(arm, contract.law)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Restart where ``where`` (B,)."""
@@ -54,19 +53,19 @@ class PolicyController:
             self._observer = Observer(self.arm, count, self.contract.layout)
             where = np.ones(count, dtype=bool)
         self._observer.reset(inputs, where)
-        self._commander.reset(inputs, where)
+        super().reset(inputs, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
         """Continue from another controller's command, where ``where`` (B,)."""
         self._observer.drop_actions(where)
-        self._commander.take_over(inputs, where)
+        super().take_over(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
         observer = self._observer
         action = self.act(observer.observe(inputs))
         observer.acted(action)
-        return self._commander.command(inputs, observer.view, action)
+        return self.commands(inputs, observer.view, action)
 
     def act(self, observation: Observation) -> Array:
         """Mean action (B, n) in [-1, 1] for observations (B, size)."""

@@ -20,7 +20,7 @@ from rejoint.arms.workspace import heaviest_load, moves_tool, unloaded_joints
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.controllers.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
 from rejoint.control.controllers.observation import View
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 
 
@@ -79,39 +79,23 @@ class CommandLaw:
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
 
 
-class Commander:
+class Commander(FeedforwardController):
     """Turns actions into commands."""
 
+    heeds_turn = False
+
     def __init__(self, arm: Arm, law: CommandLaw) -> None:
-        self._arm, self.law = arm, law
-        self._base: FeedforwardController | None = None
-        load = heaviest_load(arm)
+        if law.anchor == "goal" and len(law.stiffness) != arm.joints:
+            raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
+        super().__init__(arm, np.array(law.stiffness) if law.anchor == "goal" else None, law.learning, law.loosen)
+        load, self.law = heaviest_load(arm), law
         self._moves = moves_tool(arm).astype(float)
         self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
-        if law.anchor == "goal":
-            if len(law.stiffness) != arm.joints:
-                raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
-            self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning, law.loosen)
 
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take new targets of ``where`` (B,)."""
-        if self._base is not None:
-            self._base.reset(inputs, where)
-
-    def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
-        """Restart with other arms where ``where`` (B,)."""
-        if self._base is not None:
-            self._base.reset_learned(inputs, where)
-
-    def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from another controller's command, where ``where`` (B,)."""
-        if self._base is not None:  # the other anchor starts from the measured position anyway
-            self._base.take_over(inputs, where)
-
-    def command(self, inputs: ControlInput, view: View, action: Array) -> Array:
+    def commands(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
         law = self.law
-        if self._base is None:
+        if law.anchor == "measured":
             return law.command(self._arm, view, inputs.state.position, action)
         near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
@@ -120,7 +104,7 @@ class Commander:
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
-        extra = np.where(self._base.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
-        extra = extra + self._base.loosening(inputs, view.step, view.distance)
-        wanted, margin = self._base.correct(inputs, step, extra, view.distance), law.envelope_margin
+        extra = np.where(self.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
+        extra = extra + self.loosening(inputs, view.step, view.distance)
+        wanted, margin = self.correct(inputs, step, extra, view.distance), law.envelope_margin
         return limit_position(self._arm, between(wanted, inputs.goal - margin, inputs.goal + margin))

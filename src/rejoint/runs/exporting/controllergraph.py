@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -40,12 +39,9 @@ from rejoint.control.controllers.observation import (
     layout_factors,
 )
 from rejoint.control.controllers.residual import CommandLaw
-from rejoint.system.errors import InputError
+from rejoint.training.export import to_onnx
 
 F = TypeVar("F")
-
-OPSET, IR_VERSION = 18, 8
-"""For ONNX Runtime 1.14 and newer"""
 
 GAP = 0.5
 """[s] after which the controller restarts (as in `rejoint.control.loop`)"""
@@ -86,22 +82,10 @@ def controller_graph(design: Design) -> onnx.ModelProto:
     ``joint_command`` (1, n) [rad], ``state_out`` (1, s).
     """
     n, size = design.arm.joints, sum(memory_slots(design.arm.joints).values())
-    inputs, file = [torch.zeros(1, length) for length in (n, 3, 1, size)], io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
-        torch.onnx.export(
-            _CycleGraph(design),
-            tuple(inputs),
-            cast("Any", file),
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=["joint_pos", "target", "period", "state_in"],
-            output_names=["joint_command", "state_out"],
-        )
-    model = onnx.load_from_string(file.getvalue())
+    inputs = {"joint_pos": n, "target": 3, "period": 1, "state_in": size}
+    model = to_onnx(_CycleGraph(design), inputs, ["joint_command", "state_out"])
     for output, length in zip(model.graph.output, (n, size), strict=True):
         output.type.tensor_type.shape.dim[1].dim_value = length  # what a loop leaves has no known size
-    model.ir_version, model.producer_name = IR_VERSION, "rejoint"
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -189,7 +173,7 @@ class _CycleGraph(nn.Module):
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(design.arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
         self.factors, self.moves = _tensor(layout_factors("residual", self.n)), _tensor(moves_tool(design.arm))
-        self.unloaded = torch.as_tensor(unloaded_joints(design.arm))
+        self.unloaded = torch.as_tensor(unloaded_joints(design.arm).copy())
         self.close, self.gentle = CLOSE * length_size(design.arm), GENTLE * length_size(design.arm)
         load = heaviest_load(design.arm)
         self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
@@ -337,7 +321,7 @@ class _CycleGraph(nn.Module):
 def _answer(network: bytes, values: Tensor) -> Tensor:
     graph = onnx.load_from_string(network).graph
     held = {one.name: torch.as_tensor(numpy_helper.to_array(one).copy()) for one in graph.initializer}
-    for node in graph.node:
+    for node in graph.node:  # of the operators that a policy may have
         more = [held[name] for name in node.input[1:]]
         match node.op_type:
             case "Gemm":
@@ -348,6 +332,4 @@ def _answer(network: bytes, values: Tensor) -> Tensor:
                 values = torch.tanh(values)
             case "Clip":
                 values = values.clamp(*(float(one) for one in more))
-            case other:
-                raise InputError(f"the policy has a layer {other}, expected Gemm, Elu, Tanh or Clip; train it again")
     return values
