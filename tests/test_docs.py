@@ -218,18 +218,6 @@ def test_sentences_are_short(page):
     assert not long, f"{page}: {long}"
 
 
-def test_only_prose_counts_as_sentences():
-    page = (
-        f"Move it. See [the page](a.md).\n\n| {'cell ' * 40} |\n\n```\n{'code ' * 40}\n```\n* One item\n* Two `a b`\n"
-    )
-    assert [one.strip() for one in sentences(page) if one.strip()] == [
-        "Move it.",
-        "See the page.",
-        "One item",
-        "Two code",
-    ]
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_uses_the_words_of_the_field(name):
     texts = [COMMANDS[name].help, *(getattr(parameter, "help", None) for parameter in COMMANDS[name].params)]

@@ -69,9 +69,3 @@ def test_an_arm_that_only_a_file_describes_is_repaired(run):
     said = run("repair_an_arm_from_urdf.py", file, "--base", "base_link", "--tip", "tool0", "--quick", "--run", "ur10")
     assert "Use: " in said
     assert is_figure("urdf.png")
-
-
-def test_no_example_is_longer_than_a_screen():
-    scripts = sorted(EXAMPLES.glob("*.py"))
-    assert len(scripts) == 7
-    assert all(len(path.read_text(encoding="utf-8").splitlines()) < 50 for path in scripts)

@@ -25,6 +25,7 @@ BASE = {
 }
 NAMED_OTHERWISE = {
     "serial": "pyserial",
+    "dynamixel_sdk": "dynamixel-sdk",
     "PIL": "pillow",
     "mcap_protobuf": "mcap-protobuf-support",
     "mcap_ros2": "mcap-ros2-support",

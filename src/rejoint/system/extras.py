@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 from contextlib import suppress
+from importlib.metadata import distribution
 from importlib.util import find_spec
 from pathlib import Path
 from traceback import walk_tb
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from rejoint.system.errors import InputError, MissingExtraError, first_line
 
@@ -16,6 +20,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags"),
     "camera": ("cv2", "PIL"),
     "feetech": ("scservo_sdk",),
+    "dynamixel": ("dynamixel_sdk",),
     "fleet": ("ray",),
     "live": ("viser", "trimesh", "jinja2"),
 }
@@ -51,8 +56,14 @@ def _line(what: str, missing: dict[str, str]) -> str:
     """Name ``missing`` modules with their extras."""
     return (
         f"{what} needs more than the base installation (missing: {', '.join(missing)}); "
-        f"add it with: pip install 'rejoint[{','.join(dict.fromkeys(missing.values()))}]'"
+        f"add it with: pip install '{_source()}[{','.join(dict.fromkeys(missing.values()))}]'"
     )
+
+
+def _source() -> str:
+    """Return what pip installs this program from: its checkout, or the index."""
+    url = json.loads(distribution("rejoint").read_text("direct_url.json") or "{}").get("url", "")
+    return url2pathname(urlsplit(url).path) if url.startswith("file:") else f"rejoint @ {url}" if url else "rejoint"
 
 
 _OFF, _PLACE = "NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR"

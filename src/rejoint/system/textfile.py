@@ -76,24 +76,27 @@ class Sheet:
 
     def _cells(self) -> Iterator[list[str]]:
         """Trimmed cells, row by row, NaN in a damaged row; FileError."""
-        width, wrong = len(self.titles), list[FileError]()
+        width, wrong = len(self.titles), dict[str, str]()
         rows = csv.reader(self.rows, delimiter=self.separator, skipinitialspace=True, strict=True)
         try:
             for line, row in zip(self.lines, rows, strict=True):
                 if len(row) != width and row[width:] != [""]:
                     hint = " (decimal commas need another separator between columns)"
                     hint *= self.separator == "," and len(row) > width
-                    self._damage(wrong, f"line {line}: {len(row)} columns, the header has {width}{hint}", _REMEDY)
+                    wrong[f"line {line}"] = f"{len(row)} columns, the header has {width}{hint}"
                     row = ["nan"] * width
                 yield [cell.strip() for cell in row]
+            self._refuse(wrong, _REMEDY)
         except (csv.Error, ValueError) as error:
             raise FileError(self.path, f"no table, or a quote does not end ({first_line(error)})", _REMEDY) from error
 
-    def _damage(self, wrong: list[FileError], problem: str, remedy: str) -> None:
-        """Add to what is ``wrong``; raise the first of too many."""
-        wrong.append(FileError(self.path, problem, remedy))
-        if self.sound or len(wrong) > DAMAGED * len(self):
-            raise wrong[0]
+    def _refuse(self, wrong: dict[str, str], remedy: str) -> None:
+        """Raise FileError for what is ``wrong`` where, if that is too much; it names the places of all, up to five."""
+        if len(wrong) > (0 if self.sound else DAMAGED * len(self)):
+            first, *others = wrong
+            more = f", {len(others) - 4} more" * (len(others) > 4)
+            also = f" (also wrong: {', '.join(others[:4])}{more})" * bool(others)
+            raise FileError(self.path, f"{first}: {wrong[first]}{also}", remedy)
 
     def words(self, column: int) -> list[str]:
         """Cells of a column; FileError."""
@@ -103,7 +106,7 @@ class Sheet:
         """Columns (rows, columns) as numbers, NaN: empty; FileError. Commas are decimal where no cell has a point."""
         picked = [[row[column] for column in columns] for row in self._cells()]
         pointed = any("." in cell for row in picked for cell in row)
-        values, wrong = np.full((len(self), len(columns)), np.nan), list[FileError]()
+        values, wrong = np.full((len(self), len(columns)), np.nan), dict[str, str]()
         for k, row in enumerate(picked):
             for place, cell in enumerate(row):
                 if cell.casefold() in _EMPTY:
@@ -112,7 +115,8 @@ class Sheet:
                     values[k, place] = float(cell if pointed else cell.replace(",", "."))
                 except ValueError:
                     where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
-                    self._damage(wrong, f"{where}: {cell[:40]!r} is no number", "mend the cell; dates as seconds")
+                    wrong[where] = f"{cell[:40]!r} is no number"
+        self._refuse(wrong, "mend the cell; dates as seconds")
         return values
 
 

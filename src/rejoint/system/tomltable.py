@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -40,9 +40,9 @@ def read_toml(path: Path, kind: type[T], remedy: str) -> T:
 _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
-def write_sealed(path: Path, document: tomlkit.TOMLDocument) -> None:
-    """Write TOML, whole or not at all."""
-    text = tomlkit.dumps(document)
+def write_sealed(path: Path, table: Mapping[str, Any], about: str = "") -> None:
+    """Write TOML below comments ``about`` it, whole or not at all."""
+    text = "".join(f"# {line}\n" for line in about.splitlines()) + tomlkit.dumps(table)
     text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
