@@ -77,8 +77,8 @@ class FeedforwardController:
         gains: FeedforwardGains | None = None,
         loosen: float = LOOSEN,
     ) -> None:
-        """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`."""
-        self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen
+        """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`, larger for arms longer than a myCobot 280."""
+        self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen * max(length_size(arm), 1.0)
         self._close, self._gentle = np.array([CLOSE, GENTLE]) * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
         self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))

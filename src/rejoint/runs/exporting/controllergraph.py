@@ -175,6 +175,7 @@ class _CycleGraph(nn.Module):
         self.factors, self.moves = _tensor(layout_factors("residual", self.n)), _tensor(moves_tool(design.arm))
         self.unloaded = torch.as_tensor(unloaded_joints(design.arm).copy())
         self.close, self.gentle = CLOSE * length_size(design.arm), GENTLE * length_size(design.arm)
+        self.loosened = self.law.loosen * max(length_size(design.arm), 1.0)
         load = heaviest_load(design.arm)
         self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
 
@@ -260,7 +261,7 @@ class _CycleGraph(nn.Module):
         eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
         share, (distance, since) = step / step.abs().max().clamp(min=1e-9), seen
         sticks, loose = way == 0.0, way * old["pushed"] > 0.0
-        speed = self.law.loosen * (distance / self.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
+        speed = self.loosened * (distance / self.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
         added = torch.where(sticks & (distance > self.close), span * speed * eager * share, 0.0)
         taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
         return added - taken, {

@@ -237,7 +237,7 @@ def own_twins(
     """Return a twin of each worn arm, fitted to an excitation of its own, kept in ``folder``."""
     ends = np.linspace(0.0, 1.0, len(seeds) + 1)
     return [  # one plan of excitation, of ``seed``: a few are not safe and are refused
-        own_twin(arm, one, RunFolder(folder / "arms" / str(one)), seed, part(on_progress, *ends[i : i + 2]))
+        own_twin(arm, one, RunFolder(folder / "arms" / f"{arm.name}-{one}"), seed, part(on_progress, *ends[i : i + 2]))
         for i, one in enumerate(seeds)
     ]
 
