@@ -3,15 +3,13 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 
-from emulatedservers import serve_pty, serve_tcp
+from emulatedservers import deploy, serve_pty, serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -26,9 +24,6 @@ pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
 PERIOD = 0.02
-HEARD = (
-    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from rejoint.cli import main; main()"
-)
 TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 
 
@@ -138,19 +133,9 @@ def test_handlers_are_given_back():
 
 
 def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path):
-    from rejoint.runs.run import Run
-
-    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
-    with serve_tcp(build_firmware(ARM, "worn"), port=0) as server:
-        words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
-        process = subprocess.Popen(
-            [sys.executable, "-c", HEARD, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        logs = tmp_path / "run" / "logs"
-        firmware = server._session._firmware
-        begin, until = firmware.planned_angles, time.monotonic() + 60.0
-        while np.abs(firmware.planned_angles - begin).max() < 0.02 and time.monotonic() < until:
-            time.sleep(0.02)
+    firmware = build_firmware(ARM, "worn")
+    with serve_tcp(firmware, port=0) as server:
+        process = deploy(server.address, firmware, tmp_path / "run", 0.02)
         time.sleep(0.3)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
@@ -158,4 +143,4 @@ def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path):
     assert "interrupted by SIGINT" in said
     assert "was stopped" in said
     assert re.search(r"What was recorded until then: .*\.parquet", said)
-    assert list(logs.glob("deploy-*.parquet"))
+    assert list((tmp_path / "run" / "logs").glob("deploy-*.parquet"))
