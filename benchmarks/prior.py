@@ -26,13 +26,13 @@ from rejoint_lab.research.evaluation.evaluate import SIGMA, fitted, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 
 FIRST, TARGETS = 10, 4
-WORN_ON, BUMPED = 1.3, np.radians(2.0)
+WORN_ON, BUMPED = 1.3, 2.0
 CHANGES = ("nothing", "worn on", "bumped")
 
 
 def changed(change: str, family: ArmFamily) -> EmulatedRobot:
     """Open all arms as they are after a change."""
-    condition = replace(WORN, tilt=BUMPED) if change == "bumped" else WORN
+    condition = replace(WORN, tilt_deg=BUMPED) if change == "bumped" else WORN
     robot = open_family(mycobot280(), condition, family)
     if change == "worn on":
         robot.plant.joints["play"] *= WORN_ON

@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Arm, load_arm, mycobot280
+from rejoint.arms import CATALOGUE, Arm, load_arm, mycobot280
 from rejoint.cli import CommandGroup, command_group, texts
 from rejoint.cli.options import Call, controller_names, takes
 from rejoint.robots.wireserver import TerminalServer
@@ -20,15 +20,6 @@ from rejoint_lab.family import SIMULATOR
 if TYPE_CHECKING:
     from rejoint_lab.research.evaluation.evaluate import Contestant, Evaluation
 
-SERVED = {
-    "mycobot280": ("A myCobot 280", "worn"),
-    "so101": ("An SO-101", "so101"),
-    "koch": ("A Koch v1.1", "worn"),
-    "wx250s": ("A WidowX 250S", "worn"),
-    "vx300s": ("A ViperX 300S", "worn"),
-    "omx": ("An OpenMANIPULATOR-X", "worn"),
-}
-"""How the arms that can be served are called, and their usual wear profile"""
 DIED = 1
 """Exit code after the fault ``die``"""
 
@@ -51,10 +42,10 @@ def emulate(
     from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
 
     chosen = load_arm(arm)
-    if chosen.name not in SERVED:
-        raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
-    name, profile = SERVED[chosen.name]
-    wear, on_bus, faults = wear or profile, bool(chosen.servos), parse_faults(fault, chosen.joints)
+    if chosen.name not in CATALOGUE:
+        raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(CATALOGUE)}")
+    wear = wear or ("so101" if chosen.name == "so101" else "worn")
+    on_bus, faults = bool(chosen.servos), parse_faults(fault, chosen.joints)
     for one in () if on_bus else SERVO_BUS:
         if one in faults:
             raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
@@ -76,7 +67,7 @@ def emulate(
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)
-        call.say(f"{name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
+        call.say(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
         if servers.beyond_loopback(server.address):
             call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
         if fault:
@@ -95,7 +86,7 @@ class ResearchGroup(CommandGroup):
 research = command_group(ResearchGroup, "research", texts("rejoint.cli")["commands"]["research"]["help"])
 
 OUT = Path("runs") / "family"
-CLASSICAL = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive"
+CLASSICAL = "integrator,feedforward,tuned-feedforward,adaptive"
 """Controllers that take part by default"""
 
 
@@ -149,12 +140,7 @@ def calibrate(
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
     file = out.resolve() / "calibration.json"
     with call.progress("calibrate") as update:
-        found, accused = evaluate_calibrations(arm, conditions, one, family, file, update)
-    write_json(out / "wrong-points.json", accused)
-    shown = _show(call, found, file)
-    rows = [(one.condition, f"{100 * one.wrong.value:.0f} %", f"{100 * one.right.value:.0f} %") for one in accused]
-    call.table("One wrong point among ten, 5 to 10 mm off", ["condition", "wrong one named", "right one named"], rows)
-    return shown | {"accused": accused}
+        return _show(call, evaluate_calibrations(arm, conditions, one, family, file, update), file)
 
 
 @takes("arm")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -55,6 +56,12 @@ def measured(truth, count, *, seed=0, noise=SIGMA):
         sigma=np.full(count, noise),
         posture=np.arange(count),
     )
+
+
+@cache
+def fitted(seed, count):
+    """Fit to ``count`` points of a worn arm."""
+    return fit(ARM, measured(worn(seed), count, seed=seed))
 
 
 def error_of(found, truth):
@@ -122,11 +129,10 @@ def test_a_floating_joint_runs_ahead_of_its_last_motion_and_a_loaded_one_does_no
 def test_a_fit_finds_the_displacement_that_was_put_in(count, most):
     errors = []
     for seed in range(3):
-        truth = worn(seed)
-        found = fit(ARM, measured(truth, count, seed=seed))
+        found = fitted(seed, count)
         assert found.used
         assert found.before > 5e-3 > 3e-3 > found.after
-        errors.append(error_of(found, truth))
+        errors.append(error_of(found, worn(seed)))
     assert np.mean(errors) < most
 
 
@@ -163,7 +169,7 @@ def test_a_wrong_point_is_named_and_right_ones_are_not():
     named = accused = 0
     for seed in range(5):
         m = measured(worn(seed), 10, seed=seed)
-        accused += len(fit(ARM, m).suspects)
+        accused += len(fitted(seed, 10).suspects)
         point = m.point.copy()
         point[seed] += 7e-3 * np.eye(3)[seed % 3]
         named += fit(ARM, replace(m, point=point)).suspects[:1] == (seed,)
@@ -172,8 +178,7 @@ def test_a_wrong_point_is_named_and_right_ones_are_not():
 
 
 def test_aiming_brings_the_tool_to_the_target():
-    truth = worn()
-    found = fit(ARM, measured(truth, 10))
+    found = fitted(0, 10)
     target = ARM.targets.sample(np.random.default_rng(3), (2, 5))
     settled = solve_position(ARM, found.aim(target, ARM.rest), ARM.rest).q
     assert np.linalg.norm(found.tool(settled) - target, axis=-1).max() < 0.3e-3
@@ -182,9 +187,8 @@ def test_aiming_brings_the_tool_to_the_target():
 def test_intervals_hold_the_truth():
     inside, widths = [], []
     for seed in range(6):
-        truth = worn(seed)
-        found = fit(ARM, measured(truth, 8, seed=seed))
-        fresh = measured(truth, 60, seed=100 + seed, noise=1e-9)
+        found = fitted(seed, 10)
+        fresh = measured(worn(seed), 60, seed=100 + seed, noise=1e-9)
         away = np.linalg.norm(fresh.point - tcp_position(ARM, fresh.position), axis=1)
         _, low, high = found.distance(fresh.position)
         inside.append((away >= low) & (away <= high))
@@ -194,7 +198,7 @@ def test_intervals_hold_the_truth():
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):
-    found, path = fit(ARM, measured(worn(), 6), date="2026-01-31"), tmp_path / "calibration.toml"
+    found, path = replace(fitted(0, 5), date="2026-01-31"), tmp_path / "calibration.toml"
     write_calibration(path, found)
     again = read_calibration(path, ARM)
     q = postures(5)
@@ -206,7 +210,7 @@ def test_a_file_gives_back_what_was_written(tmp_path):
 
 def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path):
     path = tmp_path / "calibration.toml"
-    write_calibration(path, fit(ARM, measured(worn(), 3)))
+    write_calibration(path, fitted(0, 5))
     with pytest.raises(ContractError, match="expected one of 'so101'"):
         read_calibration(path, so101())
     with pytest.raises(ContractError, match="differ in mass"):

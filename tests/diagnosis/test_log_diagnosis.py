@@ -33,7 +33,7 @@ TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, fricti
 
 @pytest.fixture(scope="module")
 def logs():
-    return dict(zip(WEARS, record_motions(list(WEARS.values()), 10, 16.0), strict=True))
+    return dict(zip(WEARS, record_motions(list(WEARS.values()), 7, 16.0), strict=True))
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,6 @@ The vendor's client is slow to give up: what takes its whole patience is tried o
 """
 
 import signal
-import subprocess
-import sys
 import time
 from types import SimpleNamespace
 from typing import ClassVar
@@ -14,19 +12,16 @@ import numpy as np
 import pytest
 from plainbus import PlainBus
 
-from emulatedservers import serve_tcp
+from emulatedservers import deploy, serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.robots import (
-    mycobot,  # noqa: F401 - imports the client without the deprecation that it raises
-    open_robot,
-)
+from rejoint.robots import open_robot
 from rejoint.robots.bus import Vitals
 from rejoint.robots.busrobot import BusRobot
-from rejoint.runs.run import Run
+from rejoint.robots.mycobot.bus import MyCobotBus  # noqa: F401 - the client without the deprecation that it raises
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.firmware import build_firmware
@@ -174,14 +169,10 @@ def test_an_impossible_jump_is_no_reading():
 
 def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
     """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
-    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
     firmware = build_firmware(ARM, "worn")
+    begin = firmware.planned_angles
     with serve_tcp(firmware, port=0) as server:
-        words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
-        process = subprocess.Popen([sys.executable, "-m", "rejoint", *words], stderr=subprocess.PIPE)
-        begin, until = firmware.planned_angles, time.monotonic() + 60.0
-        while np.abs(firmware.planned_angles - begin).max() < 0.1 and time.monotonic() < until:
-            time.sleep(0.02)
+        process = deploy(server.address, firmware, tmp_path / "run", 0.1)
         process.send_signal(signal.SIGKILL)
         process.communicate(timeout=30)
         time.sleep(1.0)

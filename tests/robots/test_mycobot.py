@@ -294,7 +294,7 @@ def test_the_worn_arm_is_driven_to_a_target(transport, awake):
         else serve_pty(firmware, timing=timing) as server
     ):
         robot = open_robot(server.address, period=(0.02, 0.03), seed=1)
-        recording = run(robot, IntegratorController(ARM), np.array([[[0.2, -0.03, 0.2]]]), Schedule(dwell=5.0))
+        recording = run(robot, IntegratorController(ARM), np.array([[[0.2, -0.03, 0.2]]]), Schedule(dwell=3.0))
         robot.stop()
         held = robot.read()
         robot.close()

@@ -3,15 +3,13 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 
-from emulatedservers import serve_pty, serve_tcp
+from emulatedservers import deploy, serve_pty, serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -26,9 +24,6 @@ pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
 PERIOD = 0.02
-HEARD = (
-    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from rejoint.cli import main; main()"
-)
 TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 
 
@@ -56,7 +51,7 @@ def stops(monkeypatch):
     return times
 
 
-@pytest.mark.parametrize(("transport", "signals"), [("tcp", 120), ("pty", 80)])
+@pytest.mark.parametrize(("transport", "signals"), [("tcp", 60), ("pty", 40)])
 def test_every_signal_stops_the_arm_within_one_control_period(transport, signals, stops):
     rng = np.random.default_rng(5)
     timing = Timing(state=0.004, acknowledgement=0.003)
@@ -137,26 +132,15 @@ def test_handlers_are_given_back():
     assert [signal.getsignal(signum) for signum in stopping.SIGNALS] == before
 
 
-@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path, signum, code):
-    from rejoint.runs.run import Run
-
-    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
-    with serve_tcp(build_firmware(ARM, "worn"), port=0) as server:
-        words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
-        process = subprocess.Popen(
-            [sys.executable, "-c", HEARD, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        logs = tmp_path / "run" / "logs"
-        firmware = server._session._firmware
-        begin, until = firmware.planned_angles, time.monotonic() + 60.0
-        while np.abs(firmware.planned_angles - begin).max() < 0.02 and time.monotonic() < until:
-            time.sleep(0.02)
+def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path):
+    firmware = build_firmware(ARM, "worn")
+    with serve_tcp(firmware, port=0) as server:
+        process = deploy(server.address, firmware, tmp_path / "run", 0.02)
         time.sleep(0.3)
-        process.send_signal(signum)
+        process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
-    assert process.returncode == code, said
-    assert f"interrupted by {signum.name}" in said
+    assert process.returncode == 130, said
+    assert "interrupted by SIGINT" in said
     assert "was stopped" in said
     assert re.search(r"What was recorded until then: .*\.parquet", said)
-    assert list(logs.glob("deploy-*.parquet"))
+    assert list((tmp_path / "run" / "logs").glob("deploy-*.parquet"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from contextlib import ExitStack
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +28,6 @@ from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
-    from rejoint.training.train import Trainer
 
 TITLES = {
     "diagnose": "Diagnosis: ten targets open loop, then an excitation of every joint",
@@ -235,7 +233,6 @@ def train(
     call: Call,
     run: Path,
     preset: str = "default",
-    learner: str = "ppo",
     generic: bool = False,
     seed: int | None = None,
     quick: bool = False,
@@ -247,26 +244,10 @@ def train(
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
-    trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
-    how = rejoint.TrainSettings(generic=generic, trainer=trainer)
+    how = rejoint.TrainSettings(generic=generic)
     result = call.stage("train", rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
-
-
-TRAINERS = "rejoint.trainers"
-"""Entry points of functions that make a `Trainer` from its name and a seed"""
-
-
-def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
-    if preset != "default":
-        raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
-    points = entry_points(group=TRAINERS)
-    if learner not in points.names:
-        raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
-    point = points[learner]
-    made: Trainer = point.load()(learner, seed)
-    return made
 
 
 @takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")

@@ -382,14 +382,14 @@ _OWN = "coordinates are those of the arm's own tool in its own base; the tip of 
 _OTHER_FRAME = {0x81: _OWN, 0x83: _OWN, 0x85: _OWN, 0x87: "straight lines are asked for with each order", 0x89: _OWN}
 REFUSED = {0x11: _FALLS, 0x13: _FALLS, 0x1A: _FALLS, 0x56: _FALLS, 0x52: _STAYS, 0x54: _STAYS}
 """Refused orders, and why; 0x1A with 0 is allowed"""
-PASSED_ON = frozenset((0x60, 0x61, 0x62, *range(0x64, 0x70), 0xA0, 0xA1))
-"""Gripper, lamp and pins (pymycobot 4.0.7, `ProtocolCode`)"""
+PASSED_ON = frozenset((0x53, 0x60, 0x61, 0x62, *range(0x64, 0x70), 0xA0, 0xA1))
+"""Registers of servos, gripper, lamp and pins (pymycobot 4.0.7, `ProtocolCode`)"""
 # Those of them that change nothing
-_ASKS = frozenset((0x62, 0x65, 0x69, 0x6B, 0x6E, 0xA1))
+_ASKS = frozenset((0x53, 0x62, 0x65, 0x69, 0x6B, 0x6E, 0xA1))
 CLEAR_ERROR = 0x08
 AGAIN = 10.0
 """[s] after which the same refusal is said again (chosen)"""
-MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C, 0x3E))
+MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C))
 _REASONS = {
     0: "the queue is full, or there is no such joint, axis or value",
     NO_SOLUTION: "no posture of the arm brings the tool there (error 32)",
@@ -453,11 +453,11 @@ class Clients(Conversation[Frame]):
         command, payload = request.command, request.payload
         if command in PASSED_ON:
             return self._pass_on(request)
-        if command not in COMMANDS:
-            return None if self._served.is_lost else answer(self._served, request)
         why = "" if command == 0x1A and payload[:1] == b"\x00" else REFUSED.get(command, "")
         if why:
             return self._refuse(request, why)
+        if command not in COMMANDS:
+            return None if self._served.is_lost else answer(self._served, request)
         with self._served.lock:
             error, self._served.error, self._served.note = self._served.error, 0, ""
             reply, found, note = answer(self._served, request), self._served.error, self._served.note

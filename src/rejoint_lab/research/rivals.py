@@ -3,7 +3,7 @@
 PID of Park et al. 2024, equations 26 and 27: ``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) /
 dt``.
 
-Gain-scheduled integral control, alone or with gravity feed-forward: a rate by distance (Rugh and Shamma, Automatica 36,
+Gain-scheduled integral control with gravity feed-forward: a rate by distance (Rugh and Shamma, Automatica 36,
 2000), and conditional integration (Astrom and Rundqwist, ACC 1989).
 
 Adaptive regulation of an arm with unknown servos and load: Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD
@@ -11,14 +11,13 @@ plus gravity compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``
 command gets ``load / k + mass * lever / k + offset``. Dead zone: Peterson and Narendra, IEEE Trans. Automatic Control
 27(3), 1982.
 
-Gains are numbers or (B, 1); their bounds are chosen. CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches
+Gains (``rivals.toml``) are numbers or (B, 1). CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches
 their logarithms on randomised twins. The cost is the time to stay within 2 mm plus the settled error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, NamedTuple
@@ -35,14 +34,13 @@ from rejoint.control.controllers.law import Pace, dls_step, limit_position, null
 from rejoint.control.loop import run
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json
 from rejoint.system.progress import Progress
+from rejoint.system.tomltable import read_toml
 
 if TYPE_CHECKING:
     from rejoint.training.ranges import Ranges
 
 Gains = Mapping[str, float | Array]
-Interval = tuple[float, float]
 
 
 class PidController:
@@ -75,25 +73,6 @@ class PidController:
         return measured + self.proportional * error + self.integral * self._sum + self.derivative * change
 
 
-SCHEDULED: dict[str, Interval] = {
-    "far_rate": (0.5, 30.0),  # [1/s] integrated fraction of the joint step, far away
-    "near_rate": (0.3, 20.0),  # [1/s] the same at the target
-    "schedule": (0.5e-3, 20e-3),  # [m] distance of the mean rate
-    "deadband": (1e-5, 1e-3),  # [m]
-    "proportional": (1e-3, 1.0),  # fraction of the joint step, not integrated
-    "damping": (1e-4, 0.3),  # [s] of the measured joint speed
-    "prediction": (1e-3, 0.1),  # [s] of extrapolation
-    "moving": (0.01, 3.0),  # [rad/s] joints above it are not integrated
-    "speed": (0.05, 5.0),  # [rad/s] limit of the integration
-    "lead": (np.radians(4.0), np.radians(40.0)),  # [rad] anti-windup: largest correction
-}
-ANCHORED = SCHEDULED | {
-    "feedforward": (0.2, 1.8),  # compensated share of nominal servos' sag
-    "ramp": (0.5, 20.0),  # [rad/s] to the raised posture
-    "carry": (0.2, 1.0),  # share of the correction kept at a new target
-}
-
-
 class TunedLaw:
     """What the tuned laws share: gains, nominal stiffness, and joint speeds smoothed over about two cycles."""
 
@@ -114,21 +93,19 @@ class TunedLaw:
 
 
 class ScheduledController(TunedLaw):
-    """The law; ``anchored`` to the goal posture (feed-forward) or not."""
+    """The law, around a ramp to the goal posture raised against gravity."""
 
-    def __init__(self, arm: Arm, gains: Gains, *, anchored: bool) -> None:
+    name = "tuned-feedforward"
+
+    def __init__(self, arm: Arm, gains: Gains) -> None:
         super().__init__(arm, gains)
-        self.name, self._anchored = "tuned-feedforward" if anchored else "tuned-integrator", anchored
         self._start = self._raised = self._integral = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
         gains, sent = self._gains, inputs.sent
         if len(self._integral) != len(sent):
-            self._integral = np.zeros_like(sent) if self._anchored else sent.copy()
-            self._start, self._raised = sent.copy(), sent.copy()
-        if not self._anchored:
-            return
+            self._integral, self._start, self._raised = np.zeros_like(sent), sent.copy(), sent.copy()
         goal = inputs.goal[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
         idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
@@ -148,31 +125,12 @@ class ScheduledController(TunedLaw):
         push = elapsed * clip_norm(rate * step, gains.speed)
         on_its_way = (np.abs(speed) > gains.moving) & (speed * push > 0.0)
         passing = gains.proportional * step - gains.damping * speed
-        integral = self._integral + np.where(on_its_way, 0.0, push)
-        if self._anchored:
-            self._integral = np.clip(integral, -gains.lead, gains.lead)
-            way = self._raised - self._start
-            reach = gains.ramp * inputs.since_target[:, None]
-            return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
-        pull = clip_norm(null_space(seen.jacobian, 0.01 * (inputs.goal - integral)), np.radians(0.1))
-        integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorController`
-        self._integral = limit_position(arm, np.clip(integral, measured - gains.lead, measured + gains.lead))
-        return limit_position(arm, self._integral + passing)
+        self._integral = np.clip(self._integral + np.where(on_its_way, 0.0, push), -gains.lead, gains.lead)
+        way, reach = self._raised - self._start, gains.ramp * inputs.since_target[:, None]
+        return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
 
 
 _UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
-
-ADAPTIVE: dict[str, Interval] = {
-    "softness_rate": (0.3, 100.0),  # [1/(s rad)] adaptation of the relative inverse stiffness
-    "load_rate": (0.3, 100.0),  # [1/(s rad)] adaptation of the load
-    "offset_rate": (0.1, 10.0),  # [1/s] adaptation of the offset
-    "scale": (np.radians(0.5), np.radians(30.0)),  # [rad] error of saturation
-    "damping": (1e-4, 1.0),  # [s] weight of the joint speed
-    "dead_zone": (np.radians(0.01), np.radians(1.0)),  # [rad]
-    "proportional": (1e-3, 1.0),  # beside the servo's own
-    "derivative": (1e-4, 0.1),  # [s] of the joint speed
-    "prior": (0.2, 1.8),  # [1] initial relative softness
-}
 
 
 class AdaptiveController(TunedLaw):
@@ -210,36 +168,45 @@ class AdaptiveController(TunedLaw):
         return limit_position(self._arm, raised + gains.proportional * error - gains.derivative * speed)
 
 
+class Gain(NamedTuple):
+    """One gain of a rival."""
+
+    low: float
+    """of the search"""
+    high: float
+    tuned: float
+
+
 class Rival(NamedTuple):
-    """A law, and the bounds of the gains that are searched."""
+    """A law, and its gains."""
 
     make: Callable[[Arm, Gains], Controller]
-    intervals: Mapping[str, Interval]
+    gains: Mapping[str, Gain]
+
+    @property
+    def tuned(self) -> dict[str, float]:
+        """By the search."""
+        return {name: gain.tuned for name, gain in self.gains.items()}
 
 
+_TABLE = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Gain]], "install rejoint again")
 RIVALS = {
     "pid-sum": Rival(lambda arm, _: PidController(arm, literal=False), {}),
     "pid-literal": Rival(lambda arm, _: PidController(arm, literal=True), {}),
-    "tuned-integrator": Rival(partial(ScheduledController, anchored=False), SCHEDULED),
-    "tuned-feedforward": Rival(partial(ScheduledController, anchored=True), ANCHORED),
-    "adaptive": Rival(AdaptiveController, ADAPTIVE),
+    "tuned-feedforward": Rival(ScheduledController, _TABLE["tuned-feedforward"]),
+    "adaptive": Rival(AdaptiveController, _TABLE["adaptive"]),
 }
-
-GAINS = {name: dict[str, float]() for name in RIVALS} | read_json(
-    Path(__file__).with_name("gains.json"), dict[str, dict[str, float]]
-)
-"""By ``rejoint research tune`` on the broad ranges, seed 0"""
 
 
 def make_rival(name: str, arm: Arm, gains: Gains | None = None) -> Controller:
     """Build a rival, default: with its own gains; InputError for other names or gains."""
     if name not in RIVALS:
         raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
-    rival: Rival = RIVALS[name]
-    gains = GAINS[name] if gains is None else gains
-    if set(gains) != set(rival.intervals):
-        raise InputError(f"{name}: gains {sorted(gains)}, expected {sorted(rival.intervals)}")
-    return rival.make(arm, gains)
+    rival = RIVALS[name]
+    chosen = rival.tuned if gains is None else gains
+    if set(chosen) != set(rival.gains):
+        raise InputError(f"{name}: gains {sorted(chosen)}, expected {sorted(rival.gains)}")
+    return rival.make(arm, chosen)
 
 
 CANDIDATES = 12
@@ -262,10 +229,10 @@ def tune(
     """Search gains; returns the last generation's centre. InputError for a law without any."""
     from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 
-    names = list(rival.intervals)
+    names = list(rival.gains)
     if not names:
         raise InputError("tune: this rival has the paper's gains, none are searched")
-    low, high = np.log(np.array(list(rival.intervals.values()))).T
+    low, high, _ = np.log(np.array(list(rival.gains.values()))).T
     middle, bounds = np.full(len(names), 0.5), np.tile([0.0, 1.0], (len(names), 1))
     search = CMA(mean=middle, sigma=SIGMA, bounds=bounds, population_size=CANDIDATES, seed=seed)
 

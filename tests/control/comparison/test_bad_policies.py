@@ -20,7 +20,7 @@ from rejoint.twin.twin import write_twin
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=5.0, hold=4.0, window=0.5)
-TARGETS = draw_targets(ARM, sets=1, count=3, seed=1)
+TARGETS = draw_targets(ARM, sets=1, count=2, seed=1)
 NAMES = ("random", "saturated", "nan", "nan-later", "infinite", "softer")
 LIMITS = GuardLimits.of(ARM)
 

@@ -80,11 +80,11 @@ QUESTIONS = [
     ("get_joint_max_angle", (5,), 160.0),
     ("is_servo_enable", (3,), 1),
     ("is_all_servo_enable", (), 1),
-    ("get_servo_data", (2, 21), 10),
     ("get_servo_voltages", (), [12.0] * 6),
     ("get_servo_status", (), [0] * 6),
     ("get_reboot_count", (), 1),
     ("get_encoder", (7,), -1),
+    ("set_color", (1, 2, 3), 1),
 ]
 
 
@@ -131,10 +131,6 @@ def test_measured_quantities_are_plausible(arm):
         ("send_angles", ([50.0, 10.0, -95.0, 0.0, 5.0, 10.0], 100)),
         ("send_radians", ([float(np.radians(v)) for v in (50.0, 10.0, -95.0, 0.0, 5.0, 10.0)], 100)),
         ("set_encoders", ([2048 + round(v / 360 * 4096) for v in (50.0, 10.0, -95.0, 0.0, 5.0, 10.0)], 100)),
-        (
-            "set_encoders_drag",
-            ([2048 + round(v / 360 * 4096) for v in (50.0, 10.0, -95.0, 0.0, 5.0, 10.0)], [1300] * 6),
-        ),
     ],
 )
 def test_joint_moves(arm, method, arguments):
@@ -275,14 +271,6 @@ def test_power_and_servos(arm):
     assert arm.is_all_servo_enable() == 1
     arm.send_angles([20.0, 0.0, 0.0, 0.0, 0.0, 0.0], 100)
     settle(arm)
-
-
-def test_registers(arm):
-    assert arm.set_servo_data(1, 24, 30) == 1
-    assert arm.get_servo_data(1, 24) == 30
-    assert arm.set_servo_data(1, 24, 1000, 1) == 1
-    assert arm.get_servo_data(1, 24, 1) == 1000
-    assert arm.set_color(1, 2, 3) == 1
 
 
 def test_go_home_and_calibrate(arm):

@@ -19,7 +19,7 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
 def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint_lab.research.evaluation.family.own_twin", lambda *_: a_twin())
     held = "--variants", "anywhere,known", "--controllers", "feedforward,predictive", "--crossings", "0", "--seed", "1"
-    rows = rows_of(cli, "evaluate", tmp_path, "--arms", "2", "--targets", "1", *held)
+    rows = rows_of(cli, "evaluate", tmp_path, "--arms", "1", "--targets", "1", *held)
     assert [row["controller"] for row in rows] == 2 * ["feedforward", "predictive"]
     settled = [row["settled"]["mean"]["value"] for row in rows]
     assert max(settled) < 0.002, settled
@@ -27,6 +27,7 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
 
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint_lab.research.evaluation.family.own_twin", lambda *_: a_twin())
+    monkeypatch.setattr("rejoint_lab.research.evaluation.evaluate.POINTS", (20,))
     rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "2", "--variants", "worn")
     error = {(row["variant"], row["controller"]): row["settled_true"]["mean"]["value"] for row in rows}
     for where in ("worn, target region", "worn, anywhere"):

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
-from rejoint.control.controllers.classical import IntegratorController
+from rejoint.arms import gravity_torque, mycobot280, solve_position
+from rejoint.control.controllers.law import NOMINAL_PERIOD, dls_step
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
-from rejoint_lab.research.rivals import AdaptiveController, Rival, ScheduledController, make_rival, tune
+from rejoint_lab.research.rivals import AdaptiveController, Gain, Rival, ScheduledController, make_rival, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -24,6 +24,9 @@ PLAIN = {
     "moving": 1e9,
     "speed": 1e9,
     "lead": np.radians(15.0),
+    "feedforward": 0.0,
+    "ramp": 0.0,
+    "carry": 0.0,
 }
 
 
@@ -33,25 +36,24 @@ def inputs(position, sent, time=0.0):
     return inputs_of(state, TARGET, goal, sent, time)
 
 
-def test_without_its_extras_the_schedule_is_the_integrator():
-    # Inside the distance at which the plain one pulls to rest, and with its fade undone, both are the same law.
+def test_without_its_extras_the_schedule_integrates_the_joint_step():
+    # No time since the target, so no ramp; one rate everywhere: what is left is the integral of the step.
     posture = solve_position(ARM, TARGET + 0.004, np.tile(ARM.rest, (2, 1))).q
-    mine = ScheduledController(ARM, PLAIN, anchored=False)
+    mine = ScheduledController(ARM, PLAIN)
     mine.reset(inputs(posture, posture), np.ones(2, dtype=bool))
     sent = mine.command(inputs(posture, posture))
-    plain = IntegratorController(ARM).command(inputs(posture, posture))
-    error = np.linalg.norm(TARGET - tcp_position(ARM, posture), axis=-1, keepdims=True)
-    np.testing.assert_allclose((plain - posture) * (error + 0.004) / error, sent - posture, rtol=1e-9)
+    step = dls_step(ARM, posture, TARGET).step
+    np.testing.assert_allclose(sent - posture, NOMINAL_PERIOD * PLAIN["far_rate"] * step, rtol=1e-9)
 
 
 def test_gains_of_a_batch_act_arm_by_arm():
     posture = np.tile(ARM.rest, (2, 1))
     both = {**PLAIN, "far_rate": np.array([[2.0], [6.0]]), "near_rate": np.array([[2.0], [6.0]])}
-    together = ScheduledController(ARM, both, anchored=False)
+    together = ScheduledController(ARM, both)
     together.reset(inputs(posture, posture), np.ones(2, dtype=bool))
     moved = together.command(inputs(posture, posture))
     for i, rate in enumerate((2.0, 6.0)):
-        alone = ScheduledController(ARM, {**PLAIN, "far_rate": rate, "near_rate": rate}, anchored=False)
+        alone = ScheduledController(ARM, {**PLAIN, "far_rate": rate, "near_rate": rate})
         alone.reset(inputs(posture, posture), np.ones(2, dtype=bool))
         np.testing.assert_array_equal(alone.command(inputs(posture, posture))[i], moved[i])
 
@@ -89,8 +91,8 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
         return (np.log(gains["a"] / 0.5)) ** 2 + (np.log(gains["b"] / 20.0)) ** 2
 
     monkeypatch.setattr("rejoint_lab.research.rivals.candidate_costs", bowl)
-    intervals, seen = {"a": (0.01, 10.0), "b": (1.0, 100.0)}, []
-    found = tune(ARM, RANGES, Rival(None, intervals), lambda *report: seen.append(report), generations=30)
+    gains, seen = {"a": Gain(0.01, 10.0, 1.0), "b": Gain(1.0, 100.0, 1.0)}, []
+    found = tune(ARM, RANGES, Rival(None, gains), lambda *report: seen.append(report), generations=30)
     assert found["a"] == pytest.approx(0.5, rel=0.03)
     assert found["b"] == pytest.approx(20.0, rel=0.03)
     assert [report[0] for report in seen] == [k / 30 for k in range(1, 31)]
@@ -99,5 +101,5 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
 def test_gains_must_be_those_of_the_rival():
     with pytest.raises(InputError, match="expected"):
         make_rival("adaptive", ARM, {"rate": 1.0})
-    with pytest.raises(InputError, match="tuned-integrator"):
+    with pytest.raises(InputError, match="tuned-feedforward"):
         make_rival("nobody", ARM)

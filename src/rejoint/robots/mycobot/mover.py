@@ -62,8 +62,6 @@ class Mover(ABC):
         self.arm = arm
         self.enabled: Mask = np.ones(arm.joints, dtype=bool)
         """(n,)"""
-        self.registers: dict[tuple[int, int], int] = {}
-        """(servo, address) -> value; without effect"""
         self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
         self.fresh = False
         """a new move replaces the present one, else is queued"""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
-from rejoint.robots.mycobot.mover import FULL_SPEED, Mover, solve_pose
+from rejoint.robots.mycobot.mover import Mover, solve_pose
 from rejoint.robots.wireserver import Finder
 
 ANGLE_SCALE = 100.0
@@ -119,13 +119,9 @@ class Decoder(Finder[Frame]):
 _JOG_LENGTH = 0.6
 """[m] beyond any reach"""
 _JOG_TURN = np.radians(175.0)
-_GRIPPER = 7
-"""Servo id of a gripper"""
 MODIFY_VERSION = 1
 SYSTEM_VERSION = 73
 """Computer 7.3, the first with the present joint limits"""
-DEFAULT_REGISTERS = {21: 10, 22: 0, 23: 1, 24: 0}
-"""P, I, D and minimum start force (vendor's manual)"""
 
 FIELDS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
     "b": (1, lambda _, data: data[0]),
@@ -184,11 +180,6 @@ def _jog_axis(computer: Mover, number: int, forwards: int, rate: float, *, first
     return computer.jog_tool(moved(tcp_pose(computer.arm, computer.planned_angles), change), rate)
 
 
-def _drag(computer: Mover, angles: Array, speeds: bytes) -> bool:
-    speed = float(unpack_int16(speeds).max()) * computer.arm.encoder_step
-    return computer.move_joints(angles, float(np.clip(speed / FULL_SPEED, 0.01, 1.0)))
-
-
 def _set_limit(computer: Mover, joint: int, word: float, *, upper: bool) -> bool:
     angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
     lower, higher = (computer.lower[joint], angle) if upper else (angle, computer.upper[joint])
@@ -196,17 +187,6 @@ def _set_limit(computer: Mover, joint: int, word: float, *, upper: bool) -> bool
         return False
     computer.lower[joint], computer.upper[joint] = lower, higher
     return True
-
-
-def _set_register(computer: Mover, servo: int, address: int, value: float, _: int = 0) -> bool:
-    if known := 1 <= servo <= _GRIPPER:
-        computer.registers[servo, address] = int(value)
-    return known
-
-
-def _register(computer: Mover, servo: int, address: int, wide: int = 0) -> bytes:
-    value = computer.registers.get((servo, address), DEFAULT_REGISTERS.get(address, 0))
-    return pack_int16([value]) if wide == 1 else bytes((value & 0xFF,))
 
 
 def _switch(computer: Mover, identity: int, _: int = 0, *, on: bool) -> bool:
@@ -282,11 +262,8 @@ ORDERS = _table(
     (0x34, "bws", partial(_move_axis, relative=True)),
     (0x3A, "jes", _move_one),
     (0x3C, "Es", "move_joints"),
-    (0x3E, "Ex", _drag),
     (0x4C, "jw", partial(_set_limit, upper=False)),
     (0x4D, "jw", partial(_set_limit, upper=True)),
-    (0x52, "bbb", _set_register),
-    (0x52, "bbwb", _set_register),
     (0x54, "j", "calibrate"),
     (0x55, "j", "stop"),
     (0x56, "b", partial(_switch, on=False)),
@@ -322,8 +299,6 @@ QUESTIONS = _table(
     (0x4B, "j", lambda computer, joint: _limit(computer.upper, joint)),
     (0x50, "b", lambda arm, servo: bytes((servo,)) + flag(0 < servo <= arm.arm.joints and arm.enabled[servo - 1])),
     (0x51, "", lambda computer: flag(computer.enabled.all())),
-    (0x53, "bb", _register),
-    (0x53, "bbb", _register),
     *((command, "", bytes(12)) for command in (0x82, 0x84)),  # frames of tool and base: the arm's own
     *((command, "", b"\x00") for command in (0x86, 0x88, 0x8A)),  # which counts, and lines as a rule
     (0x8D, "PA", _inverse_kinematics),

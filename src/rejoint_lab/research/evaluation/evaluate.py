@@ -42,7 +42,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share, spread, wilson
+from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share, spread
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
@@ -56,7 +56,7 @@ from rejoint_lab.research.evaluation.family import (
     targets_anywhere,
     try_on,
 )
-from rejoint_lab.research.rivals import GAINS, RIVALS, make_rival
+from rejoint_lab.research.rivals import RIVALS, make_rival
 
 
 class Contestant(NamedTuple):
@@ -82,7 +82,7 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
     """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
     if name not in (*KNOWN, PREDICTIVE):
         raise InputError(f"no controller is called {name!r}; known: {', '.join(KNOWN)}, and --policy FILE")
-    own = (gains or {}).get(name, GAINS.get(name, {}))
+    own = (gains or {}).get(name) or (RIVALS[name].tuned if name in RIVALS else {})
     shelf = _digest(*(shelf_path(arm) for arm in shelf_arms())) if name == SHELF else ""
 
     def make(arm: Arm, twins: Sequence[Twin]) -> Controller:
@@ -360,23 +360,8 @@ POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
 SIGMA = 5e-4
 """[m] noise of each measured coordinate (chosen: a vernier ruler)"""
-WRONG = (5e-3, 10e-3)
-"""[m] error of a wrong point (chosen)"""
-WRONG_AMONG = 10
-"""Measurements among which one is wrong"""
 SPEED, WAIT = 0.5, 1.5
 """[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Accused:
-    """Whether a wrong point among ten, 5 to 10 mm off, is found."""
-
-    condition: str
-    wrong: Estimate
-    """share of arms whose wrong point was named first"""
-    right: Estimate
-    """share of arms with a right point named"""
 
 
 def evaluate_calibrations(
@@ -386,20 +371,15 @@ def evaluate_calibrations(
     family: ArmFamily,
     file: Path,
     on_progress: Progress,
-) -> tuple[Evaluation, list[Accused]]:
+) -> Evaluation:
     """Try calibrations of the first 1, 3, ... measurements in the target region, and wherever the arms reach and hold.
 
     Otherwise as `evaluate`.
     """
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
 
-    @cache
-    def measure_all(arms: Variant) -> list[Measurements]:
-        return measure(open_family(arm, arms, family), suggestion, family.seed)
-
-    @cache
-    def calibrated(count: int, arms: Variant) -> list[Calibration]:
-        return fitted(arm, measure_all(arms), count)
+    measured = cache(lambda arms: measure(open_family(arm, arms, family), suggestion, family.seed))
+    calibrated = cache(lambda count, arms: fitted(arm, measured(arms), count))
 
     places = {
         replace(one, name=f"{one.name}, {where}", meaning=f"{one.meaning}, {where}", anywhere=anywhere, draw=1): one
@@ -413,8 +393,7 @@ def evaluate_calibrations(
         )
 
     contestants = [contestant._replace(name="not calibrated", ours=False), *map(by, POINTS)]
-    result = evaluate(arm, contestants, list(places), family, file, on_progress)
-    return result, [find_wrong(arm, one.name, measure_all(one), family) for one in conditions]
+    return evaluate(arm, contestants, list(places), family, file, on_progress)
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Measurements]:
@@ -446,16 +425,3 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
 def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calibration]:
     """Calibrations of all arms from their first measurements."""
     return [fit(arm, one.rows(np.arange(count))) for one in measured]
-
-
-def find_wrong(arm: Arm, condition: str, measured: Sequence[Measurements], family: ArmFamily) -> Accused:
-    """Put a wrong point among the first ten of each arm, and fit with and without it."""
-    named = accused = 0
-    for seed, one in zip(family.wear_seeds, measured, strict=True):
-        rng, right = np.random.default_rng([seed, 4]), one.rows(np.arange(WRONG_AMONG))
-        row, away = int(rng.integers(WRONG_AMONG)), rng.normal(size=3)
-        point = right.point.copy()
-        point[row] += away * rng.uniform(*WRONG) / np.linalg.norm(away)
-        accused += bool(fit(arm, right).suspects)
-        named += fit(arm, replace(right, point=point)).suspects[:1] == (row,)
-    return Accused(condition=condition, wrong=wilson(named, family.arms), right=wilson(accused, family.arms))

@@ -36,6 +36,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.shell import __version__
+from rejoint.system.tomltable import read_toml
 from rejoint.twin.twin import Twin, read_twin, write_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -54,9 +55,10 @@ FAMILY_SIZE = 10_000
 class Variant:
     """A condition that a family of arms is tried under."""
 
-    name: str
     meaning: str
     """what differs from the arms that were trained for, in words"""
+    name: str = ""
+    """key of its table"""
     profile: str = "worn"
     """wear profile that the arms are neighbours of"""
     period: Interval = (0.020, 0.030)
@@ -69,56 +71,24 @@ class Variant:
     """whether targets are drawn wherever an arm can reach and hold, instead of its target region"""
     payload: float = 0.0
     """[kg] heaviest load at the tool; each arm's own is uniform up to it, and unknown"""
-    tilt: float = 0.0
-    """[rad] by which the base stands askew, to the side"""
+    tilt_deg: float = 0.0
+    """[deg] by which the base stands askew, to the side"""
     mass: float = 0.0
     """share by which the mass of each link is off, up or down"""
     shift: float = 0.0
     """[m] standard deviation of each coordinate of the errors of the links"""
-    turn: float = 0.0
-    """[rad] the same of the angles"""
+    turn_deg: float = 0.0
+    """[deg] the same of the angles"""
     draw: int = 0
     """of the targets in the target region"""
 
 
-WORN = Variant(name="worn", meaning="worn arms")
-HEALTHY = Variant(name="healthy", meaning="healthy arms", profile="healthy")
-PLAY_IN_LOOP = Variant(
-    name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"
+_TABLES = read_toml(Path(__file__).with_name("variants.toml"), dict[str, dict[str, Variant]], "install rejoint again")
+VARIANTS, CALIBRATED = (
+    tuple(replace(one, name=name) for name, one in _TABLES[command].items()) for command in ("evaluate", "calibrate")
 )
-VARIANTS = (
-    WORN,
-    PLAY_IN_LOOP,
-    Variant(name="long-latency", meaning="worn arms, commands arrive after 30 to 50 ms", latency=(0.030, 0.050)),
-    Variant(name="slow-wire", meaning="worn arms at a control period of 45 to 55 ms", period=(0.045, 0.055)),
-    Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
-    Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
-    HEALTHY,
-    Variant(name="known", meaning="worn arms with a twin each", twins=True),
-    Variant(
-        name="anywhere",
-        meaning="worn arms with a twin each, targets wherever they reach and hold the arm with 90 % of the torque",
-        twins=True,
-        anywhere=True,
-    ),
-)
-"""The conditions; latency, period and load are those that hobby arms of this size meet (chosen)"""
-
-CALIBRATED = (
-    WORN,
-    Variant(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
-    Variant(name="wedge", meaning="worn arms on a base raised by 2 degrees on one side", tilt=np.radians(2.0)),
-    Variant(
-        name="misdescribed",
-        meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg",
-        mass=0.15,
-        shift=1e-3,
-        turn=np.radians(0.3),
-    ),
-    HEALTHY,
-    PLAY_IN_LOOP,
-)
-"""The conditions of calibrations"""
+"""The conditions of evaluations, and of calibrations"""
+WORN = VARIANTS[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +131,7 @@ def find_variant(name: str, among: Sequence[Variant] = VARIANTS) -> Variant:
 def misdescribed(arm: Arm, variant: Variant, seed: int) -> Arm:
     """Draw an arm that differs from its description ``arm``."""
     rng = np.random.default_rng([seed, 2])
-    twist = rng.normal(0.0, [variant.shift] * 3 + [variant.turn] * 3, (arm.joints + 1, 6))
+    twist = rng.normal(0.0, [variant.shift] * 3 + [np.radians(variant.turn_deg)] * 3, (arm.joints + 1, 6))
     moved = replace(Displacement.none(arm), twist=twist).moved(arm)
     factor = 1.0 + variant.mass * rng.choice([-1.0, 1.0], arm.joints)
     return replace(moved, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
@@ -198,7 +168,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
 
 def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
     """All arms as one batch, at rest."""
-    seeds, described = family.wear_seeds, not (variant.mass or variant.shift or variant.turn)
+    seeds, described = family.wear_seeds, not (variant.mass or variant.shift or variant.turn_deg)
     return EmulatedRobot(
         arm,
         [load_wear(f"{variant.profile}?seed={seed}", arm) for seed in seeds],
@@ -209,7 +179,7 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
         threads=family.threads,
         payload=variant.payload * np.array([np.random.default_rng([seed, 1]).random() for seed in seeds]),
         bodies=None if described else [misdescribed(arm, variant, seed) for seed in seeds],
-        gravity=rotation_about(np.array([1.0, 0.0, 0.0]), variant.tilt) @ GRAVITY,
+        gravity=rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(variant.tilt_deg)) @ GRAVITY,
     )
 
 

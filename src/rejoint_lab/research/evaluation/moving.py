@@ -1,16 +1,14 @@
-"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths; finished blocks are kept."""
+"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths; the twins are kept."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.comparison.result import Columns
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
@@ -32,7 +30,7 @@ from rejoint.system.statistics import Spread, spread
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.family import ArmFamily, keep, own_twins
+from rejoint_lab.research.evaluation.family import ArmFamily, own_twins
 
 RATE = 30.0
 """[Hz] of a path's setpoints where it is not known ahead"""
@@ -60,24 +58,23 @@ class MovingRow:
 
 
 def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, on_progress: Progress) -> list[MovingRow]:
-    """Let every arm follow the standard paths in all cases; resumes in ``out``."""
-    parts = []
+    """Let every arm follow the standard paths in all cases; twins are kept in ``out``."""
+    found: dict[str, list[tuple[Along, bool]]] = {case: [] for case in CASES}
     for first in range(0, family.arms, BLOCK):
         seeds = family.wear_seeds[first : first + BLOCK]
         ahead = part(on_progress, first / family.arms, (first + len(seeds)) / family.arms)
-        twins = partial(own_twins, arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
-        identity = repr((arm.name, seeds, CASES))
-        file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
-        parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, family.threads, part(ahead, 0.5, 1.0))))
-    found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
-    return [_row(case, path, found) for case in CASES for path in STANDARD]
+        twins = own_twins(arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
+        for case, errors in _follow(arm, seeds, twins, family.threads, part(ahead, 0.5, 1.0)).items():
+            found[case] += errors
+    each = len(STANDARD)
+    return [_row(case, path, found[case][i::each]) for case in CASES for i, path in enumerate(STANDARD)]
 
 
 def _follow(
-    arm: Arm, seeds: Sequence[int], twins: Callable[[], list[Twin]], threads: int, on_progress: Progress
-) -> Columns:
-    """Follow all paths with each arm in all cases; returns errors (A P, C)."""
-    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins(), seeds, strict=True) for name in STANDARD]
+    arm: Arm, seeds: Sequence[int], twins: Sequence[Twin], threads: int, on_progress: Progress
+) -> dict[str, list[tuple[Along, bool]]]:
+    """Follow all paths with each arm; returns errors, and whether the guard stopped it, of each case."""
+    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
     servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
     paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
     home, driven = home_of(arm, servos), dict[str, Recording]()
@@ -104,9 +101,10 @@ def _follow(
             for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
         ]
     drive(STREAM, worn, [played(path, RATE) for path in paths])
-    found = [[judge(arm, driven[case], path, b).encoder for case in CASES] for b, path in enumerate(paths)]
-    errors = {f.name: np.array([[getattr(one, f.name) for one in row] for row in found]) for f in fields(Along)}
-    return errors | {"stopped": np.array([driven[case].tripped > 0 for case in CASES], dtype=float).T}
+    return {
+        case: [(judge(arm, one, path, b).encoder, bool(one.tripped[b])) for b, path in enumerate(paths)]
+        for case, one in driven.items()
+    }
 
 
 def played(path: Path, rate: float) -> Stream:
@@ -115,13 +113,18 @@ def played(path: Path, rate: float) -> Stream:
     return Stream(time=times.tolist(), rows=list(path.at(times - LEAD_IN)))
 
 
-def _row(case: str, path: str, found: Columns) -> MovingRow:
-    own = {name: values[STANDARD.index(path) :: len(STANDARD), CASES.index(case)] for name, values in found.items()}
-    after = "_after" * (case == STREAM)
-    error = spread(own[f"rms{after}"], np.arange(len(own["lag"])))
+def _row(case: str, path: str, found: Sequence[tuple[Along, bool]]) -> MovingRow:
+    errors, late = [one for one, _ in found], case == STREAM
+    error = spread(np.array([one.rms_after if late else one.rms for one in errors]), np.arange(len(errors)))
     assert error is not None  # noqa: S101 - every arm has an error along the way
-    largest, lag, stopped = own[f"largest{after}"].max(), np.median(own["lag"]), own["stopped"].sum()
-    return MovingRow(case=case, path=path, error=error, largest=float(largest), lag=float(lag), stopped=int(stopped))
+    return MovingRow(
+        case=case,
+        path=path,
+        error=error,
+        largest=max(one.largest_after if late else one.largest for one in errors),
+        lag=float(np.median([one.lag for one in errors])),
+        stopped=sum(stopped for _, stopped in found),
+    )
 
 
 def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
