@@ -102,7 +102,8 @@ class Policy:
             known = "take a file written by `rejoint train`"
             raise FileError(path, "an ONNX file without the contract of a policy", known)
         contract = decode_contract(text)
-        if metadata.get(DIGEST_KEY) != content_digest(data, text):
+        recorded = metadata.get(DIGEST_KEY, "")
+        if recorded != content_digest(data, recorded):
             raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
         return cls(content=data, contract=contract, source=str(path))
 
