@@ -34,11 +34,11 @@ EDGES = np.array([0.2, 0.4, 0.2])
 LIMIT_MARGIN = 0.05
 """share of a joint's range from each limit, at targets (chosen)"""
 
-REST_MARGIN = 0.15
-"""the same at rest (chosen)"""
+REST_MARGIN, REST_INSIDE = 0.15, 0.3
+"""the same at rest, and least distance [rad] where the range has room for it (chosen)"""
 
-REST_HEIGHT = 0.18
-"""of the TCP above the floor, over the reach (chosen)"""
+REST_HEIGHT, REST_APART = 0.18, 0.05
+"""of the TCP above the floor, over the reach, and distance that it and all that rises keep beyond it (chosen)"""
 
 AXIS_CLEARANCE = 0.15
 """of targets from the base axis, over the reach (chosen)"""
@@ -132,9 +132,9 @@ def _manipulability(arm: Arm, q: Array) -> Array:
     return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
 
 
-def _score(survey: _Survey, q: Array, slack: float) -> Array:
-    """Scores of postures (..., n); minus infinity: unusable. See `_SLACKS`."""
-    arm, f, apart = survey.arm, frames(survey.arm, q), slack * _APART
+def _score(survey: _Survey, q: Array) -> Array:
+    """Scores of postures (..., n); minus infinity: unusable."""
+    arm, f = survey.arm, frames(survey.arm, q)
     tcp = f.tcp_position
     middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
     elbow = f.position[..., 2].max(axis=-1) - tcp[..., 2]
@@ -147,17 +147,17 @@ def _score(survey: _Survey, q: Array, slack: float) -> Array:
         - np.abs(gravity_torque(arm, q)).max(axis=-1) / max(survey.torque, 1e-12)
     )
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
-    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - slack * _INSIDE, 2 * LIMIT_MARGIN * half))
+    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - REST_INSIDE, 2 * LIMIT_MARGIN * half))
     inside = (np.abs(q - middle) <= most).all(axis=-1)
-    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * apart) * survey.reach
-    return np.where(survey.clear(f, apart) & ahead & inside & high, score, -np.inf)
+    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * REST_APART) * survey.reach
+    return np.where(survey.clear(f, REST_APART) & ahead & inside & high, score, -np.inf)
 
 
-def _rest_posture(survey: _Survey, slack: float) -> Array | None:
+def _rest_posture(survey: _Survey) -> Array | None:
     """Posture (n,) [rad] in whole degrees with the best score, or None without a usable one."""
 
     def cost(degrees: Array) -> Array:
-        return -_score(survey, np.radians(degrees.T), slack)
+        return -_score(survey, np.radians(degrees.T))
 
     start = np.degrees(survey.postures)
     limits = np.degrees([survey.low, survey.high]).T
@@ -293,10 +293,6 @@ _LEAST = 0.25
 _LEAST_HOLDS = 0.1
 """Safe share around rest (chosen)"""
 
-_SLACKS = (1.0, 0.0)
-"""Shares of the next two, the best first"""
-_APART, _INSIDE = 0.05, 0.3
-"""Extra distances at rest from the floor (over the reach) and from limits [rad] (chosen)"""
 
 _STEPS = 0.8 ** np.arange(8)
 """(chosen)"""
@@ -369,17 +365,15 @@ def postures_to_hold(
 
 def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
-    survey, why = _survey(arm), ""
-    for slack in _SLACKS:
-        rest = _rest_posture(survey, slack)
-        box = None if rest is None else _largest_box(survey, rest)
-        if rest is None or box is None:
-            continue
+    survey = _survey(arm)
+    rest = _rest_posture(survey)
+    box = None if rest is None else _largest_box(survey, rest)
+    lack = "has a region of reachable targets"
+    if rest is not None and box is not None:
         trial = replace(arm, rest=rest, targets=box)
         if min(room(trial)) >= _LEAST:
             return rest, box
-        why = why or unsafe(trial, rest) or "most postures around it are not safe"
-    lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
+        lack = f"has room for an excitation (of the best one: {unsafe(trial, rest) or 'most around it are not safe'})"
     raise NoPostureError(
         f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
         f"and room in every joint {lack}; give rest_deg in the arm's TOML file"

@@ -16,7 +16,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controllers.law import limit_lead, limit_position
+from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
 from rejoint.system.errors import InputError

@@ -28,7 +28,7 @@ from rejoint.control.controllers.contract import (
     probe_observations,
     seal,
 )
-from rejoint.control.controllers.runtime import ort
+from rejoint.control.controllers.policy import ort
 from rejoint.system.errors import ContractError
 from rejoint.system.files import write_whole
 from rejoint.training.presets import Preset

@@ -13,8 +13,8 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm, dls, frames, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.rotations import rotation_error
 from rejoint.arms.workspace import torque_size
+from rejoint.control.controllers.classical import between, limit_position
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.controllers.law import between, limit_position
 from rejoint.control.robot import ControlInput, JointState, Mask
 
 STILL = 1.5
