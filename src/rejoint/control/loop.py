@@ -110,7 +110,7 @@ def run(
                 robot.stop()
         except BaseException as error:
             held = _hold(robot, limp=isinstance(error, PowerLostError))
-            if run_state is not None:
+            if run_state is not None and run_state.cycles:
                 attach(error, run_state.recording())
             if robot.count == 1:
                 error.add_note(held)
