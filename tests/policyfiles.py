@@ -4,7 +4,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from rejoint.control.controllers.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, content_digest
+from rejoint.control.controllers.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, UNSEALED, seal
 
 
 def chained(layers):
@@ -34,7 +34,6 @@ def chained(layers):
 def sealed(path, model, text):
     """Write a model as a policy of this contract, with the digest of both."""
     del model.metadata_props[:]
-    digest = content_digest(model.SerializeToString(), text)
-    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
-    path.write_bytes(model.SerializeToString())
+    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: UNSEALED})
+    path.write_bytes(seal(model.SerializeToString()))
     return path

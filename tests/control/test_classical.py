@@ -8,9 +8,8 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, tcp_position
 from rejoint.control.controllers import classical
 from rejoint.control.controllers.catalogue import make_controller
-from rejoint.control.controllers.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController, dls_step, null_space
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
-from rejoint.control.controllers.law import dls_step, null_space
 from rejoint.control.goal import nearest_postures
 from rejoint.control.loop import Schedule, run
 from standin import StandIn, inputs_of, state_of

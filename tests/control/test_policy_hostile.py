@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -14,7 +13,7 @@ from test_policy import ARM, contract, write
 
 from policyfiles import sealed
 from rejoint.control.controllers.contract import LAYERS, MOST_LAYERS, encode_contract
-from rejoint.control.controllers.policy import LARGEST_FILE, load_policy
+from rejoint.control.controllers.policy import LARGEST_FILE, load_policy, ort
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
 from rejoint.training.ppo import perceptron
@@ -160,7 +159,7 @@ def test_a_network_of_anything_but_layers_never_reaches_the_runtime(harm, tmp_pa
     found = model(tmp_path)
     harm(found)
     path = save(tmp_path / "p.onnx", found)
-    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: pytest.fail("the runtime has read it"))
+    monkeypatch.setattr(ort, "InferenceSession", lambda *_, **__: pytest.fail("the runtime has read it"))
     assert "not a readable ONNX file" in outcome(path)
 
 

@@ -9,8 +9,9 @@ from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.comparison.protocols import STANDS_FOR, metrics_of, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.loop import Schedule, Stillness, run
-from standin import StandIn, state_of
+from rejoint.control.loop import Schedule, run
+from rejoint.control.robot import Stillness
+from standin import StandIn
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -37,10 +38,10 @@ def test_stillness_by_hand():
     sent, position = np.zeros((1, 6)), np.zeros((1, 6))
 
     def at(time, moved=0.0, command=0.0):
-        state = state_of(position + moved, time)
-        return still.look(state, sent + command)[0]
+        return still.look(np.array([time]), np.hstack([position + moved, sent + command]))[0].min()
 
-    still = Stillness(state_of(position, 5.0), sent, STEP)
+    still = Stillness(np.repeat([1.5 * STEP, 0.0], ARM.joints))
+    assert at(5.0) == 0.0
     assert at(6.0) == 1.0
     assert at(7.0, moved=STEP) == 2.0  # an encoder flickers
     assert at(8.0, moved=-STEP) == 3.0

@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, posit
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput, Mask, Stillness
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 
@@ -132,8 +132,7 @@ class Modelled:
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
         # Of B arms from the first target on:
-        self._came = self._posture = np.zeros(self.arm.joints)  # [rad] where arms came from, and last moved
-        self._since: Array = np.full(1, np.nan)  # [s] when they last moved
+        self._came, self._still = np.zeros(self.arm.joints), Stillness(STILL)  # [rad] where arms came from
         self._done: Mask = np.zeros(1, dtype=bool)  # whether the target was aimed at again
         self._turned = np.eye(3)  # wanted encoder orientations
 
@@ -158,7 +157,8 @@ class Modelled:
 
         None: at postures found from ``start`` (B, n) [rad].
         """
-        self._done, self._since = self._done & ~where, np.where(where, np.nan, self._since)
+        self._done = self._done & ~where
+        self._still.restart(where)
         self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
@@ -192,11 +192,8 @@ class Modelled:
         return np.where(changed[:, None], checked(target, fresh), inputs.target)
 
     def _settled(self, inputs: ControlInput) -> Mask:
-        position, now = inputs.state.position, inputs.state.time
-        moving = (np.abs(position - self._posture) > STILL).any(axis=-1) | np.isnan(self._since)
-        self._posture = np.where(moving[:, None], position, self._posture)
-        self._since = np.where(moving, now, self._since)
-        calm = now - self._since > CALM
+        position = inputs.state.position
+        calm: Mask = self._still.look(inputs.state.time, position).min(axis=-1) > CALM
         if not calm.any():
             return calm
         off = np.linalg.norm(inputs.target - tcp_position(self.arm, position), axis=-1)

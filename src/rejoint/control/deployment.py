@@ -83,7 +83,7 @@ class Deployed(Readable):
 def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
     """Return result up to ``error``, or None."""
     partial = recording_of(error)
-    if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
+    if partial is None or not np.isfinite(partial.target).any():
         return None
     return judge(arm, partial, job, model, ended=error)
 

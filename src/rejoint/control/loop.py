@@ -30,7 +30,7 @@ from rejoint.control.guard import (
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, attach, recorded
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, part_of, turned_off
+from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, Stillness, part_of, turned_off
 from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
@@ -110,7 +110,7 @@ def run(
                 robot.stop()
         except BaseException as error:
             held = _hold(robot, limp=isinstance(error, PowerLostError))
-            if run_state is not None:
+            if run_state is not None and run_state.cycles:
                 attach(error, run_state.recording())
             if robot.count == 1:
                 error.add_note(held)
@@ -153,24 +153,6 @@ def reported_load(state: JointState) -> Array:
     return np.full(state.position.shape, np.nan) if state.load is None else state.load
 
 
-class Stillness:
-    """Measures how long arms are stationary."""
-
-    def __init__(self, state: JointState, sent: Array, encoder_step: float) -> None:
-        """``sent`` (B, n) [rad]: command in force."""
-        self._position, self._sent, self._since = state.position.copy(), sent.copy(), state.time.copy()
-        self._flicker = 1.5 * encoder_step
-
-    def look(self, state: JointState, sent: Array) -> Array:
-        """Time (B,) [s] for which each arm has stood under its command."""
-        moved = (np.abs(state.position - self._position) > self._flicker) | (sent != self._sent)
-        stirred = np.logical_or.reduce(moved, axis=-1)
-        if np.count_nonzero(stirred):
-            self._position[stirred], self._sent[stirred] = state.position[stirred], sent[stirred]
-            self._since[stirred] = state.time[stirred]
-        return np.asarray(state.time - self._since)
-
-
 @dataclass(eq=False)
 class RunState:
     """State of a run."""
@@ -191,7 +173,8 @@ class RunState:
         told = np.array(state.position if sent is None else sent, dtype=float)
         self.sent = in_force(state, told)
         self.following = Following(limits.arm, state, self.sent, limits.bands)
-        self.stillness = Stillness(state, self.sent, limits.arm.encoder_step)
+        flicker = [1.5 * limits.arm.encoder_step, 0.0]  # of a reading, and of a command
+        self.stillness = Stillness(np.repeat(flicker, limits.arm.joints))
         self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
         self.index: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
@@ -231,7 +214,8 @@ class RunState:
 
     def _leave_out(self, longest: float) -> None:
         """End the dwell of arms stationary for ``longest`` [s]; call in every cycle, or in none."""
-        enough = self.stillness.look(self.state, self.sent) >= longest
+        stood = self.stillness.look(self.state.time, np.hstack([self.state.position, self.sent]))
+        enough = stood.min(axis=-1) >= longest
         if np.count_nonzero(enough):
             over = self.inputs.since_target - self.schedule.dwell - _ROUNDING  # below zero by what is left
             self.set_at = np.where(enough & (over < 0.0), self.set_at + over, self.set_at)

@@ -131,12 +131,9 @@ class Recording(Cycle):
 
 
 def recorded(robot: Robot, controller: str, cycles: list[Cycle], tripped: Reasons) -> Recording:
-    """Make a recording of ``cycles``; ``tripped`` (B,)."""
-    count, n = robot.count, robot.arm.joints
-    nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
-    rows = cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
+    """Make a recording of ``cycles``, at least one; ``tripped`` (B,)."""
     columns: dict[str, Any] = {
-        item.name: np.stack([getattr(row, item.name) for row in rows])[: len(cycles)] for item in fields(Cycle)
+        item.name: np.stack([getattr(cycle, item.name) for cycle in cycles]) for item in fields(Cycle)
     }
     return Recording(
         arm=robot.arm.name,

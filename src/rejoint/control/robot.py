@@ -141,6 +141,29 @@ class Controller(Protocol):
         """Commands (B, n) [rad]."""
 
 
+class Stillness:
+    """Measures how long joints have stood."""
+
+    def __init__(self, within: Array | float) -> None:
+        """``within`` [rad], a number or (n,): the farthest that a joint which stands is from where it came to stand."""
+        self._within = within
+        self._anchor = self._since = np.zeros((0, 0))
+
+    def look(self, time: Array, position: Array) -> Array:
+        """Time (B, n) [s] for which joints at ``position`` (B, n) [rad] have stood; the first call begins."""
+        if self._anchor.shape != position.shape:
+            self._anchor, self._since = np.full((2, *position.shape), np.nan)
+        moved = ~(np.abs(position - self._anchor) <= self._within)
+        self._anchor = np.where(moved, position, self._anchor)
+        self._since = np.where(moved, time[:, None], self._since)
+        return time[:, None] - self._since
+
+    def restart(self, where: Mask) -> None:
+        """Begin again for the arms in ``where`` (B,)."""
+        if len(self._anchor) == len(where):
+            self._anchor[where] = np.nan
+
+
 BEHIND = 1.0
 """[s] of lost time that is not made up for (chosen)"""
 

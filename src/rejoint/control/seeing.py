@@ -13,11 +13,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, clip_norm, dls, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controllers.law import limit_lead, limit_position
+from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
+from rejoint.control.moving.reference import interpolated
 from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
 from rejoint.system.errors import InputError
 
@@ -88,7 +89,8 @@ class Seen(Modelled):
         self._spread = np.eye(3)  # [m^2] covariance of that shift
         self._count = 0  # sightings believed at this target
         self._last = self._believed = -np.inf  # [s] of the newest sighting that was looked at, and believed
-        self._told: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
+        self.readings: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
+        """times [s] and positions (n,) [rad], the newest last"""
 
     def aim(
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
@@ -101,11 +103,11 @@ class Seen(Modelled):
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Correct by the newest detection."""
         now, position = float(inputs.state.time[0]), inputs.state.position[0]
-        self._told.append((now, position.copy()))
+        self.readings.append((now, position.copy()))
         if not np.isfinite(target).all():
             return None
         seen = self.eye.sighting(now)
-        if seen is None or seen.time <= self._last or not self._told[0][0] <= seen.time <= now:
+        if seen is None or seen.time <= self._last or not self.readings[0][0] <= seen.time <= now:
             return None
         self._last = seen.time
         then = self._position(seen.time)
@@ -159,8 +161,8 @@ class Seen(Modelled):
 
     def _position(self, time: float) -> Array:
         """Return reading (n,) [rad] at ``time`` [s]."""
-        times, places = zip(*self._told, strict=True)
-        return np.array([np.interp(time, times, column) for column in np.transpose(places)])
+        times, places = map(np.array, zip(*self.readings, strict=True))
+        return interpolated(np.array(time), times, places)
 
 
 TAKE_OVER = 0.006
@@ -218,7 +220,6 @@ class Finishing:
         self._arm, self._controller, self._seen = arm, controller, seen
         self.name, self.contract = controller.name, getattr(controller, "contract", None)
         self._amplitude = np.full(arm.joints, FIRST)
-        self._told: deque[tuple[float, Array]] = deque(maxlen=12)
         self._aim = np.full(3, np.nan)
         self._begin_target()
 
@@ -234,7 +235,6 @@ class Finishing:
     def command(self, inputs: ControlInput) -> Array:
         """Commands (1, n) [rad]."""
         now, position = float(inputs.state.time[0]), inputs.state.position[0]
-        self._told.append((now, position.copy()))
         missing = self._seen.missing(inputs)
         if self.state == "hold":
             if missing is None or not self._is_off(now, missing):
@@ -246,7 +246,6 @@ class Finishing:
 
     def _begin_target(self) -> None:
         self.state = "far"
-        self._told.clear()
         self._alone = np.zeros(self._arm.joints, dtype=bool)  # joints that stay stuck
 
     def _begin(self, state: str, now: float, inputs: ControlInput) -> None:
@@ -263,9 +262,9 @@ class Finishing:
         if self.state == "fine":  # the tool is hidden: by the model again
             self.state = "far"
             self._controller.reset(inputs, np.ones(1, dtype=bool))
-        if missing is None or len(self._told) < LOOK:
+        if missing is None or len(self._seen.readings) < LOOK:
             return self._controller.command(inputs)
-        moved = float(np.abs(self._told[-1][1] - self._told[-LOOK][1]).max())
+        moved = float(np.abs(self._seen.readings[-1][1] - self._seen.readings[-LOOK][1]).max())
         off = float(np.linalg.norm(missing))
         if off < CALM and moved < AT_REST:
             self._begin("hold", now, inputs)
@@ -287,7 +286,7 @@ class Finishing:
         if self._renew:
             self._moving, self._renew = self._choose(jacobian), False
         part = jacobian * self._moving
-        motion = clip_norm(part.T @ np.linalg.solve(part @ part.T + DAMPING**2 * np.eye(3), missing), STEP)
+        motion = clip_norm(dls(part, missing, DAMPING), STEP)
         elapsed, self._time = now - self._time, now
         swing = self._swing()
         self._recent.append(missing)
@@ -307,14 +306,15 @@ class Finishing:
         return wanted[None]
 
     def _swing(self) -> int:
-        period = (self._told[-1][0] - self._told[0][0]) / max(len(self._told) - 1, 1)
+        readings = self._seen.readings
+        period = (readings[-1][0] - readings[0][0]) / max(len(readings) - 1, 1)
         return int(np.clip(round(HALF_SWING / max(period, 1e-3)), 1, 4))
 
     def _watch(self, now: float, swing: int) -> None:
         if not np.isnan(self._fading):
             return
-        if self._cycles % (2 * swing) == 0 and len(self._told) > 2 * swing and self._cycles:
-            self._suit(np.stack([one for _, one in self._told])[-2 * swing - 1 :])
+        if self._cycles % (2 * swing) == 0 and len(self._seen.readings) > 2 * swing and self._cycles:
+            self._suit(np.stack([one for _, one in self._seen.readings])[-2 * swing - 1 :])
         if self._seen.used == self._looked:
             return
         self._looked = self._seen.used

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, choose_postures, solve_position, tcp_position
+from rejoint.arms import Arm, Array, choose_postures
 from rejoint.arms.rotations import (
     WEIGHT,
     Orientation,
@@ -190,10 +190,6 @@ def pointing(axis: Array, direction: Array) -> Array:
 
 _MOST = 250_000
 """[bytes] (chosen: ten thousand targets)"""
-_REACHED = 1e-3
-"""[m] miss out of reach (chosen)"""
-_POSTURES, _STARTS = 5000, 4
-"""Random postures, and tried ones (measured)"""
 _WHOLE = 6
 """Joints that turn a tool freely"""
 _NAMED = 5
@@ -243,19 +239,6 @@ def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None
     if bad and turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):
         told.append(f"an arm of {arm.joints} joints has a direction dx,dy,dz at most")
     return "; ".join(told) + (f"; and {len(bad) - _NAMED} more" if len(bad) > _NAMED else "")
-
-
-def beyond_reach(arm: Arm, targets: Array) -> Array:
-    """Distances (K,) [m] beyond the reach."""
-    beyond: Array = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints))).error
-    missed = np.flatnonzero(beyond > _REACHED)
-    if len(missed):
-        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.joints))
-        apart = np.linalg.norm(tcp_position(arm, postures) - targets[missed, None], axis=-1)
-        starts = postures[np.argsort(apart, axis=1)[:, :_STARTS]]
-        again = solve_position(arm, targets[missed, None], starts, rest_gain=0.0).error.min(axis=1)
-        beyond[missed] = np.minimum.reduce([beyond[missed], apart.min(axis=1), again])
-    return np.where(beyond > _REACHED, beyond, 0.0)
 
 
 def unit_hint(places: Array) -> str:

@@ -16,7 +16,7 @@ from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controllers.law import NOMINAL_PERIOD
+from rejoint.control.controllers.classical import NOMINAL_PERIOD
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands

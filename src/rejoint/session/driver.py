@@ -480,7 +480,7 @@ class ArmDriver:
             recording = motion(see)
         except BaseException as error:
             partial = recording_of(error)
-            if partial is not None and len(partial.time):
+            if partial is not None:
                 self._sent = partial.command[-1]
             self.recorder.rescue(error)
             raise

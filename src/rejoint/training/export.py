@@ -22,12 +22,13 @@ from rejoint.control.controllers.contract import (
     INPUT,
     METADATA_KEY,
     OUTPUT,
+    UNSEALED,
     PolicyContract,
-    content_digest,
     encode_contract,
     probe_observations,
+    seal,
 )
-from rejoint.control.controllers.runtime import ort
+from rejoint.control.controllers.policy import ort
 from rejoint.system.errors import ContractError
 from rejoint.system.files import write_whole
 from rejoint.training.presets import Preset
@@ -44,10 +45,8 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     model = policy_graph(network, contract.observation_size)
     answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
-    text = encode_contract(complete)
-    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: content_digest(model.SerializeToString(), text)})
-    data = model.SerializeToString()
-    write_whole(path, lambda temporary: temporary.write_bytes(data))
+    helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
+    write_whole(path, lambda temporary: temporary.write_bytes(seal(model.SerializeToString())))
     return complete
 
 

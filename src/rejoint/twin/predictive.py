@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.control.controllers.catalogue import PREDICTIVE
-from rejoint.control.controllers.law import Pace, limit_lead, limit_position
+from rejoint.control.controllers.classical import Pace, limit_lead, limit_position
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TwinParameters

@@ -29,8 +29,8 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import Columns, Protocol
+from rejoint.control.controllers.classical import Pace, dls_step, limit_position, null_space
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.controllers.law import Pace, dls_step, limit_position, null_space
 from rejoint.control.loop import run
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.system.errors import InputError

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.policy import Policy, PolicyController, load_policy
 from rejoint.control.robot import Controller
 from rejoint.system.errors import ContractError, InputError
-
-if TYPE_CHECKING:
-    from rejoint.control.controllers.policy import Policy, PolicyController
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "default": DefaultController,
@@ -47,10 +44,6 @@ def make_controller(
     if name == POLICY:
         if policy is None:
             raise InputError("the controller 'policy' needs a policy file; train one or name its path")
-        from rejoint.control.controllers.policy import (
-            load_policy,  # ONNX Runtime is slow to import and not needed elsewhere
-        )
-
         return load_policy(policy, arm)
     if name == PREDICTIVE:
         raise InputError("the controller 'predictive' needs the twin of the arm; fit one with: rejoint identify")
@@ -81,8 +74,6 @@ def shelf_policy(arm: Arm) -> Policy:
             f"no policy comes with rejoint for the arm {arm.name!r}, only for {known}; train one with: "
             "rejoint repair, or take another controller, such as integrator"
         )
-    from rejoint.control.controllers.policy import Policy  # ONNX Runtime is slow to import and not needed elsewhere
-
     policy = Policy.load(shelf_path(arm.name))
     check_contract(policy.contract, arm)
     return policy

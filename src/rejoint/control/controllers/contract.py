@@ -7,12 +7,15 @@ with weights inside. Fields: ``onnx.proto`` of ONNX 1.17.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
+from google.protobuf.empty_pb2 import Empty
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import bare
@@ -209,14 +212,16 @@ _MODEL_FIELDS = {
     _PROPERTY: {1: None, 2: None},
 }
 """Allowed fields by number: with fields inside, with these values, or with any"""
+_GROUP = 3  # wire type of an obsolete kind of message
 
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+UNSEALED = "0" * 64
+"""Digest of a file that has none yet"""
 
 
 def read_metadata(data: bytes) -> dict[str, str]:
     """Metadata of an ONNX file; ValueError."""
     _check(data, _MODEL_FIELDS)
-    parts = list(_fields(data))
+    parts = _fields(data)
     layers = sum(field == _NODE for number, graph in parts if number == _GRAPH for field, _ in _fields(graph))
     if not 0 < layers <= MOST_LAYERS:
         raise ValueError(f"{layers} layers, expected 1 to {MOST_LAYERS}")
@@ -224,14 +229,14 @@ def read_metadata(data: bytes) -> dict[str, str]:
     return {pair.get(1, b"").decode(): pair.get(2, b"").decode() for pair in pairs}
 
 
-def content_digest(data: bytes, contract: str) -> str:
-    """Digest of an ONNX file without its metadata, and of its contract's text."""
-    digest = hashlib.sha256()
-    for number, value in _fields(data):
-        if number != _PROPERTY:
-            digest.update(f"{number} {len(value)} ".encode() + value)
-    digest.update(contract.encode())
-    return digest.hexdigest()
+def content_digest(data: bytes, recorded: str) -> str:
+    """Digest of an ONNX file in which this one is ``recorded``."""
+    return hashlib.sha256(data.replace(recorded.encode(), b"", 1)).hexdigest()
+
+
+def seal(data: bytes) -> bytes:
+    """Put its digest in the place of `UNSEALED`."""
+    return data.replace(UNSEALED.encode(), content_digest(data, UNSEALED).encode(), 1)
 
 
 def _check(data: bytes, allowed: Mapping[int, Any]) -> None:
@@ -240,38 +245,15 @@ def _check(data: bytes, allowed: Mapping[int, Any]) -> None:
         if isinstance(inside, dict):
             _check(value, inside)
         elif inside is not None and value not in inside:
-            raise ValueError(f"a field {number} that no policy has: {value[:_SHOWN]!r}")
+            raise ValueError(f"a field {number} that no policy has: {shown(value)}")
 
 
-def _fields(data: bytes) -> Iterator[tuple[int, bytes]]:
-    place = 0
-    while place < len(data):
-        key, start = _varint(data, place)
-        kind = key & 7
-        if kind == _VARINT:
-            _, place = _varint(data, start)
-        elif kind == _FIXED64:
-            place = start + 8
-        elif kind == _FIXED32:
-            place = start + 4
-        elif kind == _BYTES:
-            size, start = _varint(data, start)
-            place = start + size
-        else:
-            raise ValueError(f"byte {place} begins no field")
-        if place > len(data):
-            raise ValueError("cut short")
-        yield key >> 3, data[start:place]
-
-
-def _varint(data: bytes, place: int) -> tuple[int, int]:
-    number = 0
-    for shift in range(0, 70, 7):
-        if place >= len(data):
-            raise ValueError("cut short")
-        byte = data[place]
-        place += 1
-        number |= (byte & 127) << shift
-        if byte < 128:
-            return number, place
-    raise ValueError(f"byte {place} ends no number")
+def _fields(message: bytes) -> list[tuple[int, Any]]:
+    """Numbers and values of a message's fields: each one that an empty message does not know."""
+    try:
+        fields = list(UnknownFieldSet(Empty.FromString(message)))
+    except DecodeError as error:
+        raise ValueError(first_line(error)) from error
+    if any(field.wire_type == _GROUP for field in fields):
+        raise ValueError("a group of fields, which no policy has")
+    return [(field.field_number, field.data) for field in fields]

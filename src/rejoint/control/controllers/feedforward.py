@@ -15,9 +15,10 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.arms.rotations import task
 from rejoint.arms.workspace import length_size, torque_size
-from rejoint.control.controllers.classical import FADE, RATE
-from rejoint.control.controllers.law import (
+from rejoint.control.controllers.classical import (
+    FADE,
     LONGEST_PERIOD,
+    RATE,
     Pace,
     between,
     dls_step,

@@ -1,10 +1,12 @@
-"""A learned policy as a controller. Needs ONNX Runtime, not torch."""
+"""A learned policy as a controller. Needs ONNX Runtime, not torch; without its telemetry, which 0 allows."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +27,13 @@ from rejoint.control.controllers.contract import (
 )
 from rejoint.control.controllers.observation import Observation, Observer
 from rejoint.control.controllers.residual import Commander
-from rejoint.control.controllers.runtime import ort
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
+from rejoint.system.shell import Late
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is imported
+ort = Late("onnxruntime")
 
 LARGEST_FILE = 16 * MEGABYTE
 """[bytes] (chosen: two hundred times what ours have)"""
@@ -41,7 +46,7 @@ class PolicyController(Commander):
 
     name = "policy"
 
-    def __init__(self, arm: Arm, session: ort.InferenceSession, contract: PolicyContract) -> None:
+    def __init__(self, arm: Arm, session: Any, contract: PolicyContract) -> None:  # noqa: ANN401 - an untyped library
         super().__init__(arm, contract.law)
         self.arm, self.contract, self._session = arm, contract, session
         self._observer = Observer(arm, 1, contract.layout)
@@ -102,7 +107,8 @@ class Policy:
             known = "take a file written by `rejoint train`"
             raise FileError(path, "an ONNX file without the contract of a policy", known)
         contract = decode_contract(text)
-        if metadata.get(DIGEST_KEY) != content_digest(data, text):
+        recorded = metadata.get(DIGEST_KEY, "")
+        if recorded != content_digest(data, recorded):
             raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
         return cls(content=data, contract=contract, source=str(path))
 
@@ -127,7 +133,7 @@ class Policy:
         return _act(self._session, rows).reshape(*np.shape(observation)[:-1], -1)
 
     @cached_property
-    def _session(self) -> ort.InferenceSession:
+    def _session(self) -> Any:  # noqa: ANN401
         """Network that gives the contract's probe answers."""
         session = _open(self.source, self.content)
         _check_network(self.source, self.contract, session)
@@ -139,11 +145,12 @@ def load_policy(path: Path, arm: Arm) -> PolicyController:
     return Policy.load(path).controller(arm)
 
 
-def _act(session: ort.InferenceSession, observation: Observation) -> Array:
-    return session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
+def _act(session: Any, observation: Observation) -> Array:  # noqa: ANN401
+    answer: Array = session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
+    return answer
 
 
-def _open(source: str, data: bytes) -> ort.InferenceSession:
+def _open(source: str, data: bytes) -> Any:  # noqa: ANN401
     options = ort.SessionOptions()
     # The network is tiny: a second thread costs more than it brings.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -154,7 +161,7 @@ def _open(source: str, data: bytes) -> ort.InferenceSession:
         raise FileError(source, _DAMAGED, "train the policy again") from error
 
 
-def _check_network(source: str, contract: PolicyContract, session: ort.InferenceSession) -> None:
+def _check_network(source: str, contract: PolicyContract, session: Any) -> None:  # noqa: ANN401
     n, size = len(contract.joint_names), contract.observation_size
     found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
     if found != [(INPUT, [size]), (OUTPUT, [n])]:

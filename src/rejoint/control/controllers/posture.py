@@ -1,6 +1,6 @@
 """Brings a worn arm to joint positions, its tool first.
 
-The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its following
+The law is that of the feed-forward controller, with joint errors as steps. A joint without torque keeps its following
 error; others make up for the tool.
 """
 
@@ -10,28 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls, frames, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.rotations import rotation_error
-from rejoint.arms.workspace import torque_size
-from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.controllers.law import between, limit_position
-from rejoint.control.robot import ControlInput, JointState, Mask
+from rejoint.control.controllers.classical import between, limit_lead, limit_position
+from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
+from rejoint.control.robot import ControlInput, Mask, Stillness
 
 STILL = 1.5
 """encoder counts of a stationary reading (chosen)"""
-_SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
-
 
 # Chosen by `python -m benchmarks serve`:
-RATE = 4.0
-"""[1/s] integrated share of the error"""
 FADE = np.radians(0.3)
-"""[rad] error at which that fades to half"""
+"""[rad] error at which the integrated share of it fades to half"""
 PUSH, WITHIN = np.radians(5.0), np.radians(0.06)
 """[rad/s] extra push at rest, and [rad] error without it"""
-TAKEN_BACK = 0.9
-"""removed share of the push after motion"""
-MOVING, STANDING = np.radians(5.0), np.radians(1.0)
+MOVING, STANDING = float(np.radians(5.0)), np.radians(1.0)
 """[rad/s] without correction, and of a stationary joint"""
 OFF = np.radians(0.3)
 """[rad] error of a joint without torque"""
@@ -55,10 +48,11 @@ class PostureGains:
     """[rad] largest following error, below the guard's"""
 
 
-class PostureController:
+class PostureController(FeedforwardController):
     """Brings B arms to their goals, joint by joint."""
 
     name = "posture"
+    heeds_turn = False
 
     def __init__(
         self,
@@ -69,96 +63,64 @@ class PostureController:
         gains: PostureGains | None = None,
     ) -> None:
         """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] of the twin."""
-        self._arm, self._gains = arm, gains or PostureGains()
-        nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
-        self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
-        self._time: Array | None = None
-        self._position = self._speed = self._learned = self._pushed = self._command = np.zeros((0, arm.joints))
-        self._anchor = self._position
-        self._stood: Array = np.zeros(0)
+        super().__init__(arm, stiffness, FeedforwardGains(moving=MOVING))
+        self._limits, self._offset = gains or PostureGains(), offset
+        self._still = Stillness(STILL * arm.encoder_step)
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Do nothing."""
 
+    def _take(self, inputs: ControlInput, where: Mask) -> None:
+        super()._take(inputs, where)
+        self._raised[where] -= self._offset
+
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
-        state = inputs.state
-        raised = inputs.goal + gravity_torque(self._arm, inputs.goal) / self._stiffness - self._offset
-        if self._time is None:
-            self._begin(inputs, raised)
-        moved, elapsed = self._observe(state)
-        goal = self._goal(inputs)
-        error = np.where(self._weak, inputs.goal, goal) - state.position
-        rests = self._at_rest(inputs)[:, None]
-        arrived = inputs.arrived[:, None]
-        added = self._learn(error, moved, elapsed, arrived)
-        command = limit_position(self._arm, raised + self._learned)
-        lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
-        command = between(command, state.position - lead, state.position + lead)
-        self._command = np.where(rests, self._command, command)
-        lost = raised + self._learned - self._command
-        self._learned = self._command - raised  # nothing winds up beyond what can be sent
+        position, everyone = inputs.state.position, np.ones(len(inputs.sent), dtype=bool)
+        if len(self._position) != len(position):
+            self.reset_learned(inputs, everyone)
+            self._take(inputs, everyone)
+            self.take_over(inputs, everyone)
+            self._weak, self._rests = np.zeros(position.shape, dtype=bool), ~everyone
+        moved, goal = position - self._position, self._goals_of(inputs)
+        error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
+        rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived
+        push = PUSH / self._gains.rate * np.sign(error) * ((size > WITHIN) & arrived)
+        loose = arrived & (self._pushed * moved > 0.0)
+        taken, before = np.where(loose, TAKEN_BACK * self._pushed, 0.0), self._correction.copy()
+        command = self.correct(inputs, error * size / (size + FADE) + push, -taken, np.zeros(len(error)))
+        lead = np.where(self._weak, 1.25 * self._limits.weak, self._limits.lead)  # more would only heat it
+        self._asked = np.where(rests, self._asked, limit_lead(command, position, lead))
+        added, lost = self._correction + taken - before, self._raised + self._correction - self._asked
+        self._correction -= lost  # nothing winds up beyond what can be sent
         sent = between(added - lost, np.minimum(added, 0.0), np.maximum(added, 0.0))
-        self._pushed = np.where((moved == 0.0) & arrived, self._pushed + sent, 0.0)
-        return self._command.copy()
+        self._pushed = np.where(stays, self._pushed + sent, 0.0)
+        return self._asked.copy()
 
-    def _begin(self, inputs: ControlInput, raised: Array) -> None:
+    def _at_rest(self, inputs: ControlInput) -> Mask:
+        """Stationary arms (B,) whose tool is close."""
         position = inputs.state.position
-        self._time, self._position = inputs.state.time.copy(), position.copy()
-        self._speed, self._pushed = np.zeros_like(position), np.zeros_like(position)
-        self._learned, self._command = inputs.sent - raised, inputs.sent.copy()
-        self._anchor, self._stood = position.copy(), np.zeros(len(position))
-        self._weak, self._rests = np.zeros(position.shape, dtype=bool), np.zeros(len(position), dtype=bool)
+        stood = self._still.look(inputs.state.time, position).min(axis=1)
+        away = tcp_position(self._arm, position) - tcp_position(self._arm, inputs.goal)
+        near = np.linalg.norm(away, axis=-1) < np.where(self._rests, self._limits.again, self._limits.close)
+        self._rests = (stood >= CALM) & inputs.arrived & near
+        return self._rests
 
-    def _observe(self, state: JointState) -> tuple[Array, Array]:
-        """Motion (B, n) [rad] and time [s] (B, 1) since the last cycle."""
-        assert self._time is not None  # noqa: S101 - for the type checker
-        elapsed = between(state.time - self._time, 0.0, 0.1)[:, None]
-        moved = state.position - self._position
-        speed = moved / np.maximum(elapsed, 1e-3)
-        self._speed = np.where(elapsed > 0.0, self._speed + _SMOOTHING * (speed - self._speed), self._speed)
-        self._time, self._position = state.time.copy(), state.position.copy()
-        far = np.abs(self._position - self._anchor) > STILL * self._arm.encoder_step
-        gone: Mask = np.logical_or.reduce(far, axis=1)
-        self._anchor = np.where(gone[:, None], self._position, self._anchor)
-        self._stood = np.where(gone, 0.0, self._stood + elapsed[:, 0])
-        return moved, elapsed
-
-    def _goal(self, wanted: ControlInput) -> Array:
+    def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
-        gains, posture = self._gains, wanted.goal
-        lead, away = self._command - self._position, posture - self._position
-        off = wanted.arrived[:, None] & (np.abs(away) > OFF)
-        spent = (np.abs(lead) > gains.weak) & (away * lead > 0.0) & (np.abs(self._speed) < STANDING)
+        position, posture, limits = inputs.state.position, inputs.goal, self._limits
+        lead, away = self._asked - position, posture - position
+        off = inputs.arrived[:, None] & (np.abs(away) > OFF)
+        spent = (np.abs(lead) > limits.weak) & (away * lead > 0.0) & (np.abs(self._speed) < STANDING)
         self._weak = (self._weak | spent) & off
         rows = self._weak.any(axis=1)
         if not rows.any():
             return posture
         goal = posture.copy()
-        goal[rows] = _without(self._arm, posture[rows], self._position[rows], self._weak[rows])
+        goal[rows] = _without(self._arm, posture[rows], position[rows], self._weak[rows])
         return goal
-
-    def _at_rest(self, wanted: ControlInput) -> Mask:
-        """Stationary arms (B,) whose tool is close."""
-        gains = self._gains
-        away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.goal)
-        distance = np.linalg.norm(away, axis=-1)
-        stands = (self._stood >= CALM) & wanted.arrived
-        self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
-        return self._rests
-
-    def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> Array:
-        """Integrate the ``error`` (B, n) [rad] of slow joints; returns the change."""
-        size = np.abs(error)
-        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * error > 0.0)
-        push = PUSH * np.sign(error) * ((size > WITHIN) & arrived)
-        added = elapsed * np.where(on_its_way, 0.0, RATE * error * size / (size + FADE) + push)
-        loose = (moved != 0.0) & arrived & (self._pushed * moved > 0.0)
-        taken = np.where(loose, TAKEN_BACK * self._pushed, 0.0)
-        self._learned = self._learned + added - taken
-        return added
 
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:

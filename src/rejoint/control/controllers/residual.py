@@ -17,8 +17,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.arms.workspace import heaviest_load, moves_tool, unloaded_joints
+from rejoint.control.controllers.classical import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
-from rejoint.control.controllers.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
 from rejoint.control.controllers.observation import View
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError

@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, JointTrajectory, Motors, gravity_torque, pl
 from rejoint.arms.postures import pool_of
 from rejoint.control.goal import pace
 from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState
+from rejoint.control.robot import JointState, Stillness
 from rejoint.system.errors import InputError
 
 OFF, STANDS = float(np.radians(3.0)), 0.5
@@ -77,7 +77,7 @@ class Unloading:
         self._goal = np.full(arm.joints, np.nan)
         self._tries = 0
         self._legs: deque[PlannedWay] = deque()
-        self._anchor, self._stood, self._arrived = np.full(arm.joints, np.nan), np.zeros(arm.joints), 0.0
+        self._still, self._arrived = Stillness(STILL), 0.0
 
     @property
     def given_up(self) -> bool:
@@ -101,18 +101,17 @@ class Unloading:
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
             self._goal, self._tries, self._arrived = goal.copy(), 0, now
             self._legs.clear()
-        moved = ~(np.abs(position - self._anchor) < STILL)
-        self._anchor, self._stood = np.where(moved, position, self._anchor), np.where(moved, now, self._stood)
+        stood = self._still.look(state.time, state.position)[0]
         if not wanted.arrived[0]:
             return wanted
         if self._legs:
-            return self._on_legs(state)
+            return self._on_legs(state, stood)
         if self.given_up or (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
             return wanted
         far = abs(goal[joint] - position[joint]) > OFF
-        if now - max(self._arrived, self._stood[joint]) > (STANDS if far else PUSHED):
+        if min(now - self._arrived, stood[joint]) > (STANDS if far else PUSHED):
             self._tries += 1
             share = 1.0 - EASIER * self._tries
             legs = unloaded_way(self._arm, position, goal, joint, self._motors, share)
@@ -120,8 +119,8 @@ class Unloading:
                 self._tries = TRIES
                 return wanted
             self._legs.extend(PlannedWay(self._arm, leg) for leg in legs)
-            self._stood[:] = now
-            return self._on_legs(state)
+            self._still.restart(np.ones(1, dtype=bool))
+            return self._on_legs(state, 0.0 * stood)
         return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
 
     def _off(self, position: Array, goal: Array) -> int | None:
@@ -130,11 +129,12 @@ class Unloading:
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
 
-    def _on_legs(self, state: JointState) -> Setpoint:
+    def _on_legs(self, state: JointState, stood: Array) -> Setpoint:
         now, found = float(state.time[0]), self._legs[0].advance(state, state.time)
-        if found.arrived[0] or now - self._stood.max() > 2.0 * STANDS:  # there, or as near as it comes
+        if found.arrived[0] or stood.min() > 2.0 * STANDS:  # there, or as near as it comes
             self._legs.popleft()
-            self._stood[:] = self._arrived = now
+            self._still.restart(np.ones(1, dtype=bool))
+            self._arrived = now
         return Setpoint(found.goal, arrived=np.zeros(1, dtype=bool))
 
 

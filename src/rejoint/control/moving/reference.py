@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
@@ -27,7 +27,6 @@ from rejoint.control.robot import JointState, Mask
 from rejoint.control.targets import (
     PLACE,
     Pose,
-    beyond_reach,
     in_mm,
     in_words,
     knots_of,
@@ -162,9 +161,10 @@ class Path:
             )
         times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
         places, turns = self.poses(times)
-        beyond = beyond_reach(arm, places)
-        if beyond.any():
-            k = int(beyond.argmax())
+        postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
+        beyond = np.linalg.norm(places - tcp_position(arm, postures), axis=-1)
+        k = int(beyond.argmax())
+        if beyond[k] > NEAR:
             raise InputError(
                 f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
                 f"{unit_hint(self.place)} give places that the tool can reach"
@@ -175,9 +175,8 @@ class Path:
                 f"path: at {times[k]:.2f} s {in_mm(places[k])} is lower than {1e3 * arm.floor:g} mm, where the guard "
                 "keeps the tool from the ground; lead it higher"
             )
-        begin = PathPostures(arm, places[:1], turns and turns[:1])
-        postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
         if turns is not None:
+            postures = PathPostures(arm, places[:1], turns[:1]).along(places[:, None], turns[:, None])[:, 0]
             _require_turned(arm, times, places, turns, postures)
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))

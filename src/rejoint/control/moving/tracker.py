@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
-from rejoint.control.controllers.law import NOMINAL_PERIOD, Pace, limit_position
+from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.moving.posture import STEP, Servos, command_for, joint_weights, speed_of
 from rejoint.control.robot import ControlInput, Mask
 

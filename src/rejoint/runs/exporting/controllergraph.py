@@ -17,6 +17,8 @@ from rejoint.arms import Arm
 from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
 from rejoint.arms.kinematics import GRAVITY, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
+from rejoint.control.controllers.classical import LONGEST_PERIOD as PACE_LONGEST
+from rejoint.control.controllers.classical import PROJECTION_DAMPING
 from rejoint.control.controllers.feedforward import (
     CALMER,
     CLOSE,
@@ -27,8 +29,6 @@ from rejoint.control.controllers.feedforward import (
     SPEED_SMOOTHING,
     TAKEN_BACK,
 )
-from rejoint.control.controllers.law import LONGEST_PERIOD as PACE_LONGEST
-from rejoint.control.controllers.law import PROJECTION_DAMPING
 from rejoint.control.controllers.observation import (
     HISTORY,
     LIMIT,
