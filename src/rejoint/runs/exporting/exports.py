@@ -234,7 +234,7 @@ def design_of(run: Run, best: str) -> Design:
         periods, gains = (contract.min_period, contract.max_period), in_words(contract.servo_gains or {})
         design = Design(arm=arm, law=contract.law, network=policy.content, name=name, periods=periods, gains=gains)
     written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
-    if written == name:
+    if written == name or best == SHELF:
         return design
     return replace(design, instead=f"{best} cannot be written so; this is the {name} of the run instead.")
 
