@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
-import msgspec
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from rejoint.arms import Array
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import TOML_MOST, read_bounded, write_whole
+from rejoint.system.errors import InputError
+from rejoint.system.files import write_text, write_whole
+from rejoint.system.tomltable import read_toml
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""
@@ -121,26 +121,14 @@ ON_TOOL = Board(square=0.020, marker=0.015)
 
 
 def write_board(path: Path, board: Board) -> None:
-    """Write a board as TOML [mm]."""
-    told = asdict(board)
-    square, marker = 1e3 * told.pop("square"), 1e3 * told.pop("marker")
-    told |= {"square_mm": round(square, 6), "marker_mm": round(marker, 6)}
-    lines = [f"{name} = {msgspec.json.encode(value).decode()}" for name, value in told.items()]
-    text = "# A ChArUco board: the board that `rejoint board` drew, and how its print came out.\n" + "\n".join(lines)
-    write_whole(path, lambda temporary: temporary.write_text(text + "\n", encoding="utf-8"))
+    """Write a board as TOML [m]."""
+    about = "# A ChArUco board [m]: the board that `rejoint board` drew, and how its print came out.\n"
+    write_text(path, about + tomlkit.dumps(asdict(board)))
 
 
 def read_board(path: Path) -> Board:
     """Read a board; FileError."""
-    remedy = "write it with `rejoint board`"
-    try:
-        told = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())
-        told["square"], told["marker"] = told.pop("square_mm") / 1e3, told.pop("marker_mm") / 1e3
-        return msgspec.convert(told, Board, strict=True)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", remedy) from error
-    except (OSError, ValueError, TypeError, KeyError, msgspec.MsgspecError) as error:
-        raise FileError(path, f"is no board ({first_line(error)})", remedy) from error
+    return read_toml(path, Board, "write it with `rejoint board`")
 
 
 PAGES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "letter": (279.4, 215.9)}
