@@ -130,7 +130,7 @@ def train_offpolicy(
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
     recipe, files = know_stiffness(settings.preset, arm, twin), RunFolder(out)
-    ranges = training_ranges(arm, twin, recipe)
+    ranges = training_ranges(arm, twin)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
     torch.manual_seed(settings.seed)
     agent, curve, began = _make_agent(task, settings), list[CurvePoint](), time.perf_counter()

@@ -11,11 +11,10 @@ from rejoint.control.controllers.observation import POINT_SCALE, Observation, la
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import WIDE, Series, curves, strokes_of, ways
-from rejoint.training.presets import PAPER
-from rejoint.training.ranges import PaperRanges, Ranges
-from rejoint.training.task import ReachTask
+from rejoint.training.ranges import Ranges
 from rejoint_lab.research.evaluation.family import keep
-from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found
+from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found, ranges_of
+from rejoint_lab.research.reproduction.paper import PAPER, PaperTask
 
 DRAWN = 12
 """paths on Fig. 11; chosen"""
@@ -43,7 +42,7 @@ def play(
     Returns accumulated ``reward``, ``steps``, ``reached`` and ``collided`` (N,), the ``tcp`` (T, N, 3) [m] from the
     start, NaN after the end, and the ``target`` (N, 3) [m].
     """
-    task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
+    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
     target, paths = _point(observation, "target"), [_point(observation, "tcp")]
@@ -71,16 +70,9 @@ def _point(observation: Observation, name: str) -> Array:
     return observation[:, begin : begin + 3].astype(float) / POINT_SCALE
 
 
-def ranges_of(bench: Bench, kind: str) -> Ranges:
-    """Arms with the paper's P and D, or ``healthy`` ones."""
-    if kind == "healthy":
-        return PaperRanges.healthy(bench.arm, PAPER.joint_noise)
-    return PaperRanges(arm=bench.arm, joint_noise=PAPER.joint_noise)
-
-
 def measure_paths(bench: Bench) -> Found:
     """Play the same episodes before and after training."""
-    folder, ranges = bench.training(WORN[0]), ranges_of(bench, "worn")
+    folder, ranges = bench.training(WORN[0]), ranges_of(bench.arm, "worn")
     noises = pq.read_table(folder.curves, columns=["noise"])["noise"].to_numpy()
     arms, found, played = min(ARMS, 4 * bench.scale.judged), Found(), {}
     for key, file, noise in (
@@ -148,7 +140,9 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
 
     def judge() -> Columns:
         played = [
-            play(load_policy(file, bench.arm), ranges_of(bench, arms), count, seed=bench.seed, threads=bench.threads)
+            play(
+                load_policy(file, bench.arm), ranges_of(bench.arm, arms), count, seed=bench.seed, threads=bench.threads
+            )
             for file in files.values()
         ]
         means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}

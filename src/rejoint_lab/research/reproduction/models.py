@@ -10,9 +10,9 @@ from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_p
 from rejoint.arms.arm import dh_chain
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import strokes_of, ways
-from rejoint.training.ranges import PaperRanges
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
+from rejoint_lab.research.reproduction.paper import PaperRanges
 
 POSTURES = 1000
 
