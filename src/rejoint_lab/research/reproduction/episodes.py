@@ -9,11 +9,12 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Columns
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
-from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import WIDE, Series, curves, strokes_of, ways
+from rejoint.pages.html import BLUE, ORANGE, RED, Look
+from rejoint.pages.report.figures import WIDE, Series, curves
 from rejoint.training.ranges import Ranges
 from rejoint_lab.research.evaluation.family import keep
 from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found, ranges_of
+from rejoint_lab.research.reproduction.models import strokes_of, ways
 from rejoint_lab.research.reproduction.paper import PAPER, PaperTask
 
 DRAWN = 12
@@ -115,7 +116,7 @@ def measure_course(bench: Bench) -> Found:
         for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
     }
     panels = {
-        f"{name} per episode": [Series.over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
+        f"{name} per episode": [_over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
         for key, name in (("reward", "reward"), ("steps", "time steps"))
     }
     bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
@@ -151,3 +152,11 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     count = bench.scale.judged
     identity = repr((name, arms, count, bench.seed))
     return keep(folder.path / f"course-{arms}.parquet", identity, judge)
+
+
+def _over(label: str, look: Look, values: Array) -> Series:
+    """Means of ``values`` (R, K), with the smallest and the largest."""
+    known = np.isfinite(values).any(axis=0)
+    mean, low, high = found = np.full((3, values.shape[1]), np.nan)
+    found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
+    return Series(label=label, look=look, value=mean, low=low, high=high)

@@ -16,7 +16,7 @@ from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, RED, look_of
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import WIDE, Series, Stroke, curves, strokes_of, ways
+from rejoint.pages.report.figures import WIDE, Series, Stroke, curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
@@ -24,6 +24,7 @@ from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint_lab.research.evaluation.evaluate import VariantRow, classical, make_row, together
 from rejoint_lab.research.evaluation.family import ArmFamily, keep, try_on
 from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, ranges_of, recipe
+from rejoint_lab.research.reproduction.models import strokes_of, ways
 from rejoint_lab.research.reproduction.paper import PAPER
 
 DWELL = 5.0
