@@ -163,7 +163,9 @@ class ComparisonJob:
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
-        return TrialRunner(opened or self._open, factories, self.targets, self.settings, **self.trials, **hooks)
+        limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
+        about: dict[str, Any] = {"limits": limits, **self.trials, **hooks}
+        return TrialRunner(opened or self._open, factories, self.targets, self.settings, **about)
 
     @property
     def places(self) -> Places:
@@ -415,7 +417,6 @@ def comparison_job(
         trials={
             "turns": turns,
             "stance": stance_of(twin, run),
-            "limits": guard_limits(run, arm, session.address),
             "correction": correction_of(model, arm, points),
             "model": model,
         },
