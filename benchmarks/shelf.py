@@ -1,4 +1,4 @@
-"""The policies from the shelf, made again by `python -m rejoint.training.shelf ARM`, and compared by what they do.
+"""The policies from the shelf, made again by `python -m rejoint_lab.research.shelf ARM`, and compared by what they do.
 
 On another kind of processor the same seed gives another policy, so the two are compared as two trainings are: on worn
 arms that neither has met.
@@ -15,8 +15,8 @@ from rejoint.arms import load_arm
 from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controllers.catalogue import shelf_arms, shelf_path
 from rejoint.control.controllers.policy import load_policy
-from rejoint.training.shelf import make_shelf_policy
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
+from rejoint_lab.research.shelf import make_shelf_policy
 
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2

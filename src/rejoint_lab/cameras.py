@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import inverse
-from rejoint.camera.board import ON_TOOL, Board
-from rejoint.camera.detector import Picture
+from rejoint.camera.board import ON_TOOL, Board, Picture
 from rejoint.camera.rig import Lens, Rig
 
 BLACK, WHITE, WALL = 35.0, 215.0, 120.0

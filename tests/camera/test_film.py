@@ -10,8 +10,7 @@ from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.arms.rotations import inverse
-from rejoint.camera.board import ON_TABLE, ON_TOOL
-from rejoint.camera.detector import Unusable
+from rejoint.camera.board import ON_TABLE, ON_TOOL, Unusable
 from rejoint.camera.film import (
     POSTURES,
     read_folder,

@@ -10,8 +10,7 @@ from camera_scenes import ARM, taken
 from rejoint.arms import tcp_pose
 from rejoint.arms.rotations import turned
 from rejoint.camera import tracker
-from rejoint.camera.board import ON_TOOL
-from rejoint.camera.detector import Detector
+from rejoint.camera.board import ON_TOOL, Detector
 from rejoint.camera.rig import Rig
 from rejoint.camera.tracker import ToolTracker
 from rejoint.system.errors import InputError

@@ -12,8 +12,9 @@ from rejoint.control.controllers.contract import (
 from rejoint.control.controllers.policy import PolicyController
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError
-from rejoint.training.presets import DEFAULT, PAPER
+from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
+from rejoint_lab.research.reproduction.paper import PAPER
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

@@ -12,8 +12,8 @@ from rejoint.control.controllers.contract import check_period
 from rejoint.robots import place_of
 from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError
-from rejoint.training.shelf import RECIPES
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
+from rejoint_lab.research.shelf import RECIPES
 
 
 def test_each_is_for_an_arm_of_the_catalogue_and_has_its_recipe():

@@ -48,8 +48,8 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
         monkeypatch.setattr(chain, name, lambda *_, name=name, **options: done.update({name: options}))
 
     class Job:
-        def __init__(self, *_, **options):
-            done["compare"] = options
+        def __init__(self, session, *_):
+            done["compare"] = session.settings
 
         def begin_ahead(self):
             """Begin nothing."""
@@ -67,6 +67,6 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
     assert stages.count("compared") == 1
     assert ("calibrate" in done) is calibrated
     assert ("calibrate" in stages) is calibrated
-    assert done["compare"]["settings"].calibration == corrected
+    assert done["compare"].calibration == corrected
     if calibrated:
         assert done["calibrate"]["gauge"] is gauge

@@ -5,7 +5,6 @@ import pytest
 
 from madetwin import made_twin
 from rejoint.arms import mycobot280
-from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges
 from rejoint.training.train import training_ranges
 from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
@@ -72,7 +71,7 @@ def test_an_identified_acceleration_is_trained_on_and_changes_nothing_else_of_th
     assert 0.03 < np.log(bound.acceleration).std() < 0.07
     np.testing.assert_array_equal(pack(free.twin), pack(bound.twin))
     np.testing.assert_array_equal(free.period, bound.period)
-    mixed = draws(training_ranges(ARM, limited, DEFAULT))
+    mixed = draws(training_ranges(ARM, limited))
     assert abs(np.isfinite(mixed.acceleration).mean() - 0.5) < 0.03  # the broad half limits speeds
 
 

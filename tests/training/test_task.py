@@ -8,11 +8,12 @@ from rejoint.arms import gravity_torque, heights, mycobot280
 from rejoint.control.controllers.policy import PolicyController
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.training.presets import DEFAULT, PAPER
-from rejoint.training.ranges import BroadRanges, PaperRanges
-from rejoint.training.task import ReachTask, TaskSettings, paper_reward, residual_reward
+from rejoint.training.presets import DEFAULT
+from rejoint.training.ranges import BroadRanges
+from rejoint.training.task import ReachTask, TaskSettings, residual_reward
 from rejoint.training.train import know_stiffness
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.research.reproduction.paper import PAPER, PaperRanges, PaperTask, paper_reward
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -168,7 +169,7 @@ def test_paper_reward_worked_by_hand():
 
 
 def test_the_paper_s_episode_ends_with_success():
-    task = ReachTask(ARM, PaperRanges(arm=ARM, joint_noise=0.0), 64, PAPER.task, seed=0)
+    task = PaperTask(ARM, PaperRanges(arm=ARM, joint_noise=0.0), 64, PAPER.task, seed=0)
     observation, _ = task.reset()
     assert observation.shape == (64, 28)
     reached = np.zeros(64, dtype=int)

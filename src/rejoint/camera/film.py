@@ -15,8 +15,7 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from rejoint.arms import Arm, Array
-from rejoint.camera.board import Board, BoardView
-from rejoint.camera.detector import KINDS, Detector, Unusable, read_picture
+from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
 from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import (

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
-from rejoint.camera.board import Board, BoardView
-from rejoint.camera.detector import Unusable
+from rejoint.camera.board import Board, BoardView, Unusable
 from rejoint.camera.film import Film, positions
 from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma
 from rejoint.diagnosis.calibration.calibration import Calibration

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.camera.board import BoardView
-from rejoint.camera.detector import Detector, Picture, Unusable
+from rejoint.camera.board import BoardView, Detector, Picture, Unusable
 from rejoint.camera.rig import Rig, place, point_sigma, read_rig
 from rejoint.control.seeing import Sighting
 from rejoint.system.errors import InputError, RejointError

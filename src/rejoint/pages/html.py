@@ -73,6 +73,11 @@ def render(template: str, **values: object) -> str:
     return _environment().get_template(template).render(**values)
 
 
+def templates(below: str) -> list[str]:
+    """Names of all templates in a folder, such as ``export/ros2/``."""
+    return _environment().list_templates(filter_func=lambda name: name.startswith(below))
+
+
 def write_page(path: Path, template: str, **values: object) -> Path:
     """Fill a template and write the page, whole or not at all."""
     html = render(template, **values).rstrip() + "\n"

@@ -25,7 +25,6 @@ from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.train import TrainedPolicy, train
-from rejoint.session.context import equipped
 from rejoint.session.controllers import Controllers, named, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -233,14 +232,26 @@ class _RepairStages:
         self.do("gains", partial(gains, robot, **moving))
         early = is_batchable(robot) and self.only is None and not plan.controllers
         early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
-        ahead = self._comparison(Observer()).begin_ahead() if early else None
+        ahead = self._ahead() if early else None
         with nullcontext() if ahead is None else closing(ahead):
             self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
             self.do("compare", partial(self._compare, ahead))
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
-    def _comparison(self, observer: Observer) -> ComparisonJob:
-        plan, run, quick, emulated = self.plan, self.run, self.quick, is_batchable(self.robot)
+    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
+        with self._session(observer) as session:
+            return self._comparison(session).drive(observer.progress, ahead)
+
+    def _ahead(self) -> HelperProcess | None:
+        with self._session(Observer()) as session:
+            return self._comparison(session).begin_ahead()
+
+    def _session(self, observer: Observer) -> ArmSession:
+        settings = replace(self.settings, calibration=NO_GAUGE) if self.plan.gauge == NO_GAUGE else self.settings
+        return ArmSession(self.robot, run=self.run, settings=settings, observer=observer)
+
+    def _comparison(self, session: ArmSession) -> ComparisonJob:
+        plan, quick, emulated = self.plan, self.quick, is_batchable(self.robot)
         trials, targets = plan.trials or TrialPlan(), plan.targets
         sets, repetitions = (1, 1) if quick else (3, 2) if emulated else (None, None)
         trials = replace(
@@ -249,15 +260,8 @@ class _RepairStages:
             repetitions=repetitions if trials.repetitions is None else trials.repetitions,
         )
         if quick and targets is None:
-            targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
-        settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
-        arm = equipped(run.arm, self.robot, self.settings)
-        about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
-        return comparison_job(self.robot, plan.controllers, targets, **about)
-
-    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
-        with exclusive(self.run):
-            return self._comparison(observer).drive(observer.progress, ahead)
+            targets = draw_targets(self.run.arm, sets=1, count=QUICK_TARGETS, seed=self.run.seed)
+        return comparison_job(session, plan.controllers, targets, trials)
 
     def do(self, name: StageName, work: Callable[..., object]) -> None:
         """Do a stage, or report that it is done."""

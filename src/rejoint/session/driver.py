@@ -295,7 +295,8 @@ class ArmDriver:
         """called in every cycle"""
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
-        self._given, self._pace = robot, pace
+        self.given, self._pace = robot, pace
+        """the robot or its address, as the user gave it"""
         self._stack, self._alone, self._gains = ExitStack(), ExitStack(), ExitStack()
         self._stack.enter_context(self._alone)
         self._alone.enter_context(exclusive(about))
@@ -318,7 +319,7 @@ class ArmDriver:
     @cached_property
     def robot(self) -> Robot:
         """The open robot."""
-        robot = self._given
+        robot = self.given
         if robot is None:
             raise InputError("session: there is no robot to drive")
         if self.run is not None:
@@ -336,7 +337,7 @@ class ArmDriver:
             if self._pace is None:
                 return self.observer.watch(robot, twin=self.twin, within=self.settings.within)
             pace = self._pace
-            if self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(self.address)):
+            if self.rehearsal is not None or (isinstance(self.given, str) and is_virtual(self.address)):
                 robot = WallClock(robot, lambda: pace)
             return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=False)
 

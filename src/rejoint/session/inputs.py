@@ -294,39 +294,36 @@ class KeptSettings:
     """What a run keeps of its diagnosis (`settings.json`); fields as in `Settings`."""
 
     payload: Payload | None = None
-    tool: tuple[float, ...] | None = None
-    keep_out: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None = None
-    """lower and upper corner of each box"""
+    tool: Array | None = None
+    keep_out: tuple[Box, ...] = ()
     period: tuple[float, float] | None = None
     within: float | None = None
 
     @classmethod
     def of(cls, settings: Settings) -> KeptSettings:
         """Return what is kept of ``settings``."""
-        mass, tool, period = settings.payload, settings.tool, as_period(settings.period)
+        mass, tool = settings.payload, settings.tool
         return cls(
             payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=float(mass)),
-            tool=None if tool is None else tuple(np.asarray(tool, dtype=float).tolist()),
-            keep_out=tuple((tuple(box.lower.tolist()), tuple(box.upper.tolist())) for box in settings.keep_out) or None,
-            period=period,
+            tool=None if tool is None else np.asarray(tool, dtype=float),
+            keep_out=tuple(settings.keep_out),
+            period=as_period(settings.period),
             within=settings.within,
         )
 
     def given(self) -> dict[str, Any]:
         """Return the fields of `Settings` that were given."""
-        boxes = [Box(lower=np.array(low), upper=np.array(high)) for low, high in self.keep_out or ()]
-        fields = {**vars(self), "keep_out": boxes or None}
-        return {name: value for name, value in fields.items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None and np.size(value)}
 
-    def __str__(self) -> str:
-        said = (
-            "" if self.payload is None else f"payload {self.payload.mass:g} kg",
-            "" if self.tool is None else f"tool {','.join(f'{1e3 * value:g}' for value in self.tool)} mm",
-            "" if self.keep_out is None else f"{len(self.keep_out)} box(es) to keep out of",
-            "" if self.period is None else f"period {1e3 * self.period[0]:g}-{1e3 * self.period[1]:g} ms",
-            "" if self.within is None else f"within {1e3 * self.within:g} mm",
-        )
-        return ", ".join(filter(None, said))
+
+_IN_WORDS: dict[str, Callable[[Any], str]] = {
+    "payload": lambda load: f"payload {load.mass:g} kg",
+    "tool": lambda tip: f"tool {','.join(f'{1e3 * value:g}' for value in tip)} mm",
+    "keep_out": lambda boxes: f"{len(boxes)} box(es) to keep out of",
+    "period": lambda ends: f"period {1e3 * ends[0]:g}-{1e3 * ends[1]:g} ms",
+    "within": lambda error: f"within {1e3 * error:g} mm",
+}
+"""Kept settings"""
 
 
 def keep(run: Run, settings: Settings) -> None:
@@ -347,16 +344,15 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
 
     An open robot has its own payload and tool.
     """
-    settings, mine = Settings() if given is None else given, kept(run)
+    settings = Settings() if given is None else given
     if not isinstance(settings, Settings):
         raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
-    mine = mine if isinstance(robot, str) else replace(mine, payload=None, tool=None)
-    told = {name: getattr(settings, name) for name in vars(mine)}
-    used = replace(mine, **{name: None for name, value in told.items() if value is not None and np.size(value)})
-    if run is None or not used.given():
+    own = KeptSettings.of(settings).given().keys() | (set() if isinstance(robot, str) else {"payload", "tool"})
+    used = {name: value for name, value in kept(run).given().items() if name not in own}
+    if run is None or not used:
         return settings, ""
-    said = f"Settings of {run.path}, used unless others are given: {used}."
-    return replace(settings, **used.given()), said
+    said = ", ".join(_IN_WORDS[name](value) for name, value in used.items())
+    return replace(settings, **used), f"Settings of {run.path}, used unless others are given: {said}."
 
 
 def laden(run: Run) -> Arm:

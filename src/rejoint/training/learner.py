@@ -123,7 +123,7 @@ class Learner:
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
         self.settings, self.agents = settings, sum(task.agents for task in tasks)
-        self.ends_on_success = tasks[0].settings.ends_on_success
+        self.ends_on_success = tasks[0].ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
         if start is not None:
             torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())

@@ -1,16 +1,13 @@
-"""Training recipes: ours, from the generic policy or random weights, and the paper's."""
+"""Training recipes: from the generic policy or from random weights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
-
-import numpy as np
 
 from rejoint.control.controllers.feedforward import FeedforwardGains
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import InputError
-from rejoint.training.task import TaskSettings
+from rejoint.training.task import ReachTask, TaskSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +49,8 @@ class Preset:
     """A recipe."""
 
     name: str
-    ranges: Literal["identified", "paper", "paper-healthy"] = "identified"
-    """``identified``: the twin's covariance mixed with broad ranges; ``paper``: P and D of a worn arm;
-    ``paper-healthy``: P and D without wear"""
-    joint_noise: float = float(np.radians(1.0))
-    """[rad] sigma of the paper's joint noise, for its ranges only"""
+    make: type[ReachTask] = ReachTask
+    """the task's own kind"""
     task: TaskSettings = field(default_factory=TaskSettings)
     ppo: PpoSettings = field(default_factory=PpoSettings)
     warm: PpoSettings | None = None
@@ -91,48 +85,7 @@ SCRATCH = Preset(
 
 DEFAULT = replace(SCRATCH, name="default", warm=WARM)
 
-PAPER = Preset(
-    name="paper",
-    ranges="paper",
-    task=TaskSettings(
-        layout="equation-16",
-        law=CommandLaw(
-            anchor="measured",
-            step_gain=1.0,
-            authority_floor=float(np.radians(10.0)),  # chosen: with the paper's 5 fewer targets are learned
-            authority_slope=0.0,
-            authority_limit=float(np.radians(10.0)),
-            envelope_margin=float(np.radians(360.0)),
-        ),
-        reward="equation-25",
-        hold_steps=250,  # Table 3: maximum time step
-        targets=1,
-        min_period=1.0 / 60.0,
-        max_period=1.0 / 30.0,
-        jitter=0.0,
-        start_spread=0.0,
-        start_sag=False,
-        ends_on_success=True,
-        collisions=True,
-    ),
-    ppo=PpoSettings(
-        agents=512,
-        rollout=50,  # chosen; with 100 updates it gives Table 3's 5000 time steps
-        iterations=100,
-        epochs=8,
-        mini_batches=8,
-        learning_rate=3e-4,  # chosen; the paper gives none
-        final_learning_rate=3e-4,
-        clip=0.1,
-        discount=0.99,
-        log_std_ceiling=(-0.4, -0.4),
-        actor_layers=(64, 64, 64),
-        critic_layers=(64, 64, 64),
-    ),
-)
-"""Park et al. 2024, section III-D and Table 3; comments mark what the paper leaves open"""
-
-PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH, PAPER)}
+PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH)}
 
 
 def load_preset(name: str) -> Preset:

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.workspace import length_size, torque_size
 from rejoint.twin.parameters import STICTION, TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
@@ -188,64 +187,6 @@ class MixedRanges:
 
         drawn: Draw = pick(first, second)
         return drawn
-
-
-HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
-"""P and D without wear; Park et al. 2024, section IV-C, first condition of Fig. 10"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PaperRanges:
-    """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
-
-    With 0.06 P N m/rad and 0.012 D N m s/rad their Fig. 10 holds (measured).
-    """
-
-    arm: Arm
-    stiffness: Interval = (50.0, 200.0)
-    """P of the paper"""
-    damping_divisor: Interval = (10.0, 50.0)
-    """D between P/50 and P/10"""
-    stiffness_unit: float = 0.06
-    """[N m/rad] per unit of P on a myCobot 280; goes with the load"""
-    damping_unit: float = 0.012
-    """[N m s/rad] per unit of D"""
-    armature: float = 0.02
-    """[kg m^2]"""
-    joint_noise: float = float(np.radians(1.0))
-    """[rad] sigma of equation 19, once per episode; the paper's 5 degrees cannot be learned (measured)"""
-    frequency: Interval = (30.0, 60.0)
-    """[Hz]"""
-
-    @classmethod
-    def healthy(cls, arm: Arm, joint_noise: float) -> PaperRanges:
-        """Make the ranges of the task without wear: one pair of P and D."""
-        one, ratio = (HEALTHY_STIFFNESS, HEALTHY_STIFFNESS), HEALTHY_STIFFNESS / HEALTHY_DAMPING
-        return cls(arm=arm, stiffness=one, damping_divisor=(ratio, ratio), joint_noise=joint_noise)
-
-    def draw(self, rng: np.random.Generator, count: int) -> Draw:
-        """Draw ``count`` arms."""
-        p = rng.uniform(*self.stiffness, (count, 1))
-        d = rng.uniform(p / self.damping_divisor[1], p / self.damping_divisor[0])
-        noise = rng.normal(0.0, self.joint_noise, (count, self.arm.joints))
-        twin = replace(self.twins(p, d), offset=noise)
-        return replace(Draw.of(twin), period=1.0 / rng.uniform(*self.frequency, count))
-
-    def twins(self, p: Array, d: Array) -> TwinParameters:
-        """Twins with the paper's P and D (count, 1), ample torque, no friction or delay."""
-        count, joints = len(p), (len(p), self.arm.joints)
-        base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
-        none, lots = np.zeros(joints), np.full(joints, 100.0)
-        return TwinParameters(
-            stiffness=none + load * self.stiffness_unit * p,
-            damping=none + load * length**0.5 * self.damping_unit * d,
-            coulomb=none,
-            armature=none + load * length * self.armature,
-            torque_limit=lots * base.torque_limit,
-            offset=none,
-            delay=np.zeros(count),
-            ramp_speed=np.full(count, 100.0) * base.ramp_speed,
-        )
 
 
 def identified_ranges(arm: Arm, twin: Twin) -> MixedRanges:

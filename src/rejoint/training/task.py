@@ -12,14 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, gravity_torque, heights, solve_position, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
-from rejoint.control.controllers.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
+from rejoint.control.controllers.observation import ALL, Layout, Observation, Observer, Rows
 from rejoint.control.controllers.residual import Commander, CommandLaw
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState, Mask
@@ -37,21 +37,6 @@ def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
     haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
     effort = 0.02 * np.minimum(action**2, 2.0).sum(axis=-1)
     return -10.0 * np.minimum(distance, 0.1) + attraction - haste - effort
-
-
-def paper_reward(
-    distance: Array,
-    joint_speed: Array,
-    collided: NDArray[np.bool_],
-    reached: NDArray[np.bool_],
-    timed_out: NDArray[np.bool_],
-) -> Array:
-    """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
-
-    Our choice: centimetres, the mean joint speed; the time-out is a penalty.
-    """
-    travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
-    return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached
 
 
 def privileged_constants(arm: Arm, draw: Draw) -> Observation:
@@ -86,7 +71,6 @@ class TaskSettings:
 
     layout: Layout = "residual"
     law: CommandLaw = field(default_factory=CommandLaw)
-    reward: Literal["residual", "equation-25"] = "residual"
     posture_weight: float = 0.2
     """[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
     anywhere: float = 0.0
@@ -105,10 +89,6 @@ class TaskSettings:
     """[rad] sigma around rest"""
     start_sag: bool = True
     """whether the first command leads by part of the sag"""
-    ends_on_success: bool = False
-    """whether reaching 5 mm ends the episode (the paper)"""
-    collisions: bool = False
-    """whether a collision ends the target and exchanges the arm (the paper); else ignored"""
 
 
 DRAWN = 16
@@ -152,6 +132,9 @@ class Transition(NamedTuple):
 
 class ReachTask:
     """N arms with targets; arrays have a leading axis of agents."""
+
+    ends_on_success = False
+    """whether a reached target ends the episode"""
 
     def __init__(
         self,
@@ -202,18 +185,27 @@ class ReachTask:
         distance = np.linalg.norm(self._aim - tcp, axis=-1)
         self._step += 1
         final, final_privileged = self.observer.observe(self._inputs()), self._privileged(distance, speed)
-        reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
-        collided = self._collided()
-        late = (self._step >= self.settings.hold_steps) & ~reached
-        if self.settings.reward == "residual":
-            reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
-            reward = reward - self.settings.posture_weight * (self.observer.view.homing**2).sum(axis=-1)
-        else:
-            joint_speed = (position - before) / self._period[:, None]
-            reward = paper_reward(distance, joint_speed, collided, reached, late)
-        cut = late | (collided & ~reached)
+        late = self._step >= self.settings.hold_steps
+        reward, reached, collided = self.judge(np.asarray(action, dtype=float), before, distance, speed, late)
+        cut = (late | collided) & ~reached
         observation, privileged = self._renew(reached | cut, collided, final, final_privileged)
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
+
+    def judge(
+        self,
+        action: Array,
+        before: Array,  # noqa: ARG002 - for other tasks
+        distance: Array,
+        speed: Array,
+        late: Mask,  # noqa: ARG002
+    ) -> tuple[Array, Mask, Mask]:
+        """Reward (N,) of a cycle, successes and collisions (N,) that end its episodes: here none.
+
+        ``before`` (N, n) [rad] is the posture before it, ``late`` (N,) a time-out; else as `residual_reward`.
+        """
+        homing = (self.observer.view.homing**2).sum(axis=-1)
+        none = np.zeros(self.agents, dtype=bool)
+        return residual_reward(distance, speed, action) - self.settings.posture_weight * homing, none, none
 
     def _inputs(self) -> ControlInput:
         now = self.simulation
@@ -244,11 +236,6 @@ class ReachTask:
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
         self.simulation.advance(self._period)
         self._since = self._since + self._period
-
-    def _collided(self) -> Mask:
-        if not self.settings.collisions:
-            return np.zeros(self.agents, dtype=bool)
-        return collides(self.arm, self.simulation.twins.qpos)
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation

@@ -23,8 +23,7 @@ from rejoint.system.shell import __version__
 from rejoint.training.export import export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import PpoSettings, Preset, load_preset
-from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
-from rejoint.training.task import ReachTask
+from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
@@ -52,7 +51,7 @@ class TrainingOptions:
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the identified servos, for the contract"""
     ranges: Ranges | None = None
-    """arms to train on without a twin; default: the preset's"""
+    """arms to train on; default: by the twin, else broad ones"""
     start: Tensor | None = None
     """weights of the actor; default: those of the generic policy with a twin, else random"""
 
@@ -118,12 +117,9 @@ def train(
     return training_result(files, recipe.name, options.seed, learner.curve)
 
 
-def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
-    """Arms that a preset trains on."""
-    if preset.ranges == "identified":
-        return BroadRanges(arm=arm) if twin is None else identified_ranges(arm, twin)
-    paper = PaperRanges if preset.ranges == "paper" else PaperRanges.healthy
-    return paper(arm=arm, joint_noise=preset.joint_noise)
+def training_ranges(arm: Arm, twin: Twin | None) -> Ranges:
+    """Arms to train on: around a twin, else broad ones."""
+    return BroadRanges(arm=arm) if twin is None else identified_ranges(arm, twin)
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
@@ -136,10 +132,10 @@ def make_learner(
     arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: Tensor | None = None
 ) -> Learner:
     """Set up the learner."""
-    ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
+    ranges, workers = options.ranges or training_ranges(arm, twin), min(WORKERS, recipe.ppo.agents)
     seed, threads = workers * options.seed, max(options.threads // workers, 1)
     tasks = [
-        ReachTask(arm, ranges, len(part), recipe.task, seed=seed + k, threads=threads)
+        recipe.make(arm, ranges, len(part), recipe.task, seed=seed + k, threads=threads)
         for k, part in enumerate(np.array_split(np.arange(recipe.ppo.agents), workers))
     ]
     return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers), start=start)

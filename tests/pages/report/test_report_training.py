@@ -9,8 +9,8 @@ from readpage import Page
 from rejoint.pages.html import render
 from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import Gallery
-from rejoint.training.presets import PAPER
 from rejoint.training.train import policy_contract
+from rejoint_lab.research.reproduction.paper import PAPER
 
 
 @pytest.fixture

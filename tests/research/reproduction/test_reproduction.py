@@ -16,10 +16,11 @@ from rejoint_lab.research.reproduction.campaign import (
     WORN,
     Bench,
     choose,
+    ranges_of,
     run_experiments,
     write_page,
 )
-from rejoint_lab.research.reproduction.episodes import play, ranges_of
+from rejoint_lab.research.reproduction.episodes import play
 
 ARM = mycobot280()
 
@@ -76,7 +77,7 @@ def test_trainings_and_trials_are_kept(bench):
 
 def test_exploration_noise_is_noise(bench):
     untrained = load_policy(bench.training(WORN[0]).snapshot(0), ARM)
-    arms = ranges_of(bench, "worn")
+    arms = ranges_of(bench.arm, "worn")
     quiet, again, noisy = (play(untrained, arms, 8, seed=0, noise=noise) for noise in (0.0, 0.0, 0.5))
     np.testing.assert_array_equal(quiet["reward"], again["reward"])
     np.testing.assert_array_equal(quiet["target"], noisy["target"])  # the same episodes

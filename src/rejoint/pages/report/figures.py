@@ -121,14 +121,6 @@ class Series:
     high: Array | None = None
     """(K,) upper end"""
 
-    @classmethod
-    def over(cls, label: str, look: Look, values: Array) -> Series:
-        """Means of ``values`` (R, K), with the smallest and the largest."""
-        known = np.isfinite(values).any(axis=0)
-        mean, low, high = found = np.full((3, values.shape[1]), np.nan)
-        found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
-        return cls(label=label, look=look, value=mean, low=low, high=high)
-
     def line(self, axes: Axes, across: Array) -> None:
         """Draw a line over ``across`` (K,), and the band between the ends."""
         colour = self.look.colour
@@ -205,25 +197,6 @@ def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str = "") -> 
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
     if across == 1 and not axes.xaxis_inverted():
         axes.invert_xaxis()
-
-
-def ways(panels: Mapping[str, Sequence[Stroke]], views: Sequence[str] = ("from above", "from the side")) -> Figure:
-    """Draw each panel in ``views``, one below the other, on common axes."""
-    figure, grid = canvas((WIDE, 4.0 * len(views)), len(views), len(panels), sharex="row", sharey="row")
-    for (row, column), axes in np.ndenumerate(grid):
-        title, strokes = list(panels.items())[column]
-        plane(axes, views[row], strokes, "" if row else title)
-    return figure
-
-
-def strokes_of(paths: Sequence[Array], targets: Array, look: Look) -> list[Stroke]:
-    """TCP ``paths`` (T, 3) [m] with their starts, and ``targets`` (K, 3) [m]."""
-    width, colour = 0.8 if len(paths) > 1 else 1.1, look.colour
-    return [
-        *((path, {"color": colour, "linewidth": width}) for path in paths),
-        (np.stack([path[0] for path in paths]), {"color": colour, "marker": "s", "markersize": 4, "linestyle": ""}),
-        (targets, {"color": INK, "marker": "+", "markersize": 6, "linestyle": ""}),
-    ]
 
 
 STEP, LONGEST = 0.02, 8.0

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -151,11 +149,12 @@ def _registers(arm: Arm, gains: ServoGains) -> dict[str, Any]:
 
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:
-    """Write a controller and its description (``.yaml``), alone or in a package for ROS 2."""
+    """Write a controller and its LEAPP description (version 1.3, ``.yaml``), alone or in a package for ROS 2."""
     require(f"rejoint export --format {kind}", "onnx", "torch")
     from onnx import helper
 
-    from rejoint.runs.exporting.controllergraph import controller_graph
+    from rejoint.pages.html import render, templates
+    from rejoint.runs.exporting.controllergraph import controller_graph, memory_slots
 
     name, why = choice(run, run.arm, None) if wanted is None else (wanted, "as asked for")
     design = design_of(run, name)
@@ -166,16 +165,35 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
     if path.suffix != ".onnx":
         raise InputError(f"{path}: expected a file that ends with .onnx")
     model = controller_graph(design)
-    helper.set_model_props(model, metadata(design))
+    notice = f"{design.instead} {OUTSIDE}".strip()
+    helper.set_model_props(model, metadata(design, notice))
     data = model.SerializeToString()
-    text = leapp_text(design, path.name, data)
+    sizes = memory_slots(run.arm.joints).items()
+    words = {
+        "design": design,
+        "notice": notice,
+        "package": package,
+        "version": __version__.split("+")[0],
+        "file": path.name,
+        "md5": hashlib.md5(data, usedforsecurity=False).hexdigest(),
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "slots": [one if size == 1 else f"{one}[{k}]" for one, size in sizes for k in range(size)],
+    }
     write_whole(path, lambda temporary: temporary.write_bytes(data))
-    write_text(path.with_suffix(".yaml"), text)
+    write_text(path.with_suffix(".yaml"), render("export/controller.yaml.txt", **words))
     if kind == "ros2":
-        write_package(run, place, package, design)
+        for template in templates(ROS2):
+            file = template.removeprefix(ROS2).removesuffix(".txt").replace("PACKAGE", package)
+            write_text(place / file, f"{render(template, **words)}\n".lstrip())
+        if (unit := _unit(run)) is not run.arm:
+            corrected = "This unit: the corrections are in the joint origins."
+            write_urdf(place / "urdf" / f"{run.arm.name}.urdf", unit, corrected)
     described = f"{path.with_suffix('.yaml').name} describes it"
-    return place, f"Controller: {name} ({why}). What is written is the {design.name}; {described}. {notice(design)}"
+    return place, f"Controller: {name} ({why}). What is written is the {design.name}; {described}. {notice}"
 
+
+ROS2 = "export/ros2/"
+"""Templates of a package"""
 
 OUTSIDE = (
     "No guard is inside: nothing limits the speed of commands, sees collisions, a hot or a stuck joint, or old joint "
@@ -216,18 +234,13 @@ def design_of(run: Run, best: str) -> Design:
         periods, gains = (contract.min_period, contract.max_period), in_words(contract.servo_gains or {})
         design = Design(arm=arm, law=contract.law, network=policy.content, name=name, periods=periods, gains=gains)
     written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
-    if written == name:
+    if written == name or best == SHELF:
         return design
     return replace(design, instead=f"{best} cannot be written so; this is the {name} of the run instead.")
 
 
-def notice(design: Design) -> str:
-    """Warnings to the user of the file."""
-    return f"{design.instead} {OUTSIDE}".strip()
-
-
-def metadata(design: Design) -> dict[str, str]:
-    """Metadata: a description."""
+def metadata(design: Design, notice: str) -> dict[str, str]:
+    """Metadata: a description, with a ``notice`` to the user."""
     low, high = design.periods
     return {
         "joint_names": ",".join(design.arm.joint_names),
@@ -239,96 +252,6 @@ def metadata(design: Design) -> dict[str, str]:
             f"{design.arm.joints} entries of state_out before it goes back as state_in"
         ),
         **({"rejoint.servo_gains": design.gains} if design.gains else {}),
-        "rejoint.not_inside": notice(design),
+        "rejoint.not_inside": notice,
         "rejoint.software": __version__,
     }
-
-
-def leapp_text(design: Design, file: str, data: bytes) -> str:
-    """LEAPP description (version 1.3) of a file as YAML."""
-    from rejoint.runs.exporting.controllergraph import memory_slots
-
-    arm, names = design.arm, list(design.arm.joint_names)
-    slots = [
-        name if length == 1 else f"{name}[{k}]"
-        for name, length in memory_slots(arm.joints).items()
-        for k in range(length)
-    ]
-    low, high = design.periods
-
-    def tensor(name: str, kind: str, elements: list[str]) -> str:
-        about = {"name": name, "dtype": "float32", "shape": [1, len(elements)], "type": "tensor", "kind": kind}
-        return json.dumps(about | {"element_names": [elements]})
-
-    parameters = {
-        "model_path": file,
-        "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
-        "sha256sum": hashlib.sha256(data).hexdigest(),
-        "backend": "onnx",
-        "warp_segments": 0,
-    }
-    about = f"# {notice(design)}"
-    if design.gains:
-        about += f"\n# The servos are to have the gains {design.gains}."
-    return f"""{about}
-# It was made for control periods of {1e3 * low:g} to {1e3 * high:g} ms; refuse others. state_in of zeros begins again.
-models:
-  controller:
-    inputs:
-    - {tensor("joint_pos", "state/joint/position", names)}
-    - {tensor("target", "command/body/position", ["x", "y", "z"])}
-    - {tensor("period", "state/period", ["period"])}
-    - {tensor("state_in", "state/memory", slots)}
-    outputs:
-    - {tensor("joint_command", "target/joint/position", names)}
-    - {tensor("state_out", "state/memory", slots)}
-    parameters: {json.dumps(parameters)}
-pipeline:
-  inputs: {{controller: [joint_pos, target, period]}}
-  outputs: {{controller: [joint_command]}}
-  data_flow: {{}}
-  feedback_flow: {{controller/state_out: [controller/state_in]}}
-frequency: {2.0 / (low + high):.4g}
-system information: {{leapp config version: '1.3', written by: rejoint}}
-"""
-
-
-_TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
-
-# Templates, and where they go
-_FILES = {
-    "package.xml.txt": "package.xml",
-    "setup.py.txt": "setup.py",
-    "setup.cfg.txt": "setup.cfg",
-    "node.py.txt": "{package}/node.py",
-    "controller.py.txt": "{package}/controller.py",
-    "launch.py.txt": "launch/controller.launch.py",
-    "controllers.yaml.txt": "config/controllers.yaml",
-    "README.md.txt": "README.md",
-}
-
-
-def write_package(run: Run, folder: Path, package: str, design: Design) -> None:
-    """Write the texts of a package around its controller into ``folder``."""
-    low, high = design.periods
-    words = {
-        "PACKAGE": package,
-        "VERSION": __version__.split("+")[0],
-        "ARM": run.arm.name,
-        "CONTROLLER": design.name,
-        "JOINTS": ", ".join(run.arm.joint_names),
-        "PERIOD": f"{(low + high) / 2:.4f}",
-        "LOW": f"{low:g}",
-        "HIGH": f"{high:g}",
-        "OUTSIDE": notice(design),
-    }
-    for template, place in _FILES.items():
-        text = (_TEMPLATES / template).read_text(encoding="utf-8")
-        for word, value in words.items():
-            text = text.replace(f"@{word}@", value)
-        write_text(folder / place.format(package=package), text)
-    for empty in (f"{package}/__init__.py", f"resource/{package}"):
-        write_text(folder / empty, "")
-    if (unit := _unit(run)) is not run.arm:
-        note = "This unit: the corrections are in the joint origins."
-        write_urdf(folder / "urdf" / f"{run.arm.name}.urdf", unit, note)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.pages.html import render
 from rejoint.twin.chain.friction import STRIBECK_SPEED
 from rejoint.twin.parameters import back_emf
 from rejoint.twin.table import twin_spec
@@ -75,42 +76,8 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
 
 def isaaclab_text(arm: Arm, twin: Twin) -> str:
     """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
-    p = twin.parameters
-    values = {
-        "stiffness": p.stiffness,
-        "damping": p.damping,
-        "armature": p.armature,
-        "friction": twin.stiction * p.coulomb,
-        "dynamic_friction": p.coulomb,
-        "effort_limit": p.torque_limit,
-    }
-    rows = "".join(f"        {name}={_by_joint(arm, value)},\n" for name, value in values.items())
-    lines = [
-        f"Servos of the arm {arm.name} as rejoint found them, for Isaac Lab 2.3 or 3.",
-        "",
-        "For Isaac Sim 5 or newer: before, friction was no torque. Add OFFSET to the commands, and keep their speed",
-        "below RAMP_SPEED: the actuators of Isaac Lab do neither.",
-        *_missing(arm, twin),
-    ]
-    text = "\n".join(lines)
-    return f'''"""{text}
-"""
-
-from isaaclab.actuators import DelayedPDActuatorCfg
-
-PHYSICS_STEP = 0.005  # [s] set it to sim.dt of the task
-DELAY = round({max(float(p.delay), 0.0):.4g} / PHYSICS_STEP)  # steps
-OFFSET = {_by_joint(arm, p.offset)}  # [rad]
-RAMP_SPEED = {float(p.ramp_speed):.4g}  # [rad/s]
-
-ACTUATORS = {{
-    "arm": DelayedPDActuatorCfg(
-        joint_names_expr={list(arm.joint_names)},
-{rows}        min_delay=DELAY,
-        max_delay=DELAY,
-    )
-}}
-'''
+    about = {"arm": arm, "p": twin.parameters, "stiction": twin.stiction, "missing": _missing(arm, twin)}
+    return render("export/isaaclab.py.txt", by_joint=_by_joint, **about) + "\n"
 
 
 def _by_joint(arm: Arm, values: Any) -> dict[str, float]:  # noqa: ANN401

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -36,7 +36,6 @@ from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
-    calibration_of,
     correction_of,
     guard_limits,
     say_heavy,
@@ -53,23 +52,18 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     as_targets,
-    as_twin,
     is_batchable,
     period_of,
 )
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
-from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress
 from rejoint.system.results import Readable
 from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
-    from rejoint.arms.rotations import Orientation
-    from rejoint.control.correction import Modelled
-    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 
@@ -155,14 +149,12 @@ class ComparisonJob:
     factories: dict[str, Factory] = field(default_factory=dict)
     period: Period | None = None
     twin: Twin | None = None
-    correct: Callable[[Arm], Modelled] | None = None
-    model: Calibration | None = None
+    trials: dict[str, Any] = field(default_factory=dict)
+    """what holds for the trials of all controllers: fields of `TrialRunner`"""
     file: str = ""
     """of the targets, or empty"""
     before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
-    turns: Orientation | None = None
-    """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
     """another process can make the controllers"""
@@ -171,18 +163,9 @@ class ComparisonJob:
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
-        return TrialRunner(
-            opened or self._open,
-            factories,
-            self.targets,
-            self.settings,
-            turns=self.turns,
-            stance=stance_of(self.twin, self.run),
-            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-            correction=self.correct,
-            model=self.model,
-            **hooks,
-        )
+        limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
+        about: dict[str, Any] = {"limits": limits, **self.trials, **hooks}
+        return TrialRunner(opened or self._open, factories, self.targets, self.settings, **about)
 
     @property
     def places(self) -> Places:
@@ -191,7 +174,7 @@ class ComparisonJob:
 
     def runner_of(self, name: str) -> TrialRunner:
         """Runner of a named controller's trials, in another process."""
-        posed, period = self.turns is not None, period_of(self.robot, self.period)
+        posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
         return self.runner(make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed))
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
@@ -248,23 +231,28 @@ class ComparisonJob:
                 measured=None if before is None else before.driven,
                 helper=helper,
             )
-            result = self._beside(runner, runner.compare(), before)
+            result = self._beside(runner, before)
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
-        by = "" if self.model is None else self.model.date
-        name, arm = address_of(self.robot), self.arm.name
-        result = replace(result, robot=name, arm=arm, targets_file=self.file, period=self.period, calibration=by)
+        model, name = self.trials.get("model"), address_of(self.robot)
+        about: dict[str, Any] = {
+            "targets_file": self.file,
+            "period": self.period,
+            "calibration": model.date if model else "",
+        }
+        result = replace(result, robot=name, arm=self.arm.name, **about)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
-    def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
+    def _beside(self, runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:
+        """Compare, and see what the uncorrected arm does where it is to be corrected."""
+        result = runner.compare()
+        if runner.correction is None or runner.turns is not None or DEFAULT not in self.factories:
+            return result
         try:
-            if self.correct is not None and DEFAULT in self.factories and self.turns is None:
-                found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
-                result = replace(result, as_found=found)
+            return replace(result, as_found=TargetErrors.of(before.driven.columns) if before else runner.as_found())
         except GuardTripError as error:  # it is not worth a comparison that is decided
             told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
-            result = replace(result, left_out=(*result.left_out, told))
-        return result
+            return replace(result, left_out=(*result.left_out, told))
 
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process, if a core is free."""
@@ -279,8 +267,8 @@ class ComparisonJob:
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
         if not (plain and self.settings.batched and size >= LEAST and core_to_spare()):
             return None
-        sent = replace(self, factories={}, model=None, before=None, observer=Observer(), threads=1)
-        return HelperProcess(sent)
+        trials = self.trials | {"model": None}
+        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer(), threads=1))
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
@@ -294,8 +282,9 @@ class ComparisonJob:
     def _digest(self, run: Run) -> str:
         used = run.folder.policy, run.folder.twin, run.folder.gains
         files = [digest(path.read_bytes()) for path in used if path.exists()]
-        turns = self.turns and [part.tolist() for part in (self.turns.rotation, self.turns.whole, self.turns.weight)]
-        options = self.period, self.correct, self.before is None, turns
+        turns = self.trials.get("turns")
+        turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
+        options = self.period, self.trials.get("correction"), self.before is None, turned
         about = self.arm, self.settings, list(self.factories), self.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode()).decode()
 
@@ -388,72 +377,51 @@ def compare(
         pacing(observer) as update,
         ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
     ):
-        place = session.robot if session.settings.dry_run else robot
-        job = comparison_job(
-            place,
-            controllers,
-            targets,
-            run=session.run,
-            arm=session.arm,
-            plan=plan,
-            settings=session.settings,
-            observer=session.observer,
-        )
-        return job.drive(update)
+        return comparison_job(session, controllers, targets, plan or TrialPlan()).drive(update)
 
 
 def comparison_job(
-    robot: RobotLike,
-    controllers: Controllers,
-    targets: Targets | None,
-    *,
-    run: Run | None,
-    arm: Arm,
-    plan: TrialPlan | None,
-    settings: Settings,
-    observer: Observer,
+    session: ArmSession, controllers: Controllers, targets: Targets | None, plan: TrialPlan
 ) -> ComparisonJob:
-    """Assemble and validate a comparison; ``arm`` includes load and tool."""
-    wanted = plan or TrialPlan()
+    """Assemble and validate a comparison on the arm of a session."""
+    arm, run, twin, settings = session.arm, session.run, session.twin, session.settings
+    robot = session.robot if settings.dry_run or session.given is None else session.given
     real = not is_batchable(robot)
-    block = BLOCK if real and not wanted.full else 0
-    seed = as_seed(settings.seed) if run is None else run.seed
-    sets = (ONE_ARM_SETS if block else SETS) if wanted.sets is None else wanted.sets
-    points, turns = as_targets(targets, arm, sets=sets, seed=seed)
-    known = as_twin(settings.twin) if settings.twin is not None else None if run is None else run.twin
-    say_heavy(arm, known, points, observer.message, turns)
-    factories = make_factories(
-        controllers, arm, period_of(robot, settings.period), run=run, twin=known, real=real, posed=turns is not None
-    )
+    block = BLOCK if real and not plan.full else 0
+    sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
+    points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
+    say_heavy(arm, twin, points, session.observer.message, turns)
     trials = TrialSettings(
-        repetitions=(1 if block else REPETITIONS) if wanted.repetitions is None else wanted.repetitions,
-        seed=seed,
+        repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
+        seed=session.seed,
         batched=not real,
-        protocol=wanted.protocol or (ONE_ARM_PROTOCOL if block else Protocol()),
+        protocol=plan.protocol or (ONE_ARM_PROTOCOL if block else Protocol()),
         leave_out=not controllers,
         block=block,
     )
-    address = address_of(robot)
-    model = calibration_of(settings.calibration, run, arm, address, observer.message)
-    before = None
+    model, before = session.calibration, None
     if block and run is not None and not isinstance(arm, LoadedArm) and turns is None:
-        before = open_loop(run, address, trials.protocol, model)
+        before = open_loop(run, session.address, trials.protocol, model)
     if before is not None and targets is None:
         points[0] = before.targets
+    posed = turns is not None
     return ComparisonJob(
         robot=robot,
         arm=arm,
         run=run,
-        factories=factories,
+        factories=make_factories(controllers, arm, session.period, run=run, twin=twin, real=real, posed=posed),
         targets=points,
         settings=trials,
         period=settings.period,
-        twin=known,
-        correct=correction_of(model, arm, points),
-        model=model,
-        observer=observer,
+        twin=twin,
+        trials={
+            "turns": turns,
+            "stance": stance_of(twin, run),
+            "correction": correction_of(model, arm, points),
+            "model": model,
+        },
+        observer=session.observer,
         by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
-        turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )

@@ -70,8 +70,7 @@ def train(
     run
         run, or its folder, for ``policy.onnx``; give either a run or a twin
     preset
-        recipe: ``default`` (on a twin: from the arm's generic policy, if any), ``scratch``, ``paper`` (literal), or
-        your own
+        recipe: ``default`` (on a twin: from the arm's generic policy, if any), ``scratch``, or your own
     quick
         train for seconds: the policy hardly improves
     settings

@@ -26,8 +26,9 @@ from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json, write_whole
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.tomltable import read_toml
-from rejoint.training.presets import PAPER, Preset
+from rejoint.training.presets import Preset
 from rejoint.training.train import TrainingOptions, train
+from rejoint_lab.research.reproduction.paper import PAPER, PaperRanges
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -176,15 +177,18 @@ LITERAL = float(np.radians(5.0))
 def recipe(name: str) -> tuple[Preset, int]:
     """Preset and seed increment of a training."""
     kind, _, number = name.rpartition("-")
-    if kind == "worn":
-        return PAPER, int(number)
-    if kind == "healthy":
-        return replace(PAPER, name="paper-healthy", ranges="paper-healthy"), int(number)
+    if kind in ("worn", "healthy"):
+        return replace(PAPER, name="paper" if kind == "worn" else "paper-healthy"), int(number)
     law = replace(PAPER.task.law, authority_floor=LITERAL, authority_limit=LITERAL)
     layout = "equation-16-action" if name == "literal" else PAPER.task.layout
-    noise = PAPER.joint_noise if name == "limit-5" else LITERAL
-    task = replace(PAPER.task, law=law, layout=layout)
-    return replace(PAPER, name=f"paper-{name}", task=task, joint_noise=noise), 0
+    return replace(PAPER, name=f"paper-{name}", task=replace(PAPER.task, law=law, layout=layout)), 0
+
+
+def ranges_of(arm: Arm, name: str) -> PaperRanges:
+    """Arms of a training: with the paper's P and D, or ``healthy`` ones."""
+    if name.startswith("healthy"):
+        return PaperRanges.healthy(arm)
+    return PaperRanges(arm=arm, joint_noise=LITERAL) if name in ("noise-5", "literal") else PaperRanges(arm=arm)
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
@@ -199,6 +203,7 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
             threads=1,
             iterations=bench.scale.updates,
             snapshot_every=bench.scale.snapshot_every,
+            ranges=ranges_of(bench.arm, name),
         )
         ahead = part(bench.on_progress, done / len(missing), (done + 1) / len(missing), f"training {name}: ")
         train(bench.arm, None, out=bench.training(name).path, options=options, on_progress=ahead)
@@ -242,6 +247,7 @@ def write_page(bench: Bench) -> Path:
         "reproduction.md",
         bench=bench,
         recipe=PAPER,
+        joint_noise=PaperRanges.joint_noise,
         experiments=EXPERIMENTS,
         found={name: read_json(bench.result(name), Finished) for name in there},
         table=_table,

@@ -9,13 +9,13 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Columns
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
-from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import WIDE, Series, curves, strokes_of, ways
-from rejoint.training.presets import PAPER
-from rejoint.training.ranges import PaperRanges, Ranges
-from rejoint.training.task import ReachTask
+from rejoint.pages.html import BLUE, ORANGE, RED, Look
+from rejoint.pages.report.figures import WIDE, Series, curves
+from rejoint.training.ranges import Ranges
 from rejoint_lab.research.evaluation.family import keep
-from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found
+from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found, ranges_of
+from rejoint_lab.research.reproduction.models import strokes_of, ways
+from rejoint_lab.research.reproduction.paper import PAPER, PaperTask
 
 DRAWN = 12
 """paths on Fig. 11; chosen"""
@@ -43,7 +43,7 @@ def play(
     Returns accumulated ``reward``, ``steps``, ``reached`` and ``collided`` (N,), the ``tcp`` (T, N, 3) [m] from the
     start, NaN after the end, and the ``target`` (N, 3) [m].
     """
-    task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
+    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
     target, paths = _point(observation, "target"), [_point(observation, "tcp")]
@@ -71,16 +71,9 @@ def _point(observation: Observation, name: str) -> Array:
     return observation[:, begin : begin + 3].astype(float) / POINT_SCALE
 
 
-def ranges_of(bench: Bench, kind: str) -> Ranges:
-    """Arms with the paper's P and D, or ``healthy`` ones."""
-    if kind == "healthy":
-        return PaperRanges.healthy(bench.arm, PAPER.joint_noise)
-    return PaperRanges(arm=bench.arm, joint_noise=PAPER.joint_noise)
-
-
 def measure_paths(bench: Bench) -> Found:
     """Play the same episodes before and after training."""
-    folder, ranges = bench.training(WORN[0]), ranges_of(bench, "worn")
+    folder, ranges = bench.training(WORN[0]), ranges_of(bench.arm, "worn")
     noises = pq.read_table(folder.curves, columns=["noise"])["noise"].to_numpy()
     arms, found, played = min(ARMS, 4 * bench.scale.judged), Found(), {}
     for key, file, noise in (
@@ -123,7 +116,7 @@ def measure_course(bench: Bench) -> Found:
         for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
     }
     panels = {
-        f"{name} per episode": [Series.over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
+        f"{name} per episode": [_over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
         for key, name in (("reward", "reward"), ("steps", "time steps"))
     }
     bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
@@ -148,7 +141,9 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
 
     def judge() -> Columns:
         played = [
-            play(load_policy(file, bench.arm), ranges_of(bench, arms), count, seed=bench.seed, threads=bench.threads)
+            play(
+                load_policy(file, bench.arm), ranges_of(bench.arm, arms), count, seed=bench.seed, threads=bench.threads
+            )
             for file in files.values()
         ]
         means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
@@ -157,3 +152,11 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     count = bench.scale.judged
     identity = repr((name, arms, count, bench.seed))
     return keep(folder.path / f"course-{arms}.parquet", identity, judge)
+
+
+def _over(label: str, look: Look, values: Array) -> Series:
+    """Means of ``values`` (R, K), with the smallest and the largest."""
+    known = np.isfinite(values).any(axis=0)
+    mean, low, high = found = np.full((3, values.shape[1]), np.nan)
+    found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
+    return Series(label=label, look=look, value=mean, low=low, high=high)

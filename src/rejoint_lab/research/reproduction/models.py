@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
 from rejoint.arms.arm import dh_chain
-from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import strokes_of, ways
-from rejoint.training.ranges import PaperRanges
+from rejoint.pages.html import BLUE, INK, ORANGE, RED, Look
+from rejoint.pages.report.figures import WIDE, Stroke, canvas, plane
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
+from rejoint_lab.research.reproduction.paper import PaperRanges
 
 POSTURES = 1000
 
@@ -150,3 +152,22 @@ def judge(path: Array, targets: Array) -> tuple[float, float]:
         overshoots.append(100.0 * max(float(along.max()) - 1.0, 0.0))
         start = end
     return float(np.mean(errors)), float(np.mean(overshoots))
+
+
+def ways(panels: Mapping[str, Sequence[Stroke]], views: Sequence[str] = ("from above", "from the side")) -> Figure:
+    """Draw each panel in ``views``, one below the other, on common axes."""
+    figure, grid = canvas((WIDE, 4.0 * len(views)), len(views), len(panels), sharex="row", sharey="row")
+    for (row, column), axes in np.ndenumerate(grid):
+        title, strokes = list(panels.items())[column]
+        plane(axes, views[row], strokes, "" if row else title)
+    return figure
+
+
+def strokes_of(paths: Sequence[Array], targets: Array, look: Look) -> list[Stroke]:
+    """TCP ``paths`` (T, 3) [m] with their starts, and ``targets`` (K, 3) [m]."""
+    width, colour = 0.8 if len(paths) > 1 else 1.1, look.colour
+    return [
+        *((path, {"color": colour, "linewidth": width}) for path in paths),
+        (np.stack([path[0] for path in paths]), {"color": colour, "marker": "s", "markersize": 4, "linestyle": ""}),
+        (targets, {"color": INK, "marker": "+", "markersize": 6, "linestyle": ""}),
+    ]

@@ -16,15 +16,16 @@ from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, RED, look_of
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import WIDE, Series, Stroke, curves, strokes_of, ways
+from rejoint.pages.report.figures import WIDE, Series, Stroke, curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
-from rejoint.training.presets import PAPER
 from rejoint_lab.research.evaluation.evaluate import VariantRow, classical, make_row, together
 from rejoint_lab.research.evaluation.family import ArmFamily, keep, try_on
-from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, recipe
+from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, ranges_of, recipe
+from rejoint_lab.research.reproduction.models import strokes_of, ways
+from rejoint_lab.research.reproduction.paper import PAPER
 
 DWELL = 5.0
 """[s] per target of Fig. 9; chosen"""
@@ -118,7 +119,7 @@ def measure_trainings(bench: Bench) -> Found:
         rows.append(
             (
                 f"{np.degrees(preset.task.law.authority_limit):.0f}°",
-                f"{np.degrees(preset.joint_noise):.0f}°",
+                f"{np.degrees(ranges_of(bench.arm, name).joint_noise):.0f}°",
                 "command - position" if preset.task.layout == "equation-16" else "last action",
                 str(offset),
                 f"{100 * trained.success_rate[-LAST:].mean():.0f}",

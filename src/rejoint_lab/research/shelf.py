@@ -1,7 +1,7 @@
 """Training of the generic policies: one for any worn arm of a catalogue build, without a twin.
 
-    python -m rejoint.training.shelf mycobot280
-    python -m rejoint.training.shelf so101
+    python -m rejoint_lab.research.shelf mycobot280
+    python -m rejoint_lab.research.shelf so101
 
 write `rejoint.control.controllers.catalogue.shelf_path` again: first with targets in the target region, then anywhere.
 Other processors give other files; compare by `python -m benchmarks shelf`.
