@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.diagnosis.measurement import sag
+from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
@@ -105,7 +105,7 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
         return belief
     data, layout, known = join_logs(arm, logs, excluded), Layout(arm.joints), belief
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
-    softness, value, error = np.array([sag(data, joint) for joint in range(arm.joints)]).T
+    softness, value, error = sags(data)
     for joint in range(arm.joints):
         known = given(known, np.eye(layout.size)[stiffness][joint], value[joint], error[joint])
     mean, sigma = known.mean.copy(), known.sigma.copy()

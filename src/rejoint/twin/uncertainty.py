@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
@@ -135,10 +136,8 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     return base, central
 
 
-COMMON, OWN = 0.10, 0.10
-"""Sigma of the log mass of all links, and of each; chosen"""
-CENTRE = 0.15
-"""The same of a centre of mass's distance; chosen"""
+COMMON = 0.10
+"""Sigma of the log mass of all links; chosen"""
 AT_REST = 0.3
 """Sigma of the log ratio of friction at rest to that in motion; chosen: between the ratios that a fit tries"""
 STEP = 0.1
@@ -163,7 +162,7 @@ def fixed_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Arra
 def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
     """Replays with one thing changed by `STEP` that a fit holds fixed, and its sigma."""
     arm, every = replay.arm, np.ones(replay.arm.joints)
-    for factor, sigma in ((every, COMMON), *((row, OWN) for row in np.eye(arm.joints))):
+    for factor, sigma in ((every, COMMON), *((row, MASS) for row in np.eye(arm.joints))):
         change = np.exp(STEP * factor)
         heavier = replace(arm, mass=arm.mass * change, inertia=arm.inertia * change[:, None, None])
         yield replace(replay, arm=heavier), sigma
