@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ARM, COUNT, Sample, worn_sample
+from log_samples import ARM, Sample, worn_sample
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
-from scipy.interpolate import BPoly
 
 from rejoint.logs import ImportOptions, detect, import_logs
 from rejoint.system.errors import FileError
@@ -18,7 +17,7 @@ KINDS = STORE.types
 STORAGES = {"mcap": StoragePlugin.MCAP, "rosbag": StoragePlugin.SQLITE3}
 START = 1_750_000_000_000_000_000
 NAMES = [*ARM.joint_names, "gripper"]
-ARRAYS, TRAJECTORIES = "/forward_position_controller/commands", "/joint_trajectory_controller/joint_trajectory"
+ARRAYS = "/forward_position_controller/commands"
 
 
 def header(stamp: int):
@@ -36,23 +35,6 @@ def state(stamp: int, position: np.ndarray):
 def array(values: np.ndarray):
     layout = KINDS["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     return KINDS["std_msgs/msg/Float64MultiArray"](layout=layout, data=np.asarray(values, dtype=float))
-
-
-def trajectory(after: list[float], *orders: np.ndarray, names: list[str] | None = None, stamp: int = 0):
-    """Points (K, n) of positions, then velocities, then accelerations."""
-    none = np.zeros(0)
-    points = [
-        KINDS["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=orders[0][k],
-            velocities=orders[1][k] if len(orders) > 1 else none,
-            accelerations=orders[2][k] if len(orders) > 2 else none,
-            effort=none,
-            time_from_start=KINDS["builtin_interfaces/msg/Duration"](sec=int(t), nanosec=round((t % 1) * 1e9)),
-        )
-        for k, t in enumerate(after)
-    ]
-    kind = KINDS["trajectory_msgs/msg/JointTrajectory"]
-    return kind(header=header(stamp), joint_names=names or list(ARM.joint_names), points=points)
 
 
 def write(path: Path, storage: str, messages: list[tuple[str, int, object]]) -> Path:
@@ -89,24 +71,6 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, stor
     said = " ".join(imported.notes)
     assert f"commands from {ARRAYS} (std_msgs/msg/Float64MultiArray)" in said
     assert "times are those of the recording" in said
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize("degree", [1, 2, 3])
-def test_trajectories_are_followed_between_their_points(tmp_path: Path, storage: str, degree: int):
-    rng = np.random.default_rng(degree)
-    after = [0.0, 0.7, 1.5, 2.6, 4.0]
-    orders = [0.5 * rng.normal(size=(5, 5)), 0.3 * rng.normal(size=(5, 5)), 0.4 * rng.normal(size=(5, 5))][:degree]
-    truth = BPoly.from_derivatives(after, np.stack(orders, axis=1))  # by SciPy, an independent judge
-    time = 0.02 * np.arange(260)
-    asked = truth(np.clip(time, 0, 4.0))
-    lagging = truth(np.clip(time - 0.08, 0, 4.0))
-    position = np.round(0.98 * lagging / COUNT) * COUNT
-    goals = [(TRAJECTORIES, 0, trajectory(after, *orders, names=[*ARM.joint_names]))]
-    source = write(tmp_path / "bag", storage, states(Sample(time=time, position=position, command=asked)) + goals)
-    log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(force=True)).logs[0]
-    np.testing.assert_allclose(log.command, asked, atol=1e-6)  # stamps in whole nanoseconds, clocks in seconds
-    np.testing.assert_array_equal(log.position, position)
 
 
 def test_a_bag_that_was_not_closed_is_refused(tmp_path: Path):

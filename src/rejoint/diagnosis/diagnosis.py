@@ -13,7 +13,7 @@ import numpy as np
 from rejoint.arms import Arm, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joint
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.open_loop import OpenLoop, Postures, open_loop_errors, resting_postures, settled_postures
 from rejoint.diagnosis.regression import mean_of
@@ -178,17 +178,14 @@ def diagnose_logs(
             f"diagnosis: no {SHORTEST:g} s of free motion in one piece{evidence.left_out}; record longer motions, off "
             "table and stops"
         )
-    rows = []
-    for joint, name in enumerate(arm.joint_names):
-        on_progress(0.1 + 0.9 * joint / arm.joints, name)
-        rows.append(measure_joint(data, joint))
-    measurement = Measurement(joints=tuple(rows), period_s=float(np.median(np.diff(data.log.time))))
+    on_progress(0.1, "joints")
+    measurement = Measurement(joints=measure_joints(data), period_s=float(np.median(np.diff(data.log.time))))
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement, healthy))
-    surely = healthy is not None and any(row.lag_s is not None for row in rows)
+    surely = healthy is not None and any(row.lag_s is not None for row in measurement.joints)
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
         arm=arm.name,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from rejoint.arms import CATALOGUE, Arm, Array, link_inertia
 from rejoint.arms.workspace import torque_size
@@ -36,9 +37,15 @@ stiffness, at most 0.74 with gravity fed forward
 """
 
 MODELLED = Estimate(1.0, 0.5, 2.0)
-"""Stiffness over that by sag and a stranger's model: masses are wrong, and part of gravity may be fed forward, which
-looks the same; chosen: half of it, and the real IRIS has 0.58 at joint 3
+"""Stiffness over that by sag and a stranger's model: part of gravity may be fed forward, which looks the same; chosen:
+half of it
 """
+
+MASS, CENTRE = 0.10, 0.15
+"""Sigma of the log mass of a link, and of its centre of mass's place over its distance; chosen"""
+
+USUAL, VARIED = 16.0, 0.9
+"""[N m/rad] stiffness of a servo that carries a myCobot 280, and sigma of its logarithm; chosen"""
 
 TORQUES = within(1.0, 0.1)
 """The same by logged torques; chosen"""
@@ -148,10 +155,10 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     return Measurement(joints=tuple(joints), period_s=float(np.median(np.diff(log.time))))
 
 
-def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
-    """Measure one joint from joined logs."""
-    law = fit_law(data, joint)
-    return _row(data, joint, law, _known(data, joint, law))
+def measure_joints(data: ExcitationLog) -> tuple[JointMetrics, ...]:
+    """Measure every joint from joined logs."""
+    laws = [fit_law(data, joint) for joint in range(data.arm.joints)]
+    return tuple(_row(data, joint, law, k) for joint, (law, k) in enumerate(zip(laws, _known(data, laws), strict=True)))
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
@@ -181,7 +188,8 @@ def _stiffness(
 ) -> list[tuple[Estimate | None, Estimate | None]]:
     """Stiffness and motor inertia of each joint."""
     links = link_inertia(arm, arm.rest)
-    found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
+    by_sag = _by_sag(arm, laws, SURE_WITHIN)
+    found = [_loaded(k, ratio, float(link)) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
     known = {joint: motor for joint, (_, motor) in enumerate(found) if motor is not None}
     if motors is not None and any(motor is not None for motor in motors):
         known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
@@ -196,25 +204,51 @@ def _stiffness(
     return found
 
 
-def sag(data: ExcitationLog, joint: int) -> tuple[float, float, float]:
-    """Sag per gravity torque [rad/(N m)] of a joint, and logarithm and sigma of its stiffness; infinite if unknown."""
-    law = fit_law(data, joint)
-    k, softness = _known(data, joint, law), np.inf if law is None else float(law.fit.coefficients[SOFTNESS])
-    if k is None or not k.low or k.high is None:
-        return softness, 0.0, np.inf
-    return softness, float(np.log(k.value)), float(np.log(k.high / k.low)) / (2.0 * NORMAL95)
+def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
+    """Sag per gravity torque (n,) [rad/(N m)], and logarithm and sigma (n,) of stiffness; infinite if unknown."""
+    laws = [fit_law(data, joint) for joint in range(data.arm.joints)]
+    softness = np.array([np.inf if law is None else float(law.fit.coefficients[SOFTNESS]) for law in laws])
+    ends = [(k.low, k.high) if k and k.low and k.high else (0.0, np.inf) for k in _known(data, laws)]
+    low, high = np.log(np.maximum(ends, 1e-300)).T
+    known = np.isfinite(high)
+    return softness, np.where(known, 0.5 * (low + high), 0.0), np.where(known, high - low, np.inf) / (2.0 * NORMAL95)
 
 
-def _known(data: ExcitationLog, joint: int, law: Law | None) -> Estimate | None:
+def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
     """Stiffness by logged torque, else by gravity."""
-    return _slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) or _by_sag(data.arm, law, KNOWN_WITHIN)
+    by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
+    return [torque or sag for torque, sag in zip(by_torque, _by_sag(data.arm, laws, KNOWN_WITHIN), strict=True)]
 
 
-def _by_sag(arm: Arm, law: Law | None, ratio: float) -> Estimate | None:
-    """Stiffness by gravity; None if the sag does not follow the model, or as `_slope`."""
-    if law is None or law.follows < FOLLOWS or law.torque_range < LOADED * torque_size(arm):
-        return None
-    return _slope(law.fit, SAG if arm.name in CATALOGUE else MODELLED, ratio)
+def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate | None]:
+    """Stiffness by gravity; None if the sag does not follow the model, or its ends are ``ratio`` apart."""
+    loaded = [law if law and law.torque_range >= LOADED * torque_size(arm) else None for law in laws]
+    if arm.name in CATALOGUE:
+        return [_slope(law.fit, SAG, ratio) if law else None for law in loaded]
+    value, sigma = _uncertain_masses(arm, loaded)
+    told = [law is not None and law.follows >= FOLLOWS for law in loaded] & (2.0 * NORMAL95 * sigma < np.log(ratio))
+    ends = np.exp(value + NORMAL95 * sigma * np.array([[0.0], [-1.0], [1.0]])).T.tolist()
+    return [product(Estimate(*one), MODELLED) if known else None for one, known in zip(ends, told, strict=True)]
+
+
+def _uncertain_masses(arm: Arm, laws: Sequence[Law | None]) -> tuple[Array, Array]:
+    """Logarithm and sigma (n,) of the stiffness at which the sags of all joints agree best with links like the arm's.
+
+    Joints share the links behind them: what one sag says of a mass counts at the others.
+    """
+    n, centre = arm.joints, CENTRE * np.linalg.norm(arm.com, axis=1)[:, None]
+    usual = np.log(USUAL * torque_size(arm))
+
+    def residuals(x: Array) -> Array:
+        mass, stiffness = arm.mass * np.exp(MASS * x[:n]), np.exp(usual + VARIED * x[n : 2 * n])
+        com = arm.com + centre * x[2 * n :].reshape(n, 3)
+        links = np.column_stack([mass, mass[:, None] * com]).ravel()
+        pairs = [(law.moments, k) for law, k in zip(laws, stiffness, strict=True) if law and law.moments is not None]
+        return np.concatenate([x, *(moments[:, -1] - moments[:, :-1] @ links / k for moments, k in pairs)])
+
+    found = least_squares(residuals, np.zeros(5 * n))
+    sigma = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    return usual + VARIED * found.x[n : 2 * n], VARIED * sigma[n : 2 * n]
 
 
 def _slope(fit: LinearFit | None, doubt: Estimate, ratio: float) -> Estimate | None:
@@ -225,8 +259,7 @@ def _slope(fit: LinearFit | None, doubt: Estimate, ratio: float) -> Estimate | N
     return None if not k.low or k.high is None or k.high > ratio * k.low else product(k, doubt)
 
 
-def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> tuple[Estimate | None, Estimate | None]:
-    k = _by_sag(arm, law, SURE_WITHIN)
+def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Estimate | None, Estimate | None]:
     if k is None or ratio is None or ratio.value <= 0:
         return k, None
     motor = shifted(product(k, ratio), -link)

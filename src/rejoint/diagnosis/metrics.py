@@ -213,6 +213,8 @@ class Law:
     """[N m] of gravity"""
     follows: float = 1.0
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
+    moments: Array | None = None
+    """(4 n + 1, 4 n + 1) of `gravity_terms` and, last, error, in standard errors; None for hobby servos"""
 
 
 def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Averages:
@@ -249,14 +251,14 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     fit = fit_trimmed(design, error, motion.cluster, light)
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
-    follows = 1.0 if known else _follows(data, motion, joint)
-    return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows)
+    follows, moments = (1.0, None) if known else _shared(data, motion, joint)
+    return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows, moments=moments)
 
 
-def _follows(data: ExcitationLog, motion: Averages, joint: int) -> float:
-    """Share of the sag by any masses that the arm's own explain.
+def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
+    """Share of the sag by any masses that the arm's own explain, and `Law.moments`.
 
-    It is low where a controller compensates gravity, or masses are wrong.
+    The share is low where a controller compensates gravity, or masses are wrong.
     """
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
@@ -265,14 +267,17 @@ def _follows(data: ExcitationLog, motion: Averages, joint: int) -> float:
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
 
-    def left(design: Array, rows: NDArray[np.bool_]) -> Array:
-        fitted = np.linalg.lstsq(design[rows], error[rows], rcond=None)[0]
-        return np.asarray(error - design @ fitted)
+    def left(design: Array, rows: NDArray[np.bool_], values: Array = error) -> Array:
+        return np.asarray(values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0])
 
     rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
     kept = rest <= 5 * 1.48 * float(np.median(rest))
     without, own, any_masses = (float((left(design, kept)[kept] ** 2).sum()) for design in (base, model, free))
-    return (without - own) / max(without - any_masses, 1e-300)
+    moments = np.linalg.qr(left(base, kept, np.column_stack([columns, error]))[kept], mode="r")
+    observations = len(np.unique(motion.cluster[kept]))
+    return (without - own) / max(without - any_masses, 1e-300), moments * (
+        observations / max(any_masses, 1e-300)
+    ) ** 0.5
 
 
 def gravity_terms(arm: Arm, position: Array) -> Array:

@@ -1,8 +1,8 @@
-"""Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): topics, clocks, joint states, commands and trajectories.
+"""Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): topics, clocks, joint states and commands.
 
 Messages are ``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.foxglove.dev/docs/sdk/schemas/joint-states),
-``control_msgs/JointTrajectoryControllerState``, ``trajectory_msgs/JointTrajectory`` and ``std_msgs/Float64MultiArray``,
-decoded to dicts or objects with fields.
+``control_msgs/JointTrajectoryControllerState`` and ``std_msgs/Float64MultiArray``, decoded to dicts or objects with
+fields. Of a trajectory's goals no log tells what the controller made of them: its state does.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Array
 from rejoint.logs.columns import ColumnFrame, RawMotion
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import Reader
@@ -94,7 +93,7 @@ def _open_rosbag(file: Path) -> Iterator[Opened]:
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 STATES = ("JointState", "JointStates")
 """Message types with joint positions and names"""
-TRAJECTORY, ARRAY, CONTROLLER = "JointTrajectory", "Float64MultiArray", "JointTrajectoryControllerState"
+ARRAY, CONTROLLER = "Float64MultiArray", "JointTrajectoryControllerState"
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
 """As of ROS 2's joint_state_broadcaster; and, chosen, its counterpart"""
 OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
@@ -108,10 +107,8 @@ class Message(NamedTuple):
     """[ns] of the message, or 0"""
     logged: int
     """[ns] of the recording"""
-    columns: Mapping[str, Any]
-    """``position.elbow`` and the like to a number; of a trajectory as `_points` has them"""
-    after: Array | None = None
-    """(K,) [s] of the points of a trajectory"""
+    columns: Mapping[str, float]
+    """``position.elbow`` and the like"""
 
 
 def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]:
@@ -135,33 +132,22 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
         raise FileError(file, said, REMEDY) from error
     if silent := [topic for topic in groups if topic not in found]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
-    # an empty stamp of a trajectory asks for a start at once
-    bare = [
-        topic
-        for topic, messages in found.items()
-        if not (any if messages[0].after is None else all)(one.stamp for one in messages)
-    ]
+    bare = [topic for topic, messages in found.items() if not any(one.stamp for one in messages)]
     stamped = options.stamp == "header" or (options.stamp is None and not bare)
     if options.stamp is None and bare:
         notes.append(f"times are those of the recording, messages on {bare[0]} have no stamps")
     clocks = {
-        topic: np.array([m.stamp if stamped and (m.stamp or m.after is None) else m.logged for m in messages])
-        for topic, messages in found.items()
+        topic: np.array([one.stamp if stamped else one.logged for one in messages]) for topic, messages in found.items()
     }
     origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
     frames: list[ColumnFrame] = []
-    columns: dict[str, Array] = {}
     for topic in groups:  # states come first
         messages = found[topic]
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         times = (clocks[topic] - origin) / NANOSECONDS
-        if messages[0].after is None:
-            titles = dict.fromkeys(title for one in messages for title in one.columns)
-            columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
-            states = times
-        else:
-            columns, times = _planned(messages, times, columns, states), states
+        titles = dict.fromkeys(title for one in messages for title in one.columns)
+        columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
         about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
         frames.append(ColumnFrame.of(file, columns, time=times, notes=() if frames else notes, **about))
     return [RawMotion(file.stem, frames, {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})]
@@ -181,7 +167,7 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
         raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
     if state in controllers:
         return {state: "position"}
-    able = [name for name, kind in kinds.items() if kind in (*STATES, TRAJECTORY, ARRAY) and name != state]
+    able = [name for name, kind in kinds.items() if kind in (*STATES, ARRAY) and name != state]
     ours = [n for n in able if kinds[n] not in STATES and not any(word in n for word in OTHER_INTERFACES)]
     if command is None and COMMAND_TOPIC not in held and len(ours) == 1:
         (command,) = ours
@@ -202,7 +188,6 @@ _FIELDS = {
     "values": ("position", "data", "feedback.positions", "actual.positions", "joints.position"),
     "effort": ("effort", "feedback.effort", "actual.effort", "joints.effort"),
     "sent": ("reference.positions", "desired.positions"),
-    "points": ("points",),
 }
 """What all types of messages call the same"""
 
@@ -211,9 +196,6 @@ def _message(content: Any, group: str, logged: int, options: ImportOptions) -> M
     """Joints of a decoded message; TypeError or ValueError for one of another kind."""
     held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
     names, stamp = [*map(str, held["names"] or options.names or ())], _nanoseconds(held["stamp"])
-    if group == "command" and held["points"] is not None:
-        after, orders = _points(held["points"], len(names))
-        return Message(stamp, logged, {f"command.{name}": orders[..., i] for i, name in enumerate(names)}, after)
     given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
     if len(names) != len(given[group]):
         raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")
@@ -231,25 +213,6 @@ def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
     """First field that is there and not empty, or None."""
     fields = (_field(content, path.split(".")) for path in paths)
     return next((field for field in fields if field is not None and np.size(field)), None)
-
-
-def _points(points: Sequence[Any], joints: int) -> tuple[Array, Array]:
-    """Return times (K,) [s] of a trajectory's points, and their positions and known rates (D, K, n).
-
-    ValueError.
-    """
-    after = np.array([_nanoseconds(one) for one in _field(points, ["time_from_start"])]) / NANOSECONDS
-    if (np.diff(after) <= 0).any():
-        raise ValueError("its points are not one after another in time")
-    orders: list[Array] = []
-    for key in ("positions", "velocities", "accelerations"):
-        values = _field(points, [key])
-        if any(one is None or not len(one) for one in values):
-            break
-        orders.append(np.array(values, dtype=float).reshape(len(points), joints))
-    if not orders:
-        raise ValueError("points without positions")
-    return after, np.stack(orders)
 
 
 def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
@@ -275,36 +238,6 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     if seconds is not None and rest is not None:
         return int(seconds) * NANOSECONDS + int(rest)
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
-
-
-def _planned(goals: list[Message], starts: Array, state: Mapping[str, Array], time: Array) -> dict[str, Array]:
-    """Sample goals that begin at ``starts`` [s] at the ``time`` (T,) [s] of the columns (T,) of the ``state``.
-
-    As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
-    cubic or quintic; the last point holds, a new goal replaces the old one.
-    """
-    from scipy.interpolate import BPoly
-
-    order = np.argsort(starts, kind="stable")
-    active = np.searchsorted(starts[order], time, side="right") - 1
-    command = {title: np.full(len(time), np.nan) for goal in goals for title in goal.columns}
-    for index in np.unique(active[active >= 0]):
-        goal, start, rows = goals[order[index]], starts[order[index]], active == index
-        for title, orders in goal.columns.items():
-            knots, times = orders.T, start + goal.after
-            present = state.get(title.replace("command", "position", 1))
-            if times[0] > start and present is not None:  # a first point at the beginning leaves no way to it
-                seen = np.isfinite(present)
-                now, before = np.interp([start, start - _PAST], time[seen], present[seen])
-                here = np.array([now, (now - before) / _PAST, 0.0])[: knots.shape[1]]
-                knots, times = np.vstack([here, knots]), np.append(start, times)
-            asked = np.clip(time[rows], times[0], times[-1])
-            command[title][rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
-    return command
-
-
-_PAST = 0.06
-"""[s] over which a state's speed is taken (chosen)"""
 
 
 MCAP = Reader(partial(_bags, {"": _MCAP_MAGIC, ".mcap": _MCAP_MAGIC}), partial(_read, _open_mcap))

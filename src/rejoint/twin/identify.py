@@ -59,6 +59,7 @@ from rejoint.twin.replay import (
     recorded_gain,
 )
 from rejoint.twin.structure import (
+    SELDOM,
     STICTIONS,
     Structure,
     decide_compensation,
@@ -103,6 +104,8 @@ LEAST_CONTACT = 5.0
 
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
+SATURATED = 0.3
+"""Share of rows beyond a torque limit in which a weak joint looks like a stuck one; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -113,9 +116,6 @@ CLUSTERED = 8
 
 STRIDE = 2.5
 """Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
-MEMORY = 1.0
-"""[s] of one observation beside the prior; chosen"""
-
 FREEDOM = 2.0
 """Degrees of freedom of window errors; chosen"""
 
@@ -250,11 +250,12 @@ def fitted_twin(
     covariance = uncertainty(problem, found, clusters)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
-    held = largest_static_torque(replay.arm, replay.logs, parameters.coulomb)
-    limited = identified[problem.layout.at("torque_limit")]
-    shown = np.where(limited, held, np.maximum(held, drive_torque(problem, found.vector)))
+    held, limit = largest_static_torque(replay.arm, replay.logs, parameters.coulomb), parameters.torque_limit
+    most, usual = drive_torque(problem, found.vector, (SELDOM, SATURATED))
+    identified[problem.layout.at("torque_limit")] &= (usual < limit) & (limit < most)
+    shown = np.where(limit < most, held, np.maximum(held, most))
     lower = unpack(belief.lower, problem.joints)
-    raised = np.clip(shown, lower.torque_limit, 0.99 * parameters.torque_limit)
+    raised = np.clip(shown, lower.torque_limit, 0.99 * limit)
     twin = Twin(
         arm=replay.arm.name,
         joint_names=replay.arm.joint_names,
@@ -416,7 +417,7 @@ def _problem(
 ) -> Problem:
     timestep, threads = settings.timestep, settings.threads
     replay = Replay(arm, logs, windows, timestep, threads, structure.stiction, structure.acceleration)
-    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+    return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
 
 def independent(problem: Problem) -> NDArray[np.integer]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.diagnosis.measurement import sag
+from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
@@ -64,6 +64,9 @@ FURTHER = 2
 FAR = 5.0
 """Rms residual over the median of windows left out; chosen between real jumps (4) and infeasible chirps (20)"""
 
+SELDOM = 0.005
+"""Share of rows beyond a torque that counts as reached; chosen"""
+
 _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] tried"""
 _TORQUES = (0.4, 0.6, 0.8)
@@ -105,7 +108,7 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
         return belief
     data, layout, known = join_logs(arm, logs, excluded), Layout(arm.joints), belief
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
-    softness, value, error = np.array([sag(data, joint) for joint in range(arm.joints)]).T
+    softness, value, error = sags(data)
     for joint in range(arm.joints):
         known = given(known, np.eye(layout.size)[stiffness][joint], value[joint], error[joint])
     mean, sigma = known.mean.copy(), known.sigma.copy()
@@ -243,7 +246,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = drive_torque(problem, x)
+        torque = drive_torque(problem, x)[0]
         values = [np.log(share * torque) for share in _TORQUES]
     elif limit == "load_friction":
         values = [np.full(problem.joints, share) for share in _SHARES]
@@ -266,11 +269,12 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     return y, _losses(problem, y)
 
 
-def drive_torque(problem: Problem, x: Array) -> Array:
-    """(n,) [N m] servo torque without limit, exceeded in one row of 200."""
+def drive_torque(problem: Problem, x: Array, shares: Sequence[float] = (SELDOM,)) -> Array:
+    """(s, n) [N m] servo torque without limit, exceeded in each of the ``shares`` (s,) of the rows."""
     parameters = unpack(x, problem.joints)
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
-    return np.quantile(parameters.stiffness * np.maximum(np.abs(lead), problem.floor), 0.995, axis=0)
+    torque = parameters.stiffness * np.maximum(np.abs(lead), problem.floor)
+    return np.quantile(torque, 1.0 - np.array(shares), axis=0)
 
 
 def without(belief: Prior, names: Sequence[str]) -> Prior:
