@@ -21,10 +21,14 @@ from rejoint_lab.family import has_gains
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
+from rejoint_lab.plant.xseries import ACCELERATION_UNIT, VELOCITY_UNIT
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint_lab.cameras import EmulatedCamera
+
+
+_UNITS = {"speed": VELOCITY_UNIT, "acceleration": ACCELERATION_UNIT}
 
 
 class EmulatedServos:
@@ -35,8 +39,8 @@ class EmulatedServos:
         self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
         self._sts = isinstance(plant, StsPlant)
         law: Any = sts if self._sts else xservos
-        self.rungs: tuple[Rung, ...] = law.RUNGS
-        self.strides = strides_of(law.KNOBS)
+        self.strides = {name: stride for name, stride in strides_of(law.KNOBS).items() if name != "current"}
+        self.rungs = tuple(rung for rung in law.RUNGS if rung.names[0] in self.strides)
         for name, values in for_all(gains, plant.arm.joints, law.KNOBS).items():
             self.write_gain(name, values)
         self.tuning = Tuning(self, {})
@@ -56,12 +60,12 @@ class EmulatedServos:
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        rows = {name: self._field(name)[0].astype(int) for name in self.strides}
+        rows = {name: np.rint(self._field(name)[0] / _UNITS.get(name, 1)).astype(int) for name in self.strides}
         return {name: tuple((row if self._sts else row[:, 0]).tolist()) for name, row in rows.items()}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        self._field(name)[:] = values if self._sts else np.array(values)[:, None]
+        self._field(name)[:] = values if self._sts else np.array(values)[:, None] * _UNITS.get(name, 1)
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Largest share of the torque, and temperature [deg C]."""

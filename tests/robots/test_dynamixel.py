@@ -254,3 +254,24 @@ def test_gains_of_a_connection_hold_on_the_next_one():
         bus.open()
         bus.prepare()
         assert bus.servo_gains()["p"] == (700,) * 5
+
+
+def test_limits_of_the_current_are_gains_where_servos_obey_them_and_profiles_everywhere():
+    omx = load_arm("omx")
+    arm = built(omx)
+    for index, servo in enumerate(arm.servos[:2]):
+        servo["Operating_Mode"], servo["Goal_Current"], servo["Profile_Velocity"] = 5, 401, 77
+        arm.settle(index)
+    with serving(arm) as server, opened(server, "?acceleration=9", arm=omx) as robot:
+        before = robot.servo_gains()
+        assert before["current"] == (34, 34, 100, 100)
+        assert (before["speed"], before["acceleration"]) == ((0,) * 4, (9,) * 4)
+        assert {rung.names[0] for rung in robot.rungs()} == {"limit", "current", "p", "i", "acceleration"}
+        robot.tune({"current": (100, 34, 100, 100)})
+        assert [servo["Goal_Current"] for servo in arm.servos[:3]] == [1193, 401, 1193]
+        assert all(at != 102 for at, _ in arm.servos[2].writes)
+        robot.read()  # only what answers is put back
+    assert [servo["Goal_Current"] for servo in arm.servos[:2]] == [401, 401]
+    assert [servo["Profile_Velocity"] for servo in arm.servos[:3]] == [77, 77, 0]
+    with serving() as server, opened(server) as robot:
+        assert "current" not in robot.servo_gains()

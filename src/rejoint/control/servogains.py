@@ -49,6 +49,8 @@ class Rung(NamedTuple):
     rising: bool = True
     beside: tuple[tuple[str, int], ...] = ()
     """other gains set with it"""
+    alone: bool = False
+    """not for servos below a controller"""
 
 
 @runtime_checkable
@@ -59,7 +61,7 @@ class Tunable(Protocol):
         """Gains in force; None: unknown."""
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Search order: the safest first, last those for no controller."""
+        """Search order: the safest first."""
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps until power-off; RobotError."""
@@ -265,11 +267,9 @@ def search(
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
         climb.error = first.error
-        *others, last = servos.rungs()
-        for rung in others:
-            climb.rung(rung, first)
+        climb.rungs(first, alone=False)
         under, middle = climb.confirm(found, first)
-        climb.rung(last, first)
+        climb.rungs(first, alone=True)
         alone, end = climb.confirm(under, middle)
     return GainsFound(
         arm=robot.arm.name,
@@ -296,6 +296,12 @@ class _Climb:
     error: Array = field(init=False)
     """(n,) [rad] least so far"""
     rounds: int = 0
+
+    def rungs(self, first: Round, *, alone: bool) -> None:
+        """Climb those for servos alone, or the others."""
+        for rung in self.servos.rungs():
+            if rung.alone == alone:
+                self.rung(rung, first)
 
     def rung(self, rung: Rung, first: Round) -> None:
         """Give each joint the best value; it ends where it is loud or bad, and after two values that do not help."""
@@ -355,7 +361,9 @@ class _Climb:
             rows = (recording.target_index[:, 0] == k) & (recording.since_target[:, 0] > DWELL - LOOKED)
             here = position[rows]
             tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
-            found.append((np.abs(command[rows] - here).mean(axis=0), here.std(axis=0), tool))
+            ramp = np.linspace(-1.0, 1.0, len(here))[:, None]  # an I part that still pulls is no unrest
+            creep = ramp * (ramp * here).sum(axis=0) / (ramp**2).sum()
+            found.append((np.abs(command[rows] - here).mean(axis=0), (here - creep).std(axis=0), tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
         return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints
 

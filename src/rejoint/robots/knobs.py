@@ -217,6 +217,8 @@ class ServoAddress:
     baud: ClassVar[int] = 1_000_000
     knobs: ClassVar[Knobs] = {}
     table: ClassVar[Mapping[str, Register]] = {}
+    driven: ClassVar[Gains] = {}
+    """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
         "calibration": lambda text: Path(text).expanduser(),
         "zero": _degrees,

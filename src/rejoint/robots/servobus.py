@@ -148,7 +148,7 @@ class ServoBus(Bus):
     """by number"""
     ladder: ClassVar[tuple[Rung, ...]]
     """search order of gains"""
-    memory: ClassVar[tuple[str, ...]]
+    memory: tuple[str, ...]
     """registers of gains"""
     protected: ClassVar[frozenset[str]] = frozenset(("id",))
     """registers that no client may write"""
@@ -167,7 +167,7 @@ class ServoBus(Bus):
         """(n,) places of the joints' first servos"""
         self.table, self.strides = address.table, strides_of(address.knobs)
         self.names = [self.call(self.ids[lead]) for lead in self.leads]
-        self._tuning = Tuning(self, for_all(address.gains, arm.joints, address.knobs))
+        self._tuning = Tuning(self, for_all({**address.driven, **address.gains}, arm.joints, address.knobs))
         self.zeros = Zeros(middle=(), zero=(), low=(), high=(), step=())
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
@@ -265,7 +265,7 @@ class ServoBus(Bus):
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
-        return self.ladder
+        return tuple(rung for rung in self.ladder if rung.names[0] in self._tuning.values)
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps until power-off."""

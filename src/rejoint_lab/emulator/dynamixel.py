@@ -36,6 +36,7 @@ BROADCAST = 0xFE
 """ID of all servos"""
 PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR = 1, 2, 3, 4, 5, 6, 8, 0x10
 STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x55, 0x82, 0x83, 0x8A
+BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
 FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
@@ -468,6 +469,9 @@ DELAY_UNIT, TURN = 2e-6, 20e-6
 """[s] of the return delay register; least pause before an answer (chosen)"""
 
 
+_READS = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
+
+
 class XBus(EmulatedBus):
     """Servos of X arms on their wire."""
 
@@ -479,16 +483,18 @@ class XBus(EmulatedBus):
         self.arm.heard = self.arm.clock
         hearing = [(index, servo) for index, servo in self.hearing() if servo.awake <= self.arm.clock]
         code, data = request.code, request.parameters
-        if code in (SYNC_WRITE, SYNC_READ, FAST_SYNC_READ):
-            address, size = _words(data[:4].ljust(4, b"\0"))
-            if code == SYNC_WRITE:
-                for start in range(4, len(data) - size, size + 1):
-                    for index, servo in hearing:
-                        if data[start] in (servo.number, servo["Secondary_ID"]):
-                            self._write(index, data[start], address, data[start + 1 : start + 1 + size])
-                return []
-            asked = [[index for index, servo in hearing if servo.number == number] for number in data[4:]]
-            return (self._chain if code == FAST_SYNC_READ else self._row)(asked, address, size)
+        if code in (SYNC_WRITE, BULK_WRITE):
+            for part in _parts(code, data):
+                for index, servo in hearing:
+                    if part.number in (servo.number, servo["Secondary_ID"]):
+                        self._write(index, part.number, part.address, part.data)
+            return []
+        if code in _READS:
+            asked = [
+                ([index for index, servo in hearing if servo.number == part.number], part)
+                for part in _parts(code, data)
+            ]
+            return (self._chain if code in (FAST_SYNC_READ, FAST_BULK_READ) else self._row)(asked)
         answers = []
         for index, servo in sorted(hearing, key=lambda pair: pair[1].number):
             if request.id in (BROADCAST, servo.number, servo["Secondary_ID"]):
@@ -562,26 +568,52 @@ class XBus(EmulatedBus):
         frame = encode(Packet(self.arm.servos[index].number, STATUS, bytes([self._error(index, error)]) + data))
         return Answer(index, slot + self._delay(index) + len(frame) * self.byte, frame)
 
-    def _row(self, asked: list[list[int]], address: int, size: int) -> list[Answer]:
+    def _row(self, asked: list[tuple[list[int], Part]]) -> list[Answer]:
         """Answers one after the other; the slot of a silent servo passes (chosen)."""
         answers, begun = list[Answer](), 0.0
-        for servos in asked:
-            mine = [self._status(index, begun, *self._read(index, address, size)) for index in servos]
+        for servos, part in asked:
+            mine = [self._status(index, begun, *self._read(index, part.address, part.size)) for index in servos]
             answers += mine
-            begun = mine[0].after if mine else begun + (size + 11) * self.byte
+            begun = mine[0].after if mine else begun + (part.size + 11) * self.byte
         return answers
 
-    def _chain(self, asked: list[list[int]], address: int, size: int) -> list[Answer]:
+    def _chain(self, asked: list[tuple[list[int], Part]]) -> list[Answer]:
         """Return the one answer of a fast read, which breaks off before a silent servo; not stuffed."""
-        length, heard = 1 + len(asked) * (size + 4), list(takewhile(bool, asked))
+        length = 1 + sum(part.size + 4 for _, part in asked)
+        heard = list(takewhile(lambda one: one[0], asked))
         if not heard or length > _MOST:
             return []
         frame = HEADER + bytes([0, BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
-        for index, *_ in heard:
-            error, data = self._read(index, address, size)
+        for (index, *_), part in heard:
+            error, data = self._read(index, part.address, part.size)
             frame += bytes([self._error(index, error), self.arm.servos[index].number]) + data
             frame += crc(frame)
-        return [Answer(heard[-1][0], self._delay(heard[0][0]) + len(frame) * self.byte, frame)]
+        return [Answer(heard[-1][0][0], self._delay(heard[0][0][0]) + len(frame) * self.byte, frame)]
+
+
+class Part(NamedTuple):
+    """What a packet to several servos asks of one."""
+
+    number: int
+    """ID"""
+    address: int
+    size: int
+    data: bytes
+    """to write"""
+
+
+def _parts(code: int, data: bytes) -> list[Part]:
+    """Parts of a sync or bulk packet; one of bulk packets has an address and a size of its own."""
+    head = b"" if code in (BULK_READ, BULK_WRITE, FAST_BULK_READ) else data[:4]
+    found, place = list[Part](), len(head)
+    while place + 5 - len(head) <= len(data):
+        start = place + 5 - len(head)
+        address, size = _words(head or data[place + 1 : start])
+        end = start + size * (code in (SYNC_WRITE, BULK_WRITE))
+        if end <= len(data):
+            found.append(Part(data[place], address, size, data[start:end]))
+        place = end
+    return found
 
 
 def _words(data: bytes) -> tuple[int, ...]:
@@ -592,7 +624,7 @@ class XSession(BusSession):
     """Servos of ``arm`` for one client at a time, with timing."""
 
     scheme = "dynamixel"
-    reading = frozenset({READ, SYNC_READ, FAST_SYNC_READ})
+    reading = _READS | {READ}
 
     def __init__(self, arm: XArm, **options: Any) -> None:  # noqa: ANN401
         super().__init__(XBus(arm), **options)

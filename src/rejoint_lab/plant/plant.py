@@ -1,6 +1,6 @@
 """A batch of simulated worn arms.
 
-The MuJoCo model has two hinges per axis: servo output, and play and flex behind it. All else are applied torques.
+The MuJoCo model has two hinges per axis: the servo output, and play and flex behind it. All else are applied torques.
 """
 
 from __future__ import annotations

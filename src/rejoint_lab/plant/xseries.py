@@ -135,10 +135,12 @@ def output_of(setting, status, speed):
     error = status.reference - status.position
     status.change += _FILTER * (error - status.error - status.change)
     status.error = error
-    output = setting.p / setting.divisor * error + setting.d / 16 * status.change + setting.i / 65536 * status.sum
+    output = setting.p / setting.divisor * error + setting.d / 16 * status.change + status.sum
     output += STEP * (setting.feed_1 / 4 * status.rate + setting.feed_2 / 4 * (status.rate - before))
-    if abs(output) < setting.pwm_limit or output * error < 0.0:  # what the limit cuts off is not summed up
-        status.sum += error
+    if setting.i == 0:  # another gain is no jump (chosen)
+        status.sum = 0.0
+    elif abs(output) < setting.pwm_limit or output * error < 0.0:  # what the limit cuts off is not summed up
+        status.sum += setting.i / 65536 * error
     if setting.mode == CURRENT_POSITION:  # the loop asks for a current, which an inner loop gives
         most = setting.current_goal
         if setting.input_current:  # the XL330 limits the current of its supply, at stall the duty times the motor's

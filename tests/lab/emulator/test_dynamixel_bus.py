@@ -2,6 +2,7 @@
 
 import socket
 import time
+from contextlib import contextmanager
 
 import dynamixel_sdk as sdk
 import numpy as np
@@ -15,7 +16,11 @@ from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator.dynamixel import (
     ACTION,
     BROADCAST,
+    BULK_READ,
+    BULK_WRITE,
     CLEAR,
+    FACTORY_RESET,
+    FAST_BULK_READ,
     FAST_SYNC_READ,
     PING,
     READ,
@@ -39,7 +44,26 @@ from rejoint_lab.emulator.servobus import Packet
 GOLDEN = {
     "FF FF FD 00 01 03 00 01 19 4E": Packet(1, PING),
     "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D": Packet(1, STATUS, bytes([0, 6, 4, 38])),
+    "FF FF FD 00 FE 03 00 01 31 42": Packet(BROADCAST, PING),
+    "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15": Packet(1, READ, bytes([132, 0, 4, 0])),
+    "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0": Packet(1, STATUS, bytes([0, 166, 0, 0, 0])),
     "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89": Packet(1, WRITE, bytes([116, 0, 0, 2, 0, 0])),
+    "FF FF FD 00 01 04 00 55 00 A1 0C": Packet(1, STATUS, bytes([0])),
+    "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E": Packet(1, REG_WRITE, bytes([104, 0, 200, 0, 0, 0])),
+    "FF FF FD 00 01 03 00 05 02 CE": Packet(1, ACTION),
+    "FF FF FD 00 01 04 00 06 01 A1 E6": Packet(1, FACTORY_RESET, b"\1"),
+    "FF FF FD 00 01 03 00 08 2F 4E": Packet(1, REBOOT),
+    "FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC": Packet(1, CLEAR, b"\1DXL\x22"),
+    "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA": Packet(BROADCAST, SYNC_READ, bytes([132, 0, 4, 0, 1, 2])),
+    "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87": Packet(
+        BROADCAST, SYNC_WRITE, bytes([116, 0, 4, 0, 1, 150, 0, 0, 0, 2, 170, 0, 0, 0])
+    ),
+    "FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05": Packet(
+        BROADCAST, BULK_READ, bytes([1, 144, 0, 2, 0, 2, 146, 0, 1, 0])
+    ),
+    "FF FF FD 00 FE 10 00 93 01 20 00 02 00 A0 00 02 1F 00 01 00 50 B7 68": Packet(
+        BROADCAST, BULK_WRITE, bytes([1, 32, 0, 2, 0, 160, 0, 2, 31, 0, 1, 0, 80])
+    ),
     "FF FF FD 00 FE 0D 00 82 7E 00 0A 00 01 02 03 04 05 06 18 B7": Packet(
         BROADCAST, SYNC_READ, bytes([126, 0, 10, 0, 1, 2, 3, 4, 5, 6])
     ),
@@ -257,16 +281,15 @@ def test_answers_come_in_the_time_of_their_bytes_and_spoil_one_another(bus):
     assert [servo["Torque_Enable"] for servo in bus.arm.servos] == [0] * 6
 
 
-ORDINARY = st.sampled_from(
-    [REBOOT, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, FAST_SYNC_READ, SYNC_WRITE, CLEAR, 6, 0x77]
-)
+MANY = (SYNC_READ, FAST_SYNC_READ, SYNC_WRITE, BULK_READ, FAST_BULK_READ, BULK_WRITE)
+ORDINARY = st.sampled_from([REBOOT, READ, WRITE, REG_WRITE, ACTION, CLEAR, FACTORY_RESET, 0x77, *MANY])
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from([1, 2, 3, 0xFE]), ORDINARY, st.integers(0, 700), st.binary(max_size=20), st.booleans())
 def test_no_packet_ends_the_bus(servo, code, address, data, waits):
     for answer in WIDOWX.execute(Packet(servo, code, word(address, 2) + data)):
-        assert code == FAST_SYNC_READ or len(finder().feed(answer.data)) == 1
+        assert code in (FAST_SYNC_READ, FAST_BULK_READ) or len(finder().feed(answer.data)) == 1
     if waits:
         WIDOWX.arm.advance(0.05)
     assert np.isfinite(WIDOWX.arm.angles).all()
@@ -289,13 +312,23 @@ class AnyPort(sdk.PortHandler):
         self.setPacketTimeoutMillis(self.tx_time_per_byte * length + 100)  # a busy machine
 
 
+@contextmanager
+def client(kind, name="koch"):
+    """ROBOTIS' port and packet handler on an emulated arm."""
+    with kind(XSession(build_arm(load_arm(name), "new"))) as server:
+        place = server.address.removeprefix("dynamixel://").partition("?")[0]
+        port = AnyPort(place if kind is TerminalServer else f"socket://{place}")
+        assert port.openPort()
+        try:
+            yield port, sdk.PacketHandler(2.0)
+        finally:
+            port.closePort()
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize("kind", [TerminalServer, on_port])
 def test_robotis_client_drives_the_arm(kind):
-    with kind(XSession(build_arm(load_arm("koch"), "new"))) as server:
-        place = server.address.removeprefix("dynamixel://").partition("?")[0]
-        port, packets = AnyPort(place if kind is TerminalServer else f"socket://{place}"), sdk.PacketHandler(2.0)
-        assert port.openPort()
+    with client(kind) as (port, packets):
         assert packets.broadcastPing(port)[0] == {
             servo: [1060, 46] if servo < 3 else [1200, 52] for servo in range(1, 7)
         }
@@ -318,4 +351,40 @@ def test_robotis_client_drives_the_arm(kind):
             port.closePort()
             assert port.setBaudRate(57600)
             assert packets.ping(port, 1)[1] != sdk.COMM_SUCCESS
-        port.closePort()
+
+
+@pytest.mark.realtime
+def test_robotis_client_finds_all_that_it_can_ask_for():
+    with client(on_port) as (port, packets):
+        done, on = (sdk.COMM_SUCCESS, 0), range(1, 7)
+        assert packets.ping(port, 1) == (1060, *done)
+        assert packets.read2ByteTxRx(port, 3, 84) == (1500, *done)
+        assert packets.read4ByteTxRx(port, 3, 116)[1:] == done
+        assert packets.readTxRx(port, 3, 80, 6)[0][4:] == list(word(1500, 2))
+        for address, size in ((65, 1), (88, 2), (112, 4)):
+            write, read = (getattr(packets, f"{what}{size}ByteTxRx") for what in ("write", "read"))
+            assert write(port, 3, address, 1) == done
+            assert read(port, 3, address) == (1, *done)
+            assert getattr(packets, f"write{size}ByteTxOnly")(port, 3, address, 0) == sdk.COMM_SUCCESS
+            time.sleep(0.1)  # its confirmation, which nobody waited for
+            assert read(port, 3, address) == (0, *done)
+        assert packets.regWriteTxRx(port, 3, 65, 1, [1]) == done
+        assert packets.regWriteTxOnly(port, 4, 65, 1, [1]) == sdk.COMM_SUCCESS
+        time.sleep(0.1)
+        assert packets.action(port, BROADCAST) == sdk.COMM_SUCCESS
+        assert [packets.read1ByteTxRx(port, servo, 65)[0] for servo in (3, 4)] == [1, 1]
+        bulk, writes = sdk.GroupBulkRead(port, packets), sdk.GroupBulkWrite(port, packets)
+        assert all(bulk.addParam(servo, *((132, 4) if servo % 2 else (144, 2))) for servo in on)
+        assert all(writes.addParam(servo, *((65, 1, [1]) if servo % 2 else (98, 1, [0]))) for servo in on)
+        assert writes.txPacket() == bulk.txRxPacket() == sdk.COMM_SUCCESS
+        seen = [bulk.getData(servo, 132, 4) if servo % 2 else bulk.getData(servo, 144, 2) for servo in on]
+        assert bulk.fastBulkRead() == sdk.COMM_SUCCESS
+        again = [bulk.getData(servo, 132, 4) if servo % 2 else bulk.getData(servo, 144, 2) for servo in on]
+        assert again == pytest.approx(seen, abs=3)
+        assert seen[1::2] == [120, 50, 50]
+        assert packets.write1ByteTxRx(port, 3, 64, 0) == packets.write4ByteTxRx(port, 3, 20, 0) == done
+        assert packets.write1ByteTxRx(port, 3, 11, 4) == packets.clearMultiTurn(port, 3) == done
+        assert packets.factoryReset(port, 3, 2) == done
+        time.sleep(0.5)
+        assert packets.read1ByteTxRx(port, 3, 11) == (3, *done)
+        assert "range" in packets.getRxPacketError(packets.write1ByteTxRx(port, 3, 7, 253)[1])

@@ -162,7 +162,7 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
         return ()
     return (
         f"{row.controller} needs other gains in the servos: each drive sets them and takes them back. "
-        "`rejoint gains --keep` has the servos keep them.",
+        "An SO-101 keeps them after `rejoint gains --keep`.",
     )
 
 

@@ -20,7 +20,7 @@ from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2P
 from rejoint.arms import Arm
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.dynamixel.registers import ERRORS, MODELS, RUNGS, TABLE, DynamixelAddress, Model
+from rejoint.robots.dynamixel.registers import CURRENT_BASED, ERRORS, MODELS, RUNGS, TABLE, DynamixelAddress, Model
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import LIMIT, Values
 from rejoint.robots.servobus import (
@@ -31,7 +31,6 @@ from rejoint.robots.servobus import (
     STEP,
     VOLT,
     BlockingPort,
-    Counts,
     ServoBus,
     Zeros,
     judge,
@@ -150,7 +149,7 @@ def _data(packet: Sequence[int]) -> bytes:
     return bytes(packet[_ERROR + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])
 
 
-POSITION, MODES = 3, (3, 4, 5)
+POSITION, MODES = 3, (3, 4, CURRENT_BASED)
 """Operating modes with goal positions: position, extended, current-based"""
 NEAR = 1024
 """[counts] largest homing offset that is obeyed in the mode `POSITION`"""
@@ -170,8 +169,6 @@ LEAVE = 1.0
 DELAY_UNIT, PROMPT = 2, 20
 """[us] per count of a servo's return delay, and the longest that is not named (chosen)"""
 TIMER = "/sys/bus/usb-serial/devices/{}/latency_timer"
-PROFILE = ("acceleration", "speed")
-"""Registers at zero while the arm is driven: the controller's command is the profile"""
 BLOCK = struct.Struct("<hii")
 """Registers ``load``, velocity and ``position``"""
 SUPPLY = struct.Struct("<HB")
@@ -200,7 +197,8 @@ class DynamixelBus(ServoBus):
     name = "Dynamixel arm"
     advice = f"{Bus.advice} `rejoint emulate --arm koch` starts an arm to try"
     models = {number: model.name for number, model in MODELS.items()}  # noqa: RUF012
-    ladder, memory = RUNGS, ("p", "i", "d", LIMIT)
+    ladder = RUNGS
+    memory: tuple[str, ...] = ("p", "i", "d", LIMIT, "speed", "acceleration")
     confirms, last = 2, 20
     wire: DynamixelWire
 
@@ -221,7 +219,8 @@ class DynamixelBus(ServoBus):
         self._volts: list[float] = []
         self._first_volts: list[float] = []
         self._words = [""] * len(self.ids)
-        self._before: tuple[Values, dict[str, Counts]] | None = None
+        self._currents: dict[int, tuple[int, int]] = {}  # limits of servos that obey them: found, and largest
+        self._before: Values = {}
         self._sound = False  # whether the last question was answered, and without an alert
 
     def open(self) -> None:
@@ -283,6 +282,10 @@ class DynamixelBus(ServoBus):
                 f"{self.call(self.ids[at])} stands {apart[at]:.0f} counts from the other servo of its joint, and would "
                 f"pull against it: set its homing offset (register {TABLE['homing'].address}) and its drive mode"
             )
+        for servo, based in zip(self.ids, mode == CURRENT_BASED, strict=True):
+            if based and servo not in self._currents:
+                self._currents[servo] = self.get(servo, "current"), self.get(servo, "largest")
+                self.memory = (*type(self).memory, "current")
         free = mode != POSITION
         rows = (
             middle,
@@ -294,16 +297,12 @@ class DynamixelBus(ServoBus):
         return Zeros(*(tuple(row.tolist()) for row in rows))
 
     def set_up(self) -> None:
-        """Find what is quick, and take the profiles away."""
+        """Find what is quick, and what was set."""
         wire, block = self.wire, TABLE["load"].address
         wire.fast = True
         wire.fast = any(len(wire.read_all(self.ids, block, BLOCK.size)) == len(self.ids) for _ in range(2))
         wire.quieten(0.0 if wire.fast else QUIET)
-        self._before = self._before or (self.read_gains(), {name: self.get_all(name) for name in PROFILE})
-        for name in PROFILE:
-            for servo, value in zip(self.ids, self.get_all(name), strict=True):
-                if value:
-                    self.set(servo, name, 0)
+        self._before = self._before or self.read_gains()
         self._care()
         self._first_volts = self._first_volts or self._volts
         slow = DELAY_UNIT * int(self.get_all("delay").max())
@@ -334,6 +333,27 @@ class DynamixelBus(ServoBus):
             trouble=tuple(words) if any(words) else None,
         )
 
+    def read_gains(self) -> Values:
+        """Ask for the gains; a limit of the current in percent of the largest."""
+        found = super().read_gains()
+        if "current" in found:
+            leads = (self.ids[lead] for lead in self.leads)
+            found["current"] = tuple(map(self._percent, leads, found["current"]))
+        return found
+
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all joints; a limit of the current where a servo obeys it."""
+        if name != "current":
+            super().write_gain(name, values)
+            return
+        for servo, (before, largest) in self._currents.items():
+            percent = values[self.joint[self.ids.index(servo)]]
+            unchanged = percent == self._percent(servo, before)
+            self.set(servo, name, before if unchanged else largest * percent // 100)
+
+    def _percent(self, servo: int, current: int) -> int:
+        return round(100 * current / self._currents[servo][1]) if servo in self._currents else 100
+
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
         """Further questions."""
         return (self._care,)
@@ -346,13 +366,8 @@ class DynamixelBus(ServoBus):
     def close(self) -> None:
         """Put registers back and release the port; the servos hold."""
         if self._wire is not None and self._sound and self._before:
-            gains, profile = self._before
             with contextlib.suppress(RejointError, OSError), shielded(), self.by(self.clock.now() + LEAVE):
-                self._tuning.walk(gains)
-                for name, values in profile.items():
-                    for servo, value in zip(self.ids, values.tolist(), strict=True):
-                        if value:
-                            self.set(servo, name, value)
+                self._tuning.walk(self._before)
         self._sound = False
         super().close()
 

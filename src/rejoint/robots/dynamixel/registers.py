@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung
-from rejoint.robots.knobs import COMPLEMENT, LIMIT, Knob, Register, ServoAddress
+from rejoint.robots.knobs import COMPLEMENT, LIMIT, Gains, Knob, Register, ServoAddress
 
 TABLE = {
     "id": Register(7),
@@ -22,7 +22,7 @@ TABLE = {
     "drive": Register(10),
     "mode": Register(11),
     "homing": Register(20, 4, COMPLEMENT),
-    "most": Register(36, 2),
+    "largest": Register(38, 2),
     "high": Register(48, 4, COMPLEMENT),
     "low": Register(52, 4, COMPLEMENT),
     "torque": Register(64),
@@ -33,6 +33,7 @@ TABLE = {
     "p": Register(84, 2),
     "watchdog": Register(98),
     LIMIT: Register(100, 2),
+    "current": Register(102, 2, COMPLEMENT),
     "acceleration": Register(108, 4),
     "speed": Register(112, 4),
     "goal": Register(116, 4, COMPLEMENT),
@@ -47,14 +48,24 @@ KNOBS = {
     "i": Knob(("i",), 0, 1600, 50),
     "d": Knob(("d",), 0, 8000, 200),
     LIMIT: Knob((LIMIT,), 100, 885, 885),
+    "current": Knob(("current",), 1, 100, 100),
+    "speed": Knob(("speed",), 0, 1023, 1023),
+    "acceleration": Knob(("acceleration",), 0, 32767, 32767),
 }
-"""Gains and tried limits (chosen); the limit of the output is in 1/885"""
+"""Gains and tried limits (chosen). The limit of the output is in 1/885; that of the current, which acts in the mode
+`CURRENT_BASED` alone, in percent of the servo's own; speed and acceleration are those of the profile, 0: none"""
 RUNGS = (
     Rung((LIMIT,), (885,)),
-    Rung(("p",), (600, 800, 1100, 1500, 2000, 2700)),
-    Rung(("i",), (100, 200, 400, 800)),
+    Rung(("current",), (100,)),
+    Rung(("p",), (800, 1200, 1800, 2700)),
+    Rung(("p",), (2700,), beside=(("d", 4000),)),
+    Rung(("i",), (400, 1600), alone=True),
+    Rung(("acceleration",), (100,), beside=(("speed", 1023),), alone=True),
 )
-"""Search order (chosen: within `KNOBS`)"""
+"""Search order (chosen: within `KNOBS`). More D is tried where a joint is restless under more P; the last ones, I and a
+profile, would lag behind a controller"""
+CURRENT_BASED = 5
+"""Operating mode"""
 
 
 class Model(NamedTuple):
@@ -110,6 +121,7 @@ class DynamixelAddress(ServoAddress):
     """A bus of Dynamixel servos."""
 
     port, knobs, table = 9000, KNOBS, TABLE
+    driven: ClassVar[Gains] = {"speed": 0, "acceleration": 0}
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
         **ServoAddress.options,
         "ids": _ids,

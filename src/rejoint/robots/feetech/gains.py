@@ -29,7 +29,7 @@ RUNGS = (
     Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
     Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
     Rung(("startup",), (16, 24, 32)),
-    Rung(("i",), (1, 2, 4, 8), beside=((LIMIT, LIMITED),)),
+    Rung(("i",), (1, 2, 4, 8), beside=((LIMIT, LIMITED),), alone=True),
 )
 """Search order (chosen: within `KNOBS`)"""
 TABLE = {
