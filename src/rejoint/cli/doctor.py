@@ -1,4 +1,4 @@
-"""What stands in the way of a repair: `rejoint doctor` goes through a table of checks, each with its remedy."""
+"""What hinders a repair: `rejoint doctor` goes through a table of checks, each with its remedy."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
 
 @takes()
 def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera: int | None = None) -> Result:
-    """Look for what stands in the way of a repair, and say how to put it right; nothing moves."""
+    """Look for what hinders a repair, and say how to put it right; nothing moves."""
     system = f"{platform.platform()}, {os.cpu_count()} processors"
     call.result(f"rejoint {__version__}, Python {platform.python_version()}, {system}")
     ill, rows = 0, []

@@ -70,6 +70,7 @@ _MEANT = {
     r"[\w.-]*\w\w[\w.-]*:\d+": "; perhaps tcp://{0} (myCobot) or feetech://{0} (SO-101)",
     r"\d+\.\d+\.\d+\.\d+": "; perhaps tcp://{0}:9000",
     r"COM\d+": "; serial ports of Windows are not supported: serve the arm from Linux",
+    r"[A-Za-z]:[\\/].*": "; a folder of logs is given as --logs FOLDER",
     r"worn|healthy": "; perhaps emulated:{0}",
     r"(?![\w.+-]{2,}:).*": "; `rejoint ports` lists the ports, `rejoint arms` the arms that have a name",
 }

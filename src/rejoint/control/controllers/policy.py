@@ -29,6 +29,7 @@ from rejoint.control.controllers.runtime import ort
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
+from rejoint.system.results import Readable
 
 LARGEST_FILE = 16 * MEGABYTE
 """[bytes] (chosen: two hundred times what ours have)"""
@@ -72,8 +73,8 @@ class PolicyController(Commander):
         return _act(self._session, observation)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Policy:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Policy(Readable):
     """A trained policy: an ONNX file and its contract.
 
     The file is checked before ONNX Runtime reads it.
