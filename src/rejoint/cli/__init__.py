@@ -194,7 +194,10 @@ def main() -> None:
 
 def _misused(error: typer.TyperException) -> str:
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
-    told = told.replace("Value error, ", "")  # of the library behind typer
+    told = told.replace("Value error, ", "").replace("Input should be", "expected")  # of the library behind typer
+    if option := re.match(r"Invalid value for '(--[\w-]+)': expected", told):
+        given = re.search(rf"\0{option[1]}[\0=]([^\0]*)", "\0" + "\0".join(sys.argv[1:]))
+        told += f", found {given[1]!r}" if given else ""
     context = getattr(error, "ctx", None)
     told = told.rstrip(".") or "no command given"
     return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"

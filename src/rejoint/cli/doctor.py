@@ -226,6 +226,7 @@ def robot(case: Surroundings) -> Iterator[Symptom]:
         return
     require(place.text, *place.family.needs)
     if place.virtual:
+        case.stack.callback(open_robot(place.text).close)
         yield Symptom(f"{place} is emulated in this process")
         return
     if other := lines.other_arm(place):
