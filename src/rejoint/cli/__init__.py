@@ -177,7 +177,7 @@ def main() -> None:
     try:
         words = [word for word in sys.argv[1:] if word not in VERBOSE]
         if len(words) + 1 < len(sys.argv):
-            logging.basicConfig(level=logging.DEBUG, format="%(name)s: %(message)s")
+            logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
         if words[:1] != ["doctor"]:  # which says it itself
             require_compiler()
         result = app(args=with_place(with_home(words)), standalone_mode=False)
@@ -220,7 +220,7 @@ def _ended(error: BaseException, *, json: bool) -> int:
     text, kind, code = _reason(error)
     if isinstance(error, Interrupted):
         close()  # a signal that was swallowed is sent again, at a time of its own
-    if logging.root.level == logging.DEBUG:
+    if not {*VERBOSE}.isdisjoint(sys.argv):
         _say("".join(traceback.format_exception(error)).rstrip())
     _say(f"error: {text}")
     if json:

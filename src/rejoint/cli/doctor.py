@@ -26,7 +26,7 @@ from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError, first_line
-from rejoint.system.extras import EXTRAS, explain, install_line, installed, require, require_compiler
+from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
 
 ILL = 2
@@ -124,8 +124,6 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
     require_compiler()
     from numba import njit
 
-    from rejoint.arms import kinematics
-
     began = time.monotonic()
     try:
         njit(lambda value: value + 1)(1)
@@ -133,9 +131,7 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
         why = f"Numba cannot compile ({type(error).__name__}: {first_line(error)})"
         yield Symptom(why, "install it again: pip install --force-reinstall numba llvmlite")
         return
-    kept = os.environ.get("NUMBA_CACHE_DIR") or Path(kinematics.__file__).parent / "__pycache__"
-    there = any(Path(kept).rglob("*.nbi"))
-    told = "" if there else "; the first motion compiles its loops, once, which takes about 15 s"
+    told = "; the first motion compiles its loops, once, which takes about 15 s" * compiles_first()
     yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
 
 

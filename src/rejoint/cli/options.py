@@ -27,6 +27,7 @@ from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
+from rejoint.system.extras import compiles_first
 from rejoint.system.progress import Progress
 
 T = TypeVar("T")
@@ -146,6 +147,8 @@ class Call(Terminal):
         bar: bool = True,
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+        if compiles_first():
+            self.say("The first motion compiles its loops, once: about 15 s.")
         progress = self.progress(title) if bar else nullcontext()
         with self.unsaved(show), live_view(self, self.live, title) as view, progress as update:
             console = ConsoleObserver(self, update, show)

@@ -32,7 +32,7 @@ from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError, UnsavedError
-from rejoint.system.extras import EXTRAS, installed, require
+from rejoint.system.extras import EXTRAS, compiles_first, installed, require
 from rejoint.system.shell import command
 from rejoint.system.stopping import check, noted
 
@@ -78,6 +78,8 @@ def repair(
         return {"robot": robot}
     job = call.job(robot, run, seed)
     call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
+    if compiles_first():
+        call.say("The first motion compiles its loops, once: about 15 s.")
     gauge = gauge_by_word(call, robot, measure, seed)
     plan = rejoint.RepairPlan(
         preset=preset,

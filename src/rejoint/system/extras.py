@@ -83,6 +83,12 @@ def require_compiler() -> None:
         raise InputError(f"{_OFF} is set: uncompiled, no arm can be driven or simulated in time; unset it")
 
 
+def compiles_first() -> bool:
+    """Whether no compiled loops are kept yet, so that the first motion compiles them."""
+    kept = os.environ.get(_PLACE) or Path(__file__).parent.parent
+    return next(Path(kept).rglob("*.nbi"), None) is None
+
+
 def _explain_cache(error: BaseException) -> str | None:
     """Explain a failure of Numba's cache, or None; remove its index, which may be damaged."""
     if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
