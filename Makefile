@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
+INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --no-compile
 
 .PHONY: repair test wheel-test judge check docs bench format clean
 
-repair: $(READY)
+repair: $(VENV)/repair
 	$(BIN)/rejoint repair emulated:worn
 
 # Tests by the wall clock mostly wait: four at a time. They fail too where the machine itself stalls, and are tried
@@ -44,21 +45,28 @@ format: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# A half-made environment has no `ready` file and is made again.
-$(READY): pyproject.toml constraints.txt
+# A half-made environment has no file of its name and is made again. What a repair needs and no more:
+$(VENV)/repair: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("rejoint needs Python 3.11 or newer, and $(PYTHON) is %d.%d; install one, then: make repair PYTHON=python3.11" % v[:2])'
+	@echo "Installing what a repair needs into $(VENV): 1.65 GB, in a minute or two with a fast connection."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,dynamixel,fleet,live,dev]"
-	touch $(READY)
+	$(INSTALL) --editable ".[repair]"
+	@touch $@
+
+# What the tests and checks need too.
+$(READY): $(VENV)/repair
+	$(INSTALL) --quiet --editable ".[dev]"
+	@touch $@
 
 # What builds the site; nothing else needs it.
 $(VENV)/docs: $(READY)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
-	touch $(VENV)/docs
+	$(INSTALL) --quiet --editable ".[docs]"
+	@touch $@
 
 # The other programs that the benchmarks compare with; nothing else needs them.
 $(VENV)/bench: $(READY)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
-	touch $(VENV)/bench
+	$(INSTALL) --quiet --editable ".[bench]"
+	@touch $@
 
 clean:
 	rm -rf $(VENV) .judge build dist site

@@ -23,7 +23,7 @@ found = rejoint.compare(
 
 figure, axis = plt.subplots()
 for name in found.comparison.controllers:
-    log = found.logs[f"hold/{name}/0/0"]
+    log = found.logs[f"hold-{name}-0-0"]
     error = np.linalg.norm(tcp_position(arm, log.position) - log.target, axis=1)
     axis.semilogy(log.time - log.time[0], 1e3 * error, label=name)
     settled = found.comparison.row(name).settled

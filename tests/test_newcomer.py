@@ -3,17 +3,22 @@
 import os
 import pty
 import socket
+import subprocess
+import sys
 import termios
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 import rejoint
+from commandline import python
 from rejoint.robots import place_of, ports
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.system.shell import listen_tcp
 
+POLICY = Path(rejoint.__file__).parent / "control" / "controllers" / "policies" / "mycobot280.onnx"
 SERVO, COBOT = b"\xff\xff\x01\x02\x00\xfc", b"\xfe\xfe\x03\x12\x01\xfa"
 
 
@@ -147,3 +152,50 @@ def test_what_comes_next_after_a_repair_can_be_pasted_and_is_no_result(tmp_path,
     )
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert all(line in page for line in told.last["next"].values())
+
+
+def test_a_path_of_windows_is_no_address():
+    with pytest.raises(rejoint.RejointError, match="no folder with run logs"):
+        rejoint.diagnose(r"C:\logs")
+
+
+def test_every_public_result_is_short_at_a_prompt(tmp_path):
+    run = rejoint.Run.create(tmp_path / "run", "emulated:worn", rejoint.load_arm("mycobot280"))
+    found = rejoint.compare(
+        "emulated:worn",
+        ["default"],
+        run=run,
+        plan=rejoint.TrialPlan(sets=1, repetitions=1),
+        observer=rejoint.Observer(),
+    )
+    assert list(found.logs) == [name for name in run.logs if name in found.logs]  # one name for one log
+    assert set(run.to_pandas()["controller"]) == {"default"}
+    results = [run, run.arm, found, rejoint.read_arm("so101"), rejoint.Policy.load(POLICY)]
+    for one in results:
+        assert len(repr(one)) < 500
+        assert "<" in one._repr_html_()
+        assert len(one.to_pandas()) >= 1
+
+
+def test_an_old_python_is_named_before_anything_is_installed(tmp_path):
+    root = Path(__file__).parent.parent
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        (tmp_path / name).write_text((root / name).read_text())
+    old = tmp_path / "python"
+    old.write_text(
+        f"#!/bin/sh\nexec {sys.executable} -c 'import sys; sys.version_info = (3, 9); exec(sys.argv[2])' \"$@\"\n"
+    )
+    old.chmod(0o755)
+    done = subprocess.run(
+        ["make", "repair", f"PYTHON={old}"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode
+    assert "Python 3.11 or newer" in done.stderr
+    assert "is 3.9" in done.stderr
+    assert not (tmp_path / ".venv").exists()
+
+
+def test_a_shell_completes_names_of_commands():
+    words = {"_REJOINT_COMPLETE": "complete_bash", "COMP_WORDS": "rejoint do", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['rejoint']; from rejoint.__main__ import main; main()"
+    assert python("-c", code, env=os.environ | words).out.split() == ["doctor"]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.system.errors import InputError
+from rejoint.system.results import Readable
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,8 @@ class Box:
         return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Arm:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Arm(Readable):
     """A serial arm of n revolute joints."""
 
     name: str

@@ -13,6 +13,7 @@ from rejoint.arms.inertia import plausible
 from rejoint.arms.kinematics import tcp_position
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
+from rejoint.system.results import Readable
 
 Mask = NDArray[np.bool_]
 
@@ -38,8 +39,8 @@ FLOOR_RATIO = 0.04
 """over the reach (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Loaded:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Loaded(Readable):
     """An arm and its assumptions."""
 
     arm: Arm

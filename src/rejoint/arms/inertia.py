@@ -161,7 +161,7 @@ class Payload:
     """[m] from the bare arm's TCP, in its axes"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LoadedArm(Arm):
     """An arm with payload or tool."""
 

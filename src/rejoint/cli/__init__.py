@@ -10,6 +10,7 @@ Results go to standard output, everything else to standard error.
 from __future__ import annotations
 
 import io
+import logging
 import os
 import re
 import signal
@@ -17,7 +18,8 @@ import sys
 import tempfile
 import tomllib
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
@@ -89,9 +91,19 @@ class CommandGroup(TyperGroup):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Write the list of commands without loading one."""
+        with self._listed():
+            super().format_help(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:  # noqa: ANN401
+        """Complete a name, likewise."""
+        with self._listed():
+            return super().shell_complete(ctx, incomplete)
+
+    @contextmanager
+    def _listed(self) -> Iterator[None]:
         self._listing = True
         try:
-            super().format_help(ctx, formatter)
+            yield
         finally:
             self._listing = False
 
@@ -107,14 +119,14 @@ def _module_of(command: str, name: str) -> ModuleType:
         raise InputError(f"rejoint {command} is a command of the package {package}, which is not installed") from error
 
 
-def command_group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:
-    """Return a group of commands with help ``text``."""
+def command_group(kind: type[CommandGroup], name: str, text: str, *, completion: bool = False) -> typer.Typer:
+    """Return a group of commands with help ``text``, perhaps with options that install a shell's ``completion``."""
     group = typer.Typer(
         name=name,
         cls=kind,
         help=text,
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=completion,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",
         context_settings=HELP,
@@ -127,7 +139,12 @@ app = command_group(
     CommandGroup,
     "rejoint",
     "Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",
+    completion=True,
 )
+
+
+VERBOSE = ("-v", "--verbose")
+"""Words that are taken anywhere on a command line"""
 
 
 def _version(asked: bool) -> None:
@@ -139,7 +156,14 @@ def _version(asked: bool) -> None:
 @app.callback(help=app.info.help)
 def _whole(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version", "-V", callback=_version, is_eager=True, metavar="", help="Show the version and exit."
+        ),
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(*VERBOSE, metavar="", help="Say more: what the libraries log, and where an error comes from."),
     ] = False,
 ) -> None: ...
 
@@ -151,8 +175,12 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal of another alphabet
     install()
     try:
-        require_compiler()
-        result = app(args=with_place(with_home(sys.argv[1:])), standalone_mode=False)
+        words = [word for word in sys.argv[1:] if word not in VERBOSE]
+        if len(words) + 1 < len(sys.argv):
+            logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+        if words[:1] != ["doctor"]:  # which says it itself
+            require_compiler()
+        result = app(args=with_place(with_home(words)), standalone_mode=False)
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:  # so it ends every interruption, whichever signal it was
             code = _ended(interruption() or Interrupted(signal.SIGINT), json=json)
@@ -166,7 +194,10 @@ def main() -> None:
 
 def _misused(error: typer.TyperException) -> str:
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
-    told = told.replace("Value error, ", "")  # of the library behind typer
+    told = told.replace("Value error, ", "").replace("Input should be", "expected")  # of the library behind typer
+    if option := re.match(r"Invalid value for '(--[\w-]+)': expected", told):
+        given = re.search(rf"\0{option[1]}[\0=]([^\0]*)", "\0" + "\0".join(sys.argv[1:]))
+        told += f", found {given[1]!r}" if given else ""
     context = getattr(error, "ctx", None)
     told = told.rstrip(".") or "no command given"
     return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
@@ -189,6 +220,8 @@ def _ended(error: BaseException, *, json: bool) -> int:
     text, kind, code = _reason(error)
     if isinstance(error, Interrupted):
         close()  # a signal that was swallowed is sent again, at a time of its own
+    if not {*VERBOSE}.isdisjoint(sys.argv):
+        _say("".join(traceback.format_exception(error)).rstrip())
     _say(f"error: {text}")
     if json:
         line = msgspec.json.encode({"error": kind, "message": text, "exit_code": code}).decode()

@@ -49,6 +49,8 @@ def check(
 ) -> Result:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen = call.arm(robot)
+    if call.named is not None:
+        name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
     with call.watched("check", lambda found: call.result(found.line)) as observer:
         for number in range(repeat):
             when = None if date is None else date + number * BETWEEN

@@ -1,10 +1,13 @@
-"""Commands that work from logs alone, without a robot."""
+"""Commands that drive no robot: on logs, and those that find ports, arms by name, runs and their reports."""
 
 from __future__ import annotations
 
+import os
+import webbrowser
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import quote
 
 import rejoint
 from rejoint.arms import Arm
@@ -12,10 +15,17 @@ from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
+from rejoint.logs.runfolder import RunFolder, read_info
 from rejoint.logs.runlog import read_log
+from rejoint.robots import place_of
+from rejoint.robots import ports as lines
+from rejoint.robots.family import SerialAddress
+from rejoint.runs.fleet.file import name_arm, names_file, read_fleet, remove_name
+from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import arm_of_twin
-from rejoint.system.errors import InputError
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
+from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
@@ -155,3 +165,106 @@ def export(
         export_log(read_log(source), out)
     call.result(str(out))
     return {"out": out}
+
+
+@takes()
+def ports(call: Call) -> object:
+    """List the serial ports of this computer, each with the arm that answers there; nothing moves."""
+    found = []
+    for device, what in lines.ports().items():
+        wire = SerialAddress(text=device, device=device, baud=0)
+        may = os.access(device, os.R_OK | os.W_OK)
+        heard = lines.answering(wire) if may else None
+        why = None if may else lines.why_closed(PermissionError(13, ""), device)
+        address = None if heard is None else lines.address_at(wire, *heard)
+        found.append({"port": device, "what": what, "address": address, "problem": why})
+        call.result(f"{device}  {what}: {address or why or 'no arm answers'}")
+    if not found:
+        call.result("No serial port; is the cable in, and the arm switched on?")
+    return {"ports": found}
+
+
+@takes()
+def arms(
+    call: Call,
+    verb: Literal["add", "list", "remove"] = "list",
+    name: str | None = None,
+    address: str | None = None,
+    calibration: Path | None = None,
+    arm: str | None = None,
+    tolerance: float | None = None,
+) -> object:
+    """Give arms names, which every command takes for their addresses."""
+    if verb == "list":
+        path = names_file()
+        known = read_fleet(path).arms if path.exists() else ()
+        rows = [[one.name, one.address, one.description or "", f"{one.tolerance_mm or ''}"] for one in known]
+        if rows:
+            call.table(f"Arms of {path}", ["name", "address", "arm", "tolerance mm"], rows)
+        else:
+            call.result("No arm has a name; give one: rejoint arms add NAME ADDRESS")
+        return {"file": path, "arms": {one.name: one.address for one in known}}
+    if name is None or (address is None) == (verb == "add"):
+        raise InputError("expected: rejoint arms add NAME ADDRESS, rejoint arms remove NAME, or rejoint arms list")
+    if address is None:
+        call.result(f"{name} is no name any more, in {remove_name(name)}")
+        return {"removed": name}
+    if calibration is not None:
+        address = _calibrated(address, calibration)
+    more = {"description": arm, "tolerance_mm": tolerance}
+    path = name_arm(name, address=address, **{key: value for key, value in more.items() if value is not None})
+    call.result(f"{name} is {address}, in {path}")
+    call.next(command("doctor", name))
+    return {"file": path, "name": name, "address": address}
+
+
+def _calibrated(address: str, file: Path) -> str:
+    """Put LeRobot's calibration into an address."""
+    if not hasattr(place_of(address).detail, "calibration"):
+        raise InputError(f"--calibration is LeRobot's, of arms on a bus of servos, and {address} is none: leave it out")
+    if not file.is_file():
+        raise FileError(file, "no such file", "give LeRobot's calibration of this arm (.json)")
+    return f"{address}{'&' if '?' in address else '?'}calibration={quote(str(file.resolve()))}"
+
+
+@takes()
+def runs(call: Call, folder: Path = RUNS) -> object:
+    """List the runs of a folder, the newest first."""
+    if not folder.is_dir():
+        raise FileError(folder, "no such folder", "begin a run: rejoint repair ROBOT")
+    rows, found = [], []
+    places = {path.parent for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")}
+    for place in sorted(places, key=lambda one: (one / "run.json").stat().st_mtime, reverse=True):
+        try:
+            info, files = read_info(place / "run.json"), RunFolder(place)
+        except FileError as error:
+            call.say(f"left out: {error}")
+            continue
+        stages = ("diagnosis", "calibration", "twin", "policy", "comparison", "report")
+        done = [name for name in stages if getattr(files, name).exists()]
+        state = "finished" if files.finished.exists() else f"{done[-1]} done" if done else "begun"
+        state += " (a quick try)" * files.quick.exists()
+        rows.append([str(place), info.robot, info.arm, info.created.replace("T", " "), state])
+        found.append({"run": place, "robot": info.robot, "arm": info.arm, "created": info.created, "done": done})
+    if rows:
+        call.table(f"Runs below {folder}, the newest first", ["run", "robot", "arm", "begun", "state"], rows)
+    else:
+        call.result(f"There is no run below {folder}; begin one: rejoint repair ROBOT")
+    return {"runs": found}
+
+
+@takes()
+def open_(call: Call, run: Path | None = None) -> object:
+    """Open the report of a run in the browser."""
+    if run is None:
+        reports = sorted(RUNS.glob("**/report.html"), key=lambda one: one.stat().st_mtime)
+        if not reports:
+            raise FileError(RUNS, "no run with a report is below it", "make one: rejoint repair ROBOT")
+        run = reports[-1].parent
+    page = Run.open(run).page.resolve()
+    if not page.exists():
+        raise FileError(page, "no report", f"write it: {command('report', run)}")
+    call.result(str(page))
+    if not webbrowser.open(page.as_uri()):
+        call.say("No browser was found here: open that file in one.")
+    return {"report": page}

@@ -22,10 +22,12 @@ from rejoint.cli.console import Terminal, live_view
 from rejoint.control.recording import Observer, Observers
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
+from rejoint.runs.fleet.file import FleetArm, named_arm
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
+from rejoint.system.extras import compiles_first
 from rejoint.system.progress import Progress
 
 T = TypeVar("T")
@@ -78,7 +80,20 @@ class Call(Terminal):
         """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
         self.settings = Settings(**{name: given[name] for name in Settings.__dataclass_fields__ if name in given})
         self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
+        self.named: FleetArm | None = None
+        """the arm, where it was given by name"""
+        self._taken = frozenset(given)
         super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
+
+    def address(self, robot: str) -> str:
+        """Return the address of a robot that may be given by name; what is known of it holds by default."""
+        found = named_arm(robot)
+        if found is None:
+            return robot
+        self.named = found
+        if found.description is not None and "arm" in self._taken and not any(self.pick):
+            self.pick = self.pick._replace(arm=found.description)
+        return found.address
 
     def arm(self, robot: str | None = None) -> Arm:
         """Load the arm, by default the one that ``robot`` is, and say what its description left open.
@@ -132,6 +147,8 @@ class Call(Terminal):
         bar: bool = True,
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+        if compiles_first():
+            self.say("The first motion compiles its loops, once: about 15 s.")
         progress = self.progress(title) if bar else nullcontext()
         with self.unsaved(show), live_view(self, self.live, title) as view, progress as update:
             console = ConsoleObserver(self, update, show)
@@ -276,6 +293,8 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
             call = Call({one.field or name: one.read(words.pop(name)) for name, one in shared.items()})
+            if words.get("robot") is not None:
+                words["robot"] = call.address(words["robot"])
             found = command(call, **words)
             result = found if isinstance(found, Result) else Result(found)
             if result.value is not None:

@@ -24,6 +24,7 @@ from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
 from rejoint.control.start import begin
 from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, RobotError, first_line
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.results import Readable
 from rejoint.system.stopping import shielded
 
 ServoGains = Mapping[str, tuple[int, ...]]
@@ -228,8 +229,8 @@ class Round:
     """[m] mean tool error by the encoders"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class GainsFound:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GainsFound(Readable):
     """Result of a search; gains by name, one per joint."""
 
     arm: str

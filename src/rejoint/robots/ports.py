@@ -6,8 +6,8 @@ import errno
 import os
 import socket
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from select import select
 from typing import Any, NamedTuple
@@ -94,18 +94,36 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
     bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
     with suppress(OSError, ValueError):
         for baud in bauds:
-            with ExitStack() as stack:
-                if isinstance(wire, TcpAddress):
-                    port = stack.enter_context(socket.create_connection((wire.host, wire.port), 1.0)).fileno()
-                else:
-                    port = stack.enter_context(serial.Serial(wire.device, baud, exclusive=True)).fileno()
+            with _port(wire, baud) as port:
                 for kind in KINDS:
-                    if (not baud or baud in kind.bauds) and any(_heard(port, one, kind.begins) for one in kind.hello):
+                    asked = kind.hello if not baud or baud in kind.bauds else ()
+                    if any(kind.begins in _answer(port, one) for one in asked):
                         return kind, baud
     return None
 
 
-def _heard(port: int, question: bytes, begins: bytes) -> bool:
+def ask_mycobot(wire: Wire, command: int) -> bytes:
+    """Return what a myCobot answers to a ``command`` without parameters; empty: nothing."""
+    with suppress(OSError, ValueError), _port(wire, getattr(wire, "baud", 0)) as port:
+        _, found, answer = _answer(port, bytes((0xFE, 0xFE, 2, command, 0xFA))).partition(b"\xfe\xfe")
+        if found and len(answer) >= answer[0] + 1 > 2 and answer[1] == command:
+            return answer[2 : answer[0]]
+    return b""
+
+
+@contextmanager
+def _port(wire: Wire, baud: int) -> Iterator[int]:
+    """Open a port, at ``baud`` [1/s] where it is a serial one; its descriptor."""
+    if isinstance(wire, TcpAddress):
+        with socket.create_connection((wire.host, wire.port), 1.0) as connection:
+            yield connection.fileno()
+    else:
+        with serial.Serial(wire.device, baud, exclusive=True) as line:
+            yield line.fileno()
+
+
+def _answer(port: int, question: bytes) -> bytes:
+    """Return what comes within `HEARD`, or until it is longer than the question."""
     os.write(port, question)
     until, came = time.monotonic() + HEARD, b""
     while (left := until - time.monotonic()) > 0.0 and len(came) <= len(question):
@@ -113,7 +131,7 @@ def _heard(port: int, question: bytes, begins: bytes) -> bool:
             if not (data := os.read(port, 64)):
                 break
             came += data
-    return begins in came.removeprefix(question)  # some adapters echo
+    return came.removeprefix(question)  # some adapters echo
 
 
 def other_arm(place: Place[Any]) -> str:
@@ -122,11 +140,15 @@ def other_arm(place: Place[Any]) -> str:
     if not isinstance(wire, SerialAddress | TcpAddress) or (found := answering(wire)) is None:
         return ""
     kind, baud = found
-    scheme, own = kind.scheme(wire), getattr(wire, "baud", 0)
-    if (scheme, baud) == (place.family.scheme, own):
+    if (kind.scheme(wire), baud) == (place.family.scheme, getattr(wire, "baud", 0)):
         return ""
-    rate = f"?baud={baud}" if baud and baud != kind.bauds[0] else ""
-    return f"{kind.name} answers there: give {scheme}:{place.text.partition(':')[2].partition('?')[0]}{rate}"
+    return f"{kind.name} answers there: give {address_at(wire, kind, baud)}"
+
+
+def address_at(wire: Wire, kind: Kind, baud: int) -> str:
+    """Return the address of an arm that answers at a ``baud`` rate."""
+    where = f"{wire.host}:{wire.port}" if isinstance(wire, TcpAddress) else wire.device
+    return f"{kind.scheme(wire)}://{where}{f'?baud={baud}' if baud and baud != kind.bauds[0] else ''}"
 
 
 def why_not(place: Place[Any], error: AddressError) -> str | None:

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
 
+from rejoint.arms import CATALOGUE
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.dynamixel.registers import FORM as DYNAMIXEL
 from rejoint.robots.dynamixel.registers import DynamixelAddress
@@ -66,12 +67,13 @@ GROUP = "rejoint.robots"
 """Entry points of `Family` objects"""
 
 _MEANT = {
-    r"/dev/.+": "; perhaps feetech://{0} (SO-101) or serial://{0} (myCobot)",
-    r"[\w.-]*\w\w[\w.-]*:\d+": "; perhaps tcp://{0} (myCobot) or feetech://{0} (SO-101)",
-    r"\d+\.\d+\.\d+\.\d+": "; perhaps tcp://{0}:9000",
-    r"COM\d+": "; serial ports of Windows are not supported: serve the arm from Linux",
-    r"worn|healthy": "; perhaps emulated:{0}",
-    r"(?![\w.+-]{2,}:).*": "; `rejoint ports` lists the ports, `rejoint arms` the arms that have a name",
+    r"(/dev/.+)": "perhaps feetech://{0} (SO-101) or serial://{0} (myCobot)",
+    r"(?:https?://)?([\w.-]*\w\w[\w.-]*:\d+)/?": "perhaps tcp://{0} (myCobot) or feetech://{0} (SO-101)",
+    r"(?:https?://)?(\d+\.\d+\.\d+\.\d+)/?": "perhaps tcp://{0}:9000",
+    r"COM\d+": "serial ports of Windows are not supported: serve the arm from Linux",
+    r"[A-Za-z]:[\\/].*": "a folder of logs is given as --logs FOLDER",
+    rf"(worn|healthy|{'|'.join(CATALOGUE)})": "perhaps emulated:{0}",
+    r"(?![\w.+-]{2,}:).*": "no arm has that name; `rejoint ports` lists the ports, `rejoint arms` the names",
 }
 """What is often written for an address, and what was perhaps meant"""
 
@@ -84,8 +86,9 @@ def place_of(text: str) -> Place[Any]:
     scheme, colon, _ = text.partition(":")
     family = _family(scheme) if colon else None
     if family is None:
-        hint = next((words.format(text) for form, words in _MEANT.items() if re.fullmatch(form, text)), "")
-        raise AddressError(f"unknown robot address {text!r}; expected {forms()}{hint}")
+        meant = ((words, re.fullmatch(form, text)) for form, words in _MEANT.items())
+        hint = next((words.format(*found.groups()) for words, found in meant if found), f"expected {forms()}")
+        raise AddressError(f"unknown robot address {text!r}; {hint}")
     try:
         return Place(text=text, family=family, detail=family.parse(text))
     except ValueError as error:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
+from rejoint.system.results import Readable
 from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ RUNS = Path("runs")
 """Default parent of run folders"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Run(Readable):
     """One repair: folder, robot, arm, seed, results.
 
     Examples
@@ -180,6 +181,18 @@ class Run:
     def page(self) -> Path:
         """The report, for a browser."""
         return self.folder.report
+
+    def _shown(self) -> list[tuple[str, str]]:
+        state = "finished" if self.folder.finished.exists() else "unfinished"
+        return [("path", str(self.path)), ("robot", self.robot), ("arm", self.arm.name), ("state", state)]
+
+    def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
+        """Return a `pandas.DataFrame` of the comparison: a row for each controller; InputError before it."""
+        if self.comparison is None:
+            raise InputError(
+                f"{self.path} has no comparison yet; make it with: rejoint compare {self.robot} {self.path}"
+            )
+        return self.comparison.to_pandas()
 
     @property
     def logs(self) -> dict[str, RunLog]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -75,8 +76,8 @@ def as_arm(given: ArmLike) -> Arm:
 
 
 def is_robot(given: RobotLike | LogsLike) -> bool:
-    """Whether it is a robot and no logs: addresses have a colon."""
-    return ":" in given if isinstance(given, str) else isinstance(given, Robot)
+    """Whether it is a robot and no logs: addresses begin with a word and a colon, and no drive of Windows."""
+    return bool(re.match(r"[\w.+-]{2,}:", given)) if isinstance(given, str) else isinstance(given, Robot)
 
 
 def address_of(robot: RobotLike) -> str:

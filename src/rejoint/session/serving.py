@@ -22,6 +22,7 @@ from rejoint.robots.wireserver import Server
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.results import Readable
 from rejoint.system.shell import host_and_port, listen_tcp
 from rejoint.system.stopping import Interrupted, noted
 
@@ -37,8 +38,8 @@ OBSTACLES = np.uint16(Reason.FLOOR | Reason.COLLISION | Reason.POSITION)
 """What the guard prevents for good"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Serving:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Serving(Readable):
     """What an arm was served for."""
 
     address: str

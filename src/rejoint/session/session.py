@@ -31,6 +31,7 @@ from rejoint.session.recorder import RunRecorder
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
+from rejoint.system.results import Readable
 from rejoint.system.stopping import noted, pause
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 _SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmState:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ArmState(Readable):
     """What is known of an arm at a moment."""
 
     time_s: float

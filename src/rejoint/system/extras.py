@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from importlib.metadata import distribution
 from importlib.util import find_spec
@@ -56,8 +57,13 @@ def _line(what: str, missing: dict[str, str]) -> str:
     """Name ``missing`` modules with their extras."""
     return (
         f"{what} needs more than the base installation (missing: {', '.join(missing)}); "
-        f"add it with: pip install '{_source()}[{','.join(dict.fromkeys(missing.values()))}]'"
+        f"add it with: {install_line(missing.values())}"
     )
+
+
+def install_line(extras: Iterable[str]) -> str:
+    """Return the command that installs ``extras``."""
+    return f"pip install '{_source()}[{','.join(dict.fromkeys(extras))}]'"
 
 
 def _source() -> str:
@@ -75,6 +81,12 @@ def require_compiler() -> None:
     """Raise InputError where compiling is off."""
     if os.environ.get(_OFF, "0").strip() not in ("", "0"):
         raise InputError(f"{_OFF} is set: uncompiled, no arm can be driven or simulated in time; unset it")
+
+
+def compiles_first() -> bool:
+    """Whether no compiled loops are kept yet, so that the first motion compiles them."""
+    kept = os.environ.get(_PLACE) or Path(__file__).parent.parent
+    return next(Path(kept).rglob("*.nbi"), None) is None
 
 
 def _explain_cache(error: BaseException) -> str | None:

@@ -44,6 +44,8 @@ class Readable:
 def _short(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"array{value.shape}"
+    if isinstance(value, bytes):
+        return f"{len(value)} bytes"
     if isinstance(value, dict | list | tuple) and (len(value) > FEW or any(map(is_dataclass, value))):
         return f"{len(value)} x {type(next(iter(value))).__name__}"
     text = f"{type(value).__name__}(...)" if is_dataclass(value) else repr(value)

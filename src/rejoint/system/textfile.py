@@ -207,7 +207,9 @@ def head(path: Path) -> Sheet | None:
 def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
     """Return the text of ``data``, perhaps ``cut`` at its end, and its encoding: the first that gives mostly ASCII."""
     if not data.strip():
-        raise FileError(path, "is empty", "record it again")
+        raise FileError(path, "is empty", "fill it, or take another file")
+    if data.startswith(b"PK\x03\x04"):
+        raise FileError(path, "a spreadsheet or a packed file, expected text with columns", "save it as CSV")
     for codec, name in _CODECS.items():
         with suppress(UnicodeError):
             text = codecs.getincrementaldecoder(codec)().decode(data, final=not cut)

@@ -16,6 +16,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.servogains import inner_name
+from rejoint.system.results import Readable
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 SOONER = 0.2
@@ -23,8 +24,8 @@ SOONER = 0.2
 NO_INTERVAL = "too few trials for an interval"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recommendation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Recommendation(Readable):
     """The recommended controller."""
 
     controller: str

@@ -30,6 +30,7 @@ from rejoint.control.controllers.residual import Commander
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
+from rejoint.system.results import Readable
 from rejoint.system.shell import Late
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is imported
@@ -77,8 +78,8 @@ class PolicyController(Commander):
         return _act(self._session, observation)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Policy:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Policy(Readable):
     """A trained policy: an ONNX file and its contract.
 
     The file is checked before ONNX Runtime reads it.

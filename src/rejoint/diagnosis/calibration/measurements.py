@@ -21,6 +21,7 @@ from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import MEGABYTE, read_json, write_json
+from rejoint.system.results import Readable
 from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
@@ -33,8 +34,8 @@ ROWS = ("position", "approach", "point", "sigma", "posture")
 """Fields of `Measurements` with a row each"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Measurements:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Measurements(Readable):
     """M measurements of one arm of n joints."""
 
     position: Array
@@ -160,8 +161,8 @@ def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSessi
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read CSV, with ``frame`` and ``source``, or JSON; FileError if unusable."""
-    if path.suffix.lower() != ".csv":
+    """Read JSON, or text with columns, with ``frame`` and ``source``; FileError if unusable."""
+    if path.suffix.lower() == ".json":
         return read_for(path, arm, MeasurementFile).measured
     return _from_csv(path, arm, frame, source)
 

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import tomlkit
 from msgspec.structs import asdict
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import write_text
 from rejoint.system.tomltable import Positive, Table, Text, Texts, read_toml
 
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
@@ -211,3 +213,50 @@ def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
 def _place(home: Path, text: str) -> Path:
     """Path relative to the file's folder; ``~`` is the home folder."""
     return home / os.path.expanduser(text)  # noqa: PTH111 - that of Path fails where there is no home folder
+
+
+NAMES = "FLEET.toml"
+"""File with the arms that have a name"""
+
+
+def names_file() -> Path:
+    """Return `NAMES` in this folder, or else that of the user."""
+    home = os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config")  # noqa: PTH111 - as in `_place`
+    return Path(NAMES) if Path(NAMES).exists() else Path(home) / "rejoint" / NAMES
+
+
+def named_arm(name: str) -> FleetArm | None:
+    """Return the arm of that name in `names_file`; None: there is none. FileError."""
+    path = names_file()
+    known = read_fleet(path).arms if ":" not in name and path.exists() else ()
+    return next((arm for arm in known if arm.name == name), None)
+
+
+def name_arm(name: str, **values: str | float) -> Path:
+    """Write an arm into `names_file`, which stays as it was otherwise; FileError where it cannot be one."""
+    path = names_file()
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    document = tomlkit.parse(before)
+    document.setdefault("arm", tomlkit.aot()).append({"name": name, **values})
+    write_text(path, tomlkit.dumps(document))
+    try:
+        read_fleet(path)
+    except FileError:
+        write_text(path, before) if before else path.unlink()
+        raise
+    return path
+
+
+def remove_name(name: str) -> Path:
+    """Take an arm out of `names_file`; InputError for an unknown name."""
+    path = names_file()
+    document = tomlkit.parse(path.read_text(encoding="utf-8")) if path.exists() else tomlkit.document()
+    names = [arm["name"] for arm in document.get("arm", ())]
+    if name not in names:
+        raise InputError(f"there is no arm {name!r} in {path}; there are: {', '.join(names) or 'none'}")
+    if len(names) == 1:
+        path.unlink()  # a file without arms is refused
+    else:
+        del document["arm"][names.index(name)]
+        write_text(path, tomlkit.dumps(document))
+    return path

@@ -134,7 +134,7 @@ class Compared(Readable):
     """a row for each controller, with intervals"""
     recommendation: Recommendation
     logs: dict[str, RunLog] = field(default_factory=dict)
-    """one per controller and protocol, such as ``hold/policy/0/0``"""
+    """one per controller and protocol, such as ``hold-policy-0-0``"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -203,7 +203,7 @@ class ComparisonJob:
         before = self.before if DEFAULT in self.factories else None
 
         def keep(label: str, log: RunLog) -> None:
-            logs[label] = log
+            logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
             if self.run is not None:
                 set_aside(self.run.folder.log(label))
                 write_log(self.run.folder.log(label), log)

@@ -27,7 +27,7 @@ QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
 """Size of a quick training; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrainedPolicy(Policy):
     """A trained policy and its training."""
 

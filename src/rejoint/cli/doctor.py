@@ -1,0 +1,328 @@
+"""What hinders a repair: `rejoint doctor` goes through a table of checks, each with its remedy."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.cli.options import Call, Result, takes
+from rejoint.control.robot import Robot
+from rejoint.logs.runfolder import LOGS
+from rejoint.robots import Place, open_robot, place_of
+from rejoint.robots import ports as lines
+from rejoint.runs.run import Run
+from rejoint.system.errors import RejointError, first_line
+from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
+from rejoint.system.shell import __version__
+
+ILL = 2
+"""Exit code where something is to be put right"""
+ROOM = 1e9
+"""[bytes] of free space (chosen: a run, its logs and compiled loops take a tenth)"""
+WARM = 55.0
+"""[deg C] of a servo before a motion (chosen: the guard ends a motion at 65)"""
+FAINT = 4.5
+"""[V] of a supply (chosen: the weakest arms are sold with 5 V)"""
+BUSY = 0.8
+"""Largest share of a control period that a question may take (chosen)"""
+READINGS = 10
+"""Questions by which the link is timed (chosen)"""
+DRIFT = 0.02
+"""Largest difference of two clocks (chosen)"""
+COBOT = ("tcp", "serial")
+"""Addresses of a myCobot"""
+VERSION, VOLTAGES, STATUS = 0x02, 0xE3, 0xE4
+"""Questions to a myCobot"""
+TRIED = 73
+"""Firmware version, times ten, of a myCobot with which the driver was tried"""
+STATES = ("voltage", "encoder", "heat", "over-current", "", "overload")
+"""Bits of a servo's status"""
+
+
+class Symptom(NamedTuple):
+    """What a check has found."""
+
+    found: str
+    fix: str = ""
+    """what to do; empty: nothing"""
+
+
+@dataclass(kw_only=True)
+class Surroundings:
+    """What is looked at: this computer, and what of robot, run and camera was named."""
+
+    robot: str | None = None
+    run: Path | None = None
+    camera: int | None = None
+    stack: ExitStack = field(default_factory=ExitStack)
+    """closes what was opened"""
+    began: tuple[float, float] = field(default_factory=lambda: (time.time(), time.monotonic()))
+    """[s] by both clocks"""
+    opened: Robot | None = None
+    arm: Arm | None = None
+    answers: list[bytes] = field(default_factory=list)
+    """of a myCobot, to `VERSION`, `VOLTAGES` and `STATUS`"""
+
+    @property
+    def place(self) -> Place[object] | None:
+        """The address; AddressError."""
+        return None if self.robot is None else place_of(self.robot)
+
+
+def examine(case: Surroundings) -> Iterator[tuple[str, Symptom]]:
+    """Go through `CHECKS`; an error of the project is a finding, and names its remedy behind the semicolon."""
+    with case.stack:
+        for name, check in CHECKS.items():
+            try:
+                for found in check(case):
+                    yield name, found
+            except (RejointError, OSError, ImportError, RuntimeError) as error:
+                text, _, fix = (explain(error) or first_line(error)).partition("; ")
+                yield name, Symptom(text, fix or "see docs/troubleshooting.md")
+
+
+def python(_: Surroundings) -> Iterator[Symptom]:
+    """Compare the version with the one that the package asks for."""
+    least = (distribution("rejoint").metadata["Requires-Python"] or "").removeprefix(">=")
+    found = ".".join(map(str, sys.version_info[:3]))
+    old = sys.version_info[:2] < tuple(map(int, least.split(".")))
+    yield Symptom(f"version {found}", f"install Python {least} or newer, and rejoint in it" * old)
+
+
+def extras(case: Surroundings) -> Iterator[Symptom]:
+    """Name the extras that are missing for a repair, and the others that are there."""
+    place = case.place
+    needed = {
+        "train",
+        "report",
+        *(() if place is None else place.family.needs),
+        *["camera"] * (case.camera is not None),
+    }
+    there = {name: all(map(installed, modules)) for name, modules in EXTRAS.items()}
+    missing = [name for name in needed if not there.get(name, installed(name))]
+    if missing:
+        yield Symptom(f"not installed: {', '.join(sorted(missing))}", install_line(missing))
+    yield Symptom(f"installed: {', '.join(name for name, one in there.items() if one) or 'none'}")
+
+
+def compiler(_: Surroundings) -> Iterator[Symptom]:
+    """Compile something."""
+    require_compiler()
+    from numba import njit
+
+    began = time.monotonic()
+    try:
+        njit(lambda value: value + 1)(1)
+    except Exception as error:  # noqa: BLE001 - whatever is wrong with it
+        why = f"Numba cannot compile ({type(error).__name__}: {first_line(error)})"
+        yield Symptom(why, "install it again: pip install --force-reinstall numba llvmlite")
+        return
+    told = "; the first motion compiles its loops, once, which takes about 15 s" * compiles_first()
+    yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
+
+
+def home(_: Surroundings) -> Iterator[Symptom]:
+    """Read the home folder."""
+    try:
+        folder = Path.home()
+        next(folder.iterdir(), None)
+    except (OSError, RuntimeError) as error:
+        yield Symptom(f"the home folder cannot be read ({first_line(error)})", "set HOME to a folder of yours")
+        return
+    yield Symptom(f"{folder} can be read")
+
+
+def disk(_: Surroundings) -> Iterator[Symptom]:
+    """Look for space where runs and temporary files go."""
+    for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()))):
+        free, writable = shutil.disk_usage(folder).free, os.access(folder, os.W_OK)
+        fix = "" if free >= ROOM else f"free {(ROOM - free) / 1e6:.0f} MB there, or work in another folder"
+        yield Symptom(
+            f"{free / 1e9:.1f} GB free in {folder}",
+            fix if writable else "allow writing there, or work in another folder",
+        )
+
+
+def clock(case: Surroundings) -> Iterator[Symptom]:
+    """Compare the clock with files that were written, and its pace with the one that never is set."""
+    wall, steady = time.time() - case.began[0], time.monotonic() - case.began[1]
+    newest = max(path.stat().st_mtime for path in (Path(__file__), case.run or Path(__file__)) if path.exists())
+    now = datetime.now().isoformat(sep=" ", timespec="seconds")
+    late, off = newest - time.time() > 60.0, steady > 0.5 and abs(wall / steady - 1.0) > DRIFT
+    found = f"it is {now}" + ", but files here are newer" * late
+    found += f", and the clock runs at {wall / max(steady, 1e-9):.2f} of its pace" * off
+    yield Symptom(found, "set it: sudo timedatectl set-ntp true" * (late or off))
+
+
+def serial_ports(_: Surroundings) -> Iterator[Symptom]:
+    """List the ports, with who may open them."""
+    found = lines.ports()
+    for device, what in found.items():
+        may = os.access(device, os.R_OK | os.W_OK)
+        why = "" if may else lines.why_closed(PermissionError(13, ""), device) or ""
+        yield Symptom(f"{device}, {what}", why.partition("; ")[2])
+    if not found:
+        yield Symptom("none on this computer")
+
+
+def camera(case: Surroundings) -> Iterator[Symptom]:
+    """Take a picture."""
+    if case.camera is None:
+        return
+    require("the camera", "camera")
+    from rejoint.camera.tracker import LiveCamera
+
+    with LiveCamera(case.camera):
+        yield Symptom(f"camera {case.camera} gives pictures")
+
+
+def run(case: Surroundings) -> Iterator[Symptom]:
+    """Read a run, and compare it with the robot."""
+    if case.run is None:
+        return
+    opened, place = Run.open(case.run), case.place
+    case.arm = opened.arm
+    for part in ("diagnosis", "twin", "policy", "comparison"):
+        getattr(opened, part)
+    if place is not None and not opened.robot.startswith(LOGS) and place_of(opened.robot).spot != place.spot:
+        other = opened.arm.name != place.default_arm and place.family.only
+        yield Symptom(
+            f"{case.run} is a run of {opened.robot} ({opened.arm.name}), and not of {place}",
+            f"give another RUN, or repair this arm: rejoint repair {place}"
+            if other or place.virtual
+            else "give another RUN, unless the same arm has moved there",
+        )
+    elif not opened.folder.calibration.exists():
+        whose = f"rejoint calibrate {opened.robot} {case.run}"
+        yield Symptom(
+            f"{case.run} has no calibration: the tool may be millimetres from where the encoders see it", whose
+        )
+    else:
+        yield Symptom(f"{case.run} is a run of {opened.robot}, with a calibration")
+
+
+def robot(case: Surroundings) -> Iterator[Symptom]:
+    """Open the robot: port, permissions, baud rate, protocol, IDs, zeros."""
+    place = case.place
+    if place is None:
+        return
+    require(place.text, *place.family.needs)
+    if place.virtual:
+        case.stack.callback(open_robot(place.text).close)
+        yield Symptom(f"{place} is emulated in this process")
+        return
+    if other := lines.other_arm(place):
+        found, _, fix = other.partition(": ")
+        yield Symptom(f"{found.removesuffix(' answers there')} answers at {place}", fix)
+        return
+    if isinstance(place.detail, lines.Wire) and place.family.scheme in COBOT:
+        case.answers = [lines.ask_mycobot(place.detail, command) for command in (VERSION, VOLTAGES, STATUS)]
+    case.opened = open_robot(place.text, arm=case.arm)
+    case.stack.callback(case.opened.close)
+    yield Symptom(f"{place} answers: {case.opened.arm.name}, {case.opened.arm.joints} joints")
+
+
+def servos(case: Surroundings) -> Iterator[Symptom]:
+    """Look at firmware, temperatures, supply and status of each servo."""
+    if case.opened is None:
+        return
+    state, names = case.opened.read(), case.opened.arm.joint_names
+    volts, status = _row(state.voltage), list(state.trouble or ())
+    if case.answers:
+        version, power, states = case.answers
+        told, right = f"{version[0] / 10:.1f}" if version else "none", version[:1] == bytes((TRIED,))
+        expected, fix = ("", "") if right else (f", expected {TRIED / 10:.1f}", "update it with the maker's myStudio")
+        yield Symptom(f"firmware: {told}{expected}", fix)
+        volts = np.frombuffer(power, np.uint8) / 10 if len(power) == len(names) else None
+        status = [", ".join(word for bit, word in enumerate(STATES) if one & 1 << bit) for one in states]
+    heat = _row(state.temperature)
+    for what, values, unit, bad, fix in (
+        (
+            "temperature",
+            heat,
+            "deg C",
+            None if heat is None else heat >= WARM,
+            "switch the arm off and let it cool down",
+        ),
+        ("supply", volts, "V", None if volts is None else volts < FAINT, "check power supply and cables"),
+    ):
+        if values is None or bad is None:
+            yield Symptom(f"{what}: not told")
+            continue
+        worst = [f"{names[j]} {values[j]:.1f} {unit}" for j in np.flatnonzero(bad)]
+        span = f"{min(values):.1f} to {max(values):.1f} {unit}"
+        yield Symptom(f"{what}: {', '.join(worst) or span}", fix * bool(worst))
+    for j, word in enumerate(status):
+        if word:
+            fix = (
+                "check power supply and cables"
+                if "voltage" in word or "supply" in word
+                else "let it rest, and look at the joint"
+            )
+            yield Symptom(f"{names[j]} reports: {word}", fix)
+
+
+def _row(values: object) -> np.ndarray | None:
+    return None if values is None else np.asarray(values, float)[0]
+
+
+def link(case: Surroundings) -> Iterator[Symptom]:
+    """Time questions, against the control period."""
+    if case.opened is None or case.place is None:
+        return
+    took = []
+    for _ in range(READINGS):
+        began = time.monotonic()
+        case.opened.read()
+        took.append(1e3 * (time.monotonic() - began))
+    usual, period = float(np.median(took)), 1e3 * case.place.default_period[0]
+    slow = usual > BUSY * period
+    fix = f"use a cable or a nearer computer; else --period {usual / BUSY:.0f}" * slow
+    yield Symptom(
+        f"a question takes {usual:.0f} ms ({max(took):.0f} at most), the control period is {period:.0f} ms", fix
+    )
+
+
+CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
+    "Python": python,
+    "extras": extras,
+    "compiler": compiler,
+    "home": home,
+    "disk": disk,
+    "ports": serial_ports,
+    "camera": camera,
+    "run": run,
+    "robot": robot,
+    "servos": servos,
+    "link": link,
+    "clock": clock,
+}
+"""All checks, in their order"""
+
+
+@takes()
+def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera: int | None = None) -> Result:
+    """Look for what hinders a repair, and say how to put it right; nothing moves."""
+    system = f"{platform.platform()}, {os.cpu_count()} processors"
+    call.result(f"rejoint {__version__}, Python {platform.python_version()}, {system}")
+    ill, rows = 0, []
+    for name, one in examine(Surroundings(robot=robot, run=run, camera=camera)):
+        ill += bool(one.fix)
+        rows.append({"check": name, **one._asdict()})
+        call.result(f"{'FIX ' if one.fix else 'ok  '} {name}: {one.found}{f'; {one.fix}' if one.fix else ''}")
+    call.result(f"{ill or 'Nothing'} to put right.")
+    return Result({"version": __version__, "system": system, "findings": rows, "to_fix": ill}, ILL if ill else 0)

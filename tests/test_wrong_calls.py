@@ -1,0 +1,193 @@
+"""Calls as somebody writes them who did not write the program: each ends in one clear line and harms nothing."""
+
+import shlex
+import zipfile
+
+import pytest
+
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.runs.run import Run
+
+FILES = {
+    "metres.csv": "x,y,z\n0.2,0,0.15\n",
+    "far.csv": "x,y,z\n900,0,180\n",
+    "short.csv": "x,y\n200,0\n",
+    "hole.csv": "x,y,z\n200,,180\n",
+    "titles.csv": "x,y,z\n",
+    "empty.csv": "",
+    "letter.csv": "hello\nworld\n",
+    "twice.csv": "time,x,y,z\n0,200,0,180\n0,200,10,180\n",
+    "one-joint.csv": "time_s,position.joint1_deg\n0,1\n0.1,2\n",
+    "abc.csv": "a,b,c\n1,2,3\n",
+    "space.toml": '[[arm]]\nname = "a b"\naddress = "emulated:worn"\n',
+    "typo.toml": '[[arm]]\nname = "a"\naddres = "emulated:worn"\n',
+    "wear.toml": "x = 1\n",
+    "broken.urdf": "<robot>",
+    "bad/run.json": "{",
+}
+CALLS = """
+deploy emulated:worn --targets metres.csv | metres
+deploy emulated:worn --targets far.csv | out of reach
+deploy emulated:worn --targets short.csv | missing: z
+deploy emulated:worn --targets hole.csv | line 2
+deploy emulated:worn --targets titles.csv | no targets
+deploy emulated:worn --targets empty.csv | empty
+deploy emulated:worn --targets letter.csv | hello
+deploy emulated:worn --targets book.xlsx | save it as CSV
+deploy emulated:worn --targets picture.png | no text
+deploy emulated:worn --targets folder | a folder
+deploy emulated:worn --targets nothing.csv | no such file
+deploy emulated:worn nothing | no run folder
+deploy emulated:worn bad | run.json
+deploy emulated:worn folder | no run folder
+deploy emulated:worn run --controller policy | policy file
+deploy emulated:worn --controller feedforwad | feedforward
+deploy emulated:worn --controller file.onnx | no such file
+deploy emulated:worn --dwell -1 | found '-1'
+deploy emulated:worn --within=0 | found '0'
+deploy emulated:worn --payload 100g | kg
+deploy emulated:worn --payload 250 | kg
+deploy emulated:worn --period 0.05 | milliseconds
+deploy emulated:worn --tool 0,0 | x,y,z
+deploy emulated:warn | worn
+deploy worn | emulated:worn
+deploy so101 | emulated:so101
+deploy 192.168.1.20 | tcp://192.168.1.20:9000
+deploy http://192.168.1.20:9000 | tcp://192.168.1.20:9000
+deploy tcp:/192.168.1.20:9000 | tcp://HOST:PORT
+deploy tcp://127.0.0.1:1 | nothing answers
+deploy tcp://127.0.0.1:99999 | 65535
+deploy feetech:///dev/ttyACM99 | no port /dev/ttyACM99
+deploy feetech://127.0.0.1:1?q=4 | 'q=4'
+deploy feetech:///dev/ttyACM99?calibration=none.json | none.json
+deploy COM3 | Windows
+diagnose 'C:\\logs' | --logs FOLDER
+deploy bench-9 | rejoint arms
+goto emulated:worn 0.2 0 0.15 | metres
+goto emulated:worn 200 0 | 'Z'
+goto emulated:worn 200 zero 150 | 'Y'
+goto emulated:worn 900 0 150 | nearest place
+goto emulated:worn 200 0 -50 | floor
+follow emulated:worn run circle-8 | circle-8s
+follow emulated:worn run twice.csv | point 2
+follow emulated:worn run | 'PATH'
+identify | --logs FOLDER
+identify run | rejoint diagnose
+train run | rejoint identify run
+train run --learner td3 | ppo
+compare emulated:worn run --controllers integrator,shelff | 'shelff'
+compare emulated:worn run --sets 0 | --sets
+report nothing | no run folder
+open nothing | no run folder
+open run | rejoint report run
+runs nothing | no such folder
+export run --format ufdr | urdf
+export nothing.parquet out.csv | no such file
+export abc.csv out.mcap | rejoint import
+import one-joint.csv logs | --arm
+import abc.csv logs | position.JOINT
+import book.xlsx logs | CSV
+import nothing logs | no such file
+replay run/twin.toml --logs folder | twin.toml
+history nothing | no such folder
+check emulated:worn --tolerance three | 'three'
+fleet check space.toml | 'a b'
+fleet check typo.toml | addres
+fleet chek typo.toml | 'chek'
+fleet check nothing.toml | no such file
+emulate --wear warn --port 0 | worn
+emulate --port 70000 | 65535
+emulate --arm ur5 | known arms
+emulate --fault drop=5 --port 0 | drop=P
+repair emulated:worn --arm broken.urdf | broken.urdf
+repair emulated:worn --arm ur5e | known arms
+repair emulated:healthy --run run | emulated:worn
+repair emulated:worn --measure ruler | touch
+repair emulated:wear.toml | wear.toml
+calibrate emulated:worn run --measure none | repair
+calibrate emulated:worn new --measure points=book.xlsx | CSV
+calibrate emulated:worn new --measure points=nothing.csv | no such file
+serve emulated:worn nothing | no run folder
+gains emulated:worn run | SO-101
+arms add | NAME ADDRESS
+arms add bench emulated:wron | wron
+arms add 'bench 3' emulated:worn | bench-3
+arms add bench tcp://10.0.0.1:9000 --calibration a.json | leave it out
+arms remove bench | there is no arm 'bench'
+diagnose emulated:worn --logs folder | either
+diagnose --logs nothing | rejoint import
+diagnose emulated:worn --quik | --quick
+rapair | 'repair'
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("place")
+    (folder / "bad").mkdir()
+    (folder / "folder").mkdir()
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    (folder / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
+    with zipfile.ZipFile(folder / "book.xlsx", "w") as book:
+        book.writestr("xl/workbook.xml", "<workbook/>")
+    Run.create(folder / "run", "emulated:worn", mycobot280(), 0)
+    return folder
+
+
+def there(place):
+    return sorted(path for path in place.rglob("*") if path.is_file() and path.name != ".lock")
+
+
+@pytest.mark.parametrize("line", CALLS.strip().splitlines())
+def test_a_wrong_call_ends_in_one_line_that_says_what_to_do(line, place, cli, monkeypatch):
+    monkeypatch.chdir(place)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(place / "config"))
+    words, _, named = line.rpartition(" | ")
+    before = there(place)
+    error = cli(*shlex.split(words), code=2).error
+    assert named in error
+    assert len(error) < 420
+    assert there(place) == before
+
+
+def test_an_arm_has_a_name_that_every_command_takes(tmp_path, cli, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    (tmp_path / "zeros.json").write_text("{}")
+    wired = cli("arms", "add", "left", "feetech:///dev/ttyACM99", "--calibration", "zeros.json", "--json").last
+    assert wired["address"] == f"feetech:///dev/ttyACM99?calibration={tmp_path / 'zeros.json'}"
+    cli("arms", "add", "bench-3", "emulated:worn?seed=3", "--tolerance", "5")
+    assert "already" not in cli("arms", "add", "bench-3", "emulated:healthy", code=2).error
+    assert set(cli("arms", "--json").last["arms"]) == {"left", "bench-3"}
+    assert cli("goto", "bench-3", "180", "0", "200", "--json").last["reached"]
+    checked = cli("check", "bench-3", "--history", "seen", "--json", code=None).last
+    assert (checked["arm"], checked["robot"]) == ("bench-3", "emulated:worn?seed=3")
+    cli("arms", "remove", "left")
+    (tmp_path / "config" / "rejoint" / "FLEET.toml").rename(tmp_path / "FLEET.toml")  # that of a fleet, here
+    assert cli("arms", "--json").last["arms"] == {"bench-3": "emulated:worn?seed=3"}
+    cli("arms", "remove", "bench-3")
+    assert "NAME ADDRESS" in cli("arms").out
+
+
+def test_runs_are_listed_the_newest_first_and_their_reports_opened(tmp_path, cli, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    for name in ("one", "two"):
+        Run.create(f"runs/{name}", "emulated:worn", mycobot280(), 0)
+    (tmp_path / "runs" / "three").mkdir()
+    (tmp_path / "runs" / "three" / "run.json").write_text("{")
+    told = cli("runs", "--json")
+    assert [one["run"] for one in told.last["runs"]] == ["runs/two", "runs/one"]
+    assert "left out: runs/three" in told.err
+    page = rejoint.report("runs/one")
+    cli("open")
+    cli("open", "runs/one")
+    assert opened == [page.resolve().as_uri()] * 2
+
+
+def test_more_is_said_on_request(cli):
+    assert "Traceback" in cli("deploy", "emulated:warn", "-v", code=2).err
+    assert cli("-V").out == cli("--version").out
