@@ -7,6 +7,7 @@ import os
 import select
 import sys
 from contextlib import ExitStack
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ from rejoint.system.stopping import check, noted
 
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
+    from rejoint.training.train import Trainer
 
 TITLES = {
     "diagnose": "Diagnosis: ten targets open loop, then an excitation of every joint",
@@ -244,6 +246,7 @@ def train(
     call: Call,
     run: Path,
     preset: str = "default",
+    learner: str = "ppo",
     generic: bool = False,
     seed: int | None = None,
     quick: bool = False,
@@ -255,10 +258,26 @@ def train(
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
-    how = rejoint.TrainSettings(generic=generic)
+    trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
+    how = rejoint.TrainSettings(generic=generic, trainer=trainer)
     result = call.stage("train", rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
+
+
+TRAINERS = "rejoint.trainers"
+"""Entry points of functions that make a `Trainer` from its name and a seed"""
+
+
+def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
+    if preset != "default":
+        raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
+    points = entry_points(group=TRAINERS)
+    if learner not in points.names:
+        raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
+    point = points[learner]
+    made: Trainer = point.load()(learner, seed)
+    return made
 
 
 @takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -85,6 +85,10 @@ class TrainingResult:
     """the same: median at the end of a target"""
     reward: float
     wall_s: float
+
+
+Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
+"""Trains a policy and writes what `rejoint.logs.runfolder.RunFolder` names for it into a folder"""
 
 
 def train(

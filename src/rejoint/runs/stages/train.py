@@ -20,7 +20,7 @@ from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
     from rejoint.training.presets import Preset
-    from rejoint.training.train import TrainingResult
+    from rejoint.training.train import Trainer, TrainingResult
     from rejoint.twin.twin import Twin
 
 QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
@@ -45,6 +45,8 @@ class TrainSettings:
     """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
     """of the simulation; no effect on the policy"""
+    trainer: Trainer | None = None
+    """replaces proximal policy optimisation"""
 
 
 def train(
@@ -135,10 +137,13 @@ def _learn(
     on_progress: Progress,
 ) -> TrainedPolicy:
     """Train, and load the policy from the folder."""
-    from rejoint.training.train import TrainingOptions
-    from rejoint.training.train import train as learn
+    if how.trainer is None:
+        from rejoint.training.train import TrainingOptions
+        from rejoint.training.train import train as learn
 
-    chosen = TrainingOptions(threads=how.threads, **options)
-    result = learn(arm, twin, out=folder, options=chosen, on_progress=on_progress)
+        chosen = TrainingOptions(threads=how.threads, **options)
+        result = learn(arm, twin, out=folder, options=chosen, on_progress=on_progress)
+    else:
+        result = how.trainer(arm, twin, folder, on_progress)
     policy = Policy.load(result.policy)
     return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)
