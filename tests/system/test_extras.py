@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 BASE = {
+    "google",
     "msgspec",
     "numba",
     "numpy",
@@ -24,6 +25,7 @@ BASE = {
     "typer",
 }
 NAMED_OTHERWISE = {
+    "google": "protobuf",
     "serial": "pyserial",
     "dynamixel_sdk": "dynamixel-sdk",
     "PIL": "pillow",
@@ -45,6 +47,8 @@ def imported():
                 found |= {name.name.partition(".")[0] for name in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 found.add(node.module.partition(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) == "Late":
+                found.add(ast.literal_eval(node.args[0]).partition(".")[0])
     return found - set(sys.stdlib_module_names) - {"rejoint", "rejoint_lab"}
 
 

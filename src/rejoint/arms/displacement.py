@@ -78,13 +78,13 @@ class Displacement:
         fixed = moved(np.eye(4), self.twist) @ np.concatenate([arm.offset, arm.tip[None]])
         return replace(arm, offset=fixed[:-1], tip=fixed[-1])
 
-    def tool(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Return true tool (..., 3) [m] at encoder ``position`` (..., n) [rad]; see `joints`."""
-        return tcp_position(self.moved(arm), self.joints(arm, position, approach))
+    def tool(self, arm: Arm, position: Array) -> Array:
+        """Return true tool (..., 3) [m] at encoder ``position`` (..., n) [rad], for an unknown approach."""
+        return tcp_position(self.moved(arm), self.joints(arm, position))
 
-    def tool_pose(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
+    def tool_pose(self, arm: Arm, position: Array) -> Array:
         """Return true tool poses (..., 4, 4)."""
-        return tcp_pose(self.moved(arm), self.joints(arm, position, approach))
+        return tcp_pose(self.moved(arm), self.joints(arm, position))
 
 
 def direction(position: Array, approach: Array | None) -> Array:

@@ -168,7 +168,7 @@ class RunState:
         robot, limits, count, sent = self.robot, self.limits, self.robot.count, self.schedule.sent
         self.cycles: list[Cycle] = []
         shown = part_of(robot, LookedAt)
-        self.look = None if shown is None else shown.onlooker(self.controller.name, limits)
+        self.look = None if shown is None else shown.onlooker(self.controller.name)
         self.state = state = own(robot.read())
         told = np.array(state.position if sent is None else sent, dtype=float)
         self.sent = in_force(state, told)

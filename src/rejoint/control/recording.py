@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.guard import GuardLimits, Reason, Reasons
+from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, RateLimit
@@ -64,7 +64,7 @@ Look = Callable[[Cycle, JointState, Array], object]
 class LookedAt(Protocol):
     """A robot that someone looks at."""
 
-    def onlooker(self, controller: str, limits: GuardLimits) -> Look:
+    def onlooker(self, controller: str) -> Look:
         """Make a `Look` for a run."""
 
 

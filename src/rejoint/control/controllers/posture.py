@@ -64,7 +64,7 @@ class PostureController(FeedforwardController):
     ) -> None:
         """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] of the twin."""
         super().__init__(arm, stiffness, FeedforwardGains(moving=MOVING))
-        self._limits, self._offset = gains or PostureGains(), offset
+        self._settings, self._offset = gains or PostureGains(), offset
         self._still = Stillness(STILL * arm.encoder_step)
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
@@ -91,7 +91,7 @@ class PostureController(FeedforwardController):
         loose = arrived & (self._pushed * moved > 0.0)
         taken, before = np.where(loose, TAKEN_BACK * self._pushed, 0.0), self._correction.copy()
         command = self.correct(inputs, error * size / (size + FADE) + push, -taken, np.zeros(len(error)))
-        lead = np.where(self._weak, 1.25 * self._limits.weak, self._limits.lead)  # more would only heat it
+        lead = np.where(self._weak, 1.25 * self._settings.weak, self._settings.lead)  # more would only heat it
         self._asked = np.where(rests, self._asked, limit_lead(command, position, lead))
         added, lost = self._correction + taken - before, self._raised + self._correction - self._asked
         self._correction -= lost  # nothing winds up beyond what can be sent
@@ -104,16 +104,16 @@ class PostureController(FeedforwardController):
         position = inputs.state.position
         stood = self._still.look(inputs.state.time, position).min(axis=1)
         away = tcp_position(self._arm, position) - tcp_position(self._arm, inputs.goal)
-        near = np.linalg.norm(away, axis=-1) < np.where(self._rests, self._limits.again, self._limits.close)
+        near = np.linalg.norm(away, axis=-1) < np.where(self._rests, self._settings.again, self._settings.close)
         self._rests = (stood >= CALM) & inputs.arrived & near
         return self._rests
 
     def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
-        position, posture, limits = inputs.state.position, inputs.goal, self._limits
+        position, posture = inputs.state.position, inputs.goal
         lead, away = self._asked - position, posture - position
         off = inputs.arrived[:, None] & (np.abs(away) > OFF)
-        spent = (np.abs(lead) > limits.weak) & (away * lead > 0.0) & (np.abs(self._speed) < STANDING)
+        spent = (np.abs(lead) > self._settings.weak) & (away * lead > 0.0) & (np.abs(self._speed) < STANDING)
         self._weak = (self._weak | spent) & off
         rows = self._weak.any(axis=1)
         if not rows.any():

@@ -13,7 +13,6 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Cycle, Look, Observer
 from rejoint.control.robot import JointState, Robot, RobotWrapper, WallClock
 from rejoint.robots import is_virtual
@@ -193,7 +192,7 @@ class _LiveRobot(RobotWrapper):
         super().__init__(robot)
         self._view, self._shown = view, shown
 
-    def onlooker(self, controller: str, limits: GuardLimits) -> Look:  # noqa: ARG002 - of the protocol
+    def onlooker(self, controller: str) -> Look:
         """See `rejoint.control.recording.LookedAt`."""
         run = replace(self._shown, controller=controller, cycles=deque(maxlen=SLOTS))
         self._view.shown = run
