@@ -78,7 +78,7 @@ def test_every_stage_works_on_data_in_memory(motion, tmp_path, monkeypatch):
     )
     assert compared.comparison.controllers == ("integrator", "policy")
     assert set(compared.logs) == {
-        f"{kind}/{name}/0/0" for kind in ("crossing", "hold") for name in ("integrator", "policy")
+        f"{kind}-{name}-0-0" for kind in ("crossing", "hold") for name in ("integrator", "policy")
     }
     done = rejoint.deploy("emulated:worn", TARGETS, settings=rejoint.Settings(controller=policy, dwell=1.0))
     assert [len(visit.target) for visit in done.visits] == [3, 3]

@@ -87,8 +87,10 @@ def place_of(text: str) -> Place[Any]:
     family = _family(scheme) if colon else None
     if family is None:
         meant = ((words, re.fullmatch(form, text)) for form, words in _MEANT.items())
-        hint = next((words.format(*found.groups()) for words, found in meant if found), f"expected {forms()}")
-        raise AddressError(f"unknown robot address {text!r}; {hint}")
+        hints = [words.format(*found.groups()) for words, found in meant if found][:1]
+        if not hints or re.match(r"[\w+-]+:\d", text):  # that may be a family that is not there
+            hints.append(f"expected {forms()}")
+        raise AddressError(f"unknown robot address {text!r}; {'; '.join(hints)}")
     try:
         return Place(text=text, family=family, detail=family.parse(text))
     except ValueError as error:
