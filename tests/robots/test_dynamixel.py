@@ -10,6 +10,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.control.controllers.classical import IntegratorController
+from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
@@ -207,18 +208,23 @@ def test_a_gripper_opens_beside_the_joints():
 TARGETS = np.array([[KOCH.targets.lower, KOCH.targets.upper]])
 
 
-def drive(fault, dwell=2.0):
+def drive(fault, dwell=2.0, limits=None):
     """Drive to two targets with a fault; returns the recording, and what ended it."""
     with serving(fault=fault) as server, opened(server) as robot:
         try:
-            return run(robot, IntegratorController(KOCH), TARGETS, Schedule(dwell=dwell)), None
+            return run(robot, IntegratorController(KOCH), TARGETS, Schedule(dwell=dwell), limits=limits), None
         except (RobotError, GuardTripError) as error:
             return recording_of(error), error
 
 
 @pytest.mark.parametrize(
     ("fault", "gap"),
-    [("drop=0.005,garbage=0.01,half=0.005,double=0.01", 0), ("mute=2@3/2", 1.5), ("gone=3/1", 0.9)],
+    [
+        ("drop=0.005,garbage=0.01,half=0.005,double=0.01", 0),
+        ("stale=0.01,split=0.02", 0),
+        ("mute=2@3/2", 1.5),
+        ("gone=3/1", 0.9),
+    ],
 )
 def test_what_is_lost_or_silent_for_a_while_is_got_over(fault, gap):
     recording, error = drive(fault)
@@ -243,6 +249,13 @@ def test_what_servos_suffer_from_is_named_and_ends_in_a_hold(monkeypatch, fault,
     _, error = drive(fault)
     assert isinstance(error, kind)
     assert re.search(says, str(error))
+
+
+def test_a_frozen_encoder_ends_in_a_hold_and_is_named():
+    recording, error = drive("freeze=3@1", dwell=6.0, limits=GuardLimits.of(KOCH))
+    assert isinstance(error, GuardTripError | RobotError)
+    assert "elbow_flex" in str(error)
+    assert np.isfinite(recording.position).all()
 
 
 def test_gains_of_a_connection_hold_on_the_next_one():
