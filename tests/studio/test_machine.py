@@ -11,6 +11,7 @@ import rejoint
 from rejoint.arms import tcp_position
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import WallClock
+from rejoint.runs.repair import MOVING, STAGES
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import AddressError
@@ -164,3 +165,8 @@ def test_a_known_arm_is_used_at_once(studio, tmp_path):
     assert status.run == studio.status.run
     assert status.found["diagnosis"] is not None
     again.leave()
+
+
+def test_every_stage_of_a_repair_has_a_time():
+    assert set(jobs.EXPECTED) == set(STAGES)
+    assert set(jobs.TURNS) == set(MOVING)

@@ -50,7 +50,15 @@ EARLY = 0.05
 """Share of a job from which its pace tells when it ends (chosen)"""
 NUDGE = float(np.radians(5.0))
 """[rad] of the motion that the owner confirms (chosen)"""
-EXPECTED = {"diagnose": 150.0, "calibrate": 120.0, "identify": 30.0, "gains": 90.0, "train": 60.0, "compare": 330.0}
+EXPECTED = {
+    "diagnose": 150.0,
+    "calibrate": 120.0,
+    "identify": 30.0,
+    "gains": 90.0,
+    "train": 60.0,
+    "compare": 330.0,
+    "report": 10.0,
+}
 """[s] of stages on a real arm (measured on emulated arms in real time, docs/results.md)"""
 TURNS = {"diagnose": 20.0, "calibrate": 4.0, "gains": 10.0, "compare": 25.0}
 """of all joints in these stages (measured there)"""
