@@ -151,6 +151,8 @@ def choose(address: str, name: str | None = None) -> Job:
     """Return what connects to an arm; nothing moves."""
 
     def job(studio: Studio) -> None:
+        if not address.strip():
+            raise InputError("no arm answers there; choose another from the list, or type its address")
         studio.release()
         place = place_of(address.strip())
         arm = arm_of(place.text, name)
