@@ -180,7 +180,8 @@ def main() -> None:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
         if words[:1] != ["doctor"]:  # which says it itself
             require_compiler()
-        result = app(args=with_place(with_home(words)), standalone_mode=False)
+        alone = ["studio"] if sys.stdin and sys.stdin.isatty() and sys.stdout.isatty() else []
+        result = app(args=with_place(with_home(words)) or alone, standalone_mode=False)
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:  # so it ends every interruption, whichever signal it was
             code = _ended(interruption() or Interrupted(signal.SIGINT), json=json)

@@ -248,7 +248,7 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     view = LiveView(host, port)
     with view:
         terminal.say(f"Live view: {view.address}")
-        if not _loopback(host):
+        if not is_loopback(host):
             terminal.say(
                 "Anyone who reaches this computer can look and press the button there: there is no password. "
                 f"Better use {OPTION} alone, and on the computer with the browser: ssh -L {port}:127.0.0.1:{port} HOST"
@@ -259,7 +259,8 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
         terminal.say(f"The live view ended early ({view.failure}); the arm was driven all the same.")
 
 
-def _loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether this computer alone reaches a host name."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from typing import cast
 
@@ -57,7 +57,7 @@ NARROWER = 0.97
 """Thickness of every other link, against flicker (chosen)"""
 TOOL_SHARE = 0.3
 """Thickness of the tool over a link's (chosen)"""
-UP = np.array([0.0, 0.0, 1.0])
+UP, SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as fast as it goes": np.inf}
 """at which an arm of virtual time can be watched"""
 
@@ -110,6 +110,9 @@ class Ghost:
 class WebPage:
     """A page for any number of browsers."""
 
+    label = "rejoint live"
+    """above the panel"""
+
     def __init__(self, host: str, port: int) -> None:
         """Serve it; InputError if the port is taken or the host is another computer."""
         with listen_tcp(host, port) as probe:  # viser would take another port
@@ -117,26 +120,37 @@ class WebPage:
         for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
-            self._server = viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
-        self.address = f"http://{host}:{self._server.get_port()}"
-        gui, scene = self._server.gui, self._server.scene
-        gui.configure_theme(
-            control_layout="collapsible", control_width="large", show_logo=False, show_share_button=False
-        )
-        gui.set_panel_label("rejoint live")
+            self.server = self.serve(host, port)
+        self.address = f"http://{host}:{self.server.get_port()}"
+        gui, scene = self.server.gui, self.server.scene
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.set_panel_label(self.label)
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         self._built: tuple[Arm, float] | None = None
         self.shown: Shown | None = None
         """the run that is drawn"""
-        self._texts = {"head": gui.add_html("")}
+        self._count, self._recent = 0, list[SeenCycle]()
+        self._marks: list[tuple[int, viser.LabelHandle]] = []
+        self.texts: dict[str, viser.GuiHtmlHandle] = {}
+        """parts of the panel that follow the arm"""
+        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self.furnish(gui)
+
+    def serve(self, host: str, port: int) -> viser.ViserServer:
+        """Begin to listen."""
+        return viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
+
+    def furnish(self, gui: viser.GuiApi) -> None:
+        """Put everything into the panel."""
+        self.texts["head"] = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
         self._hold.on_click(lambda _: self._ask_to_hold())
         self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
-        self._texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
-        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self.texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
 
     @property
     def pace(self) -> float:
@@ -146,7 +160,11 @@ class WebPage:
     @property
     def watched(self) -> bool:
         """Whether anybody looks at the page."""
-        return bool(self._server.get_clients())
+        return bool(self.server.get_clients())
+
+    def rest(self) -> None:
+        """Do what is to be done while nobody looks."""
+        self.shown = None
 
     def show(self, shown: Shown) -> None:
         """Begin to draw a run, in place of another one."""
@@ -157,17 +175,17 @@ class WebPage:
         self._pace.visible = shown.paced
         arm, within = shown.robot.arm, shown.within
         if self._built is None or self._built[0] is not arm or self._built[1] != within:
-            self._built = arm, within
-            self._build(arm, within)
+            self.build(arm, within)
         for trail in (self._tool, self._aims):
             trail.points.clear()
 
-    def _build(self, arm: Arm, within: float) -> None:
+    def build(self, arm: Arm, within: float) -> None:
         """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
-        scene, size = self._server.scene, reach(arm)
+        scene, size = self.server.scene, reach(arm)
         scene.reset()
+        self._built, self._marks = (arm, within), []
         scene.add_light_ambient("/light", intensity=0.8)
-        look, camera = size * np.array([0.25, 0.0, 0.28]), self._server.initial_camera
+        look, camera = size * np.array([0.25, 0.0, 0.28]), self.server.initial_camera
         camera.fov, camera.up, camera.look_at = np.radians(45.0), UP, look
         camera.position = look + size * np.array([0.8, -1.0, 0.55])
         cell, dot = cell_of(size), max(size, 0.3) / 0.3
@@ -182,14 +200,32 @@ class WebPage:
         for k, box in enumerate(arm.keep_out):
             place, extent = 0.5 * (box.lower + box.upper), box.upper - box.lower
             scene.add_box(f"/keep_out/{k}", GHOST, extent, position=place, opacity=GHOST_OPACITY)
-        _pose(arm, self._limbs, arm.rest)
+        self.pose(arm.rest)
         _pose(arm, self._ghosts, arm.rest)
+
+    def mark(self, words: Mapping[int, str]) -> None:
+        """Write words at joints, by their number from 0."""
+        for _, label in self._marks:
+            label.remove()
+        add = self.server.scene.add_label
+        self._marks = [(j, add(f"/marks/{j}", text, anchor="center-left")) for j, text in words.items()]
+        if self._built is not None:
+            self.pose(self._built[0].rest if not self._recent else self._recent[-1].cycle.position)
+
+    def pose(self, position: Array) -> None:
+        """Draw the arm with its joints at ``position`` (n,) [rad]."""
+        arm = cast("tuple[Arm, float]", self._built)[0]
+        _pose(arm, self._limbs, position)
+        if self._marks:
+            places = frames(arm, position).position
+            for j, label in self._marks:
+                label.position = places[j] + 1.5 * collision_shape(arm).radius * SIDE
 
     def _add_limbs(
         self, arm: Arm, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> list[viser.MeshHandle]:
         """Add base and links, each a capsule from its frame's origin to the next, and the tool."""
-        scene, whole, found = self._server.scene, collision_shape(arm).radius, []
+        scene, whole, found = self.server.scene, collision_shape(arm).radius, []
         for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
             radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
             if link == arm.joints:  # the tool, whose round end is its tip
@@ -204,8 +240,10 @@ class WebPage:
         return found
 
     def draw(self, doing: Doing, stopped: str) -> None:
-        """Draw new cycles of the run."""
-        shown = cast("Shown", self.shown)
+        """Draw new cycles of the run, if there is one."""
+        shown = self.shown
+        if shown is None:
+            return
         arm, cycles, ghost = shown.robot.arm, shown.cycles, None
         for seen in [SeenCycle.of(*cycles.popleft()) for _ in range(len(cycles))]:
             ghost = seen.cycle.command if self._ghost is None else self._ghost.follow(seen)
@@ -214,12 +252,12 @@ class WebPage:
             self._recent.append(seen)
         newest = self._recent[-1] if self._recent else None
         moves = len(self._aims.points) > MOVES
-        with self._server.atomic():
+        with self.server.atomic():
             if newest is not None and ghost is not None:
                 now, since = newest.cycle, newest.cycle.time - KEPT
                 self._recent = [one for one in self._recent if one.arm == newest.arm and one.cycle.time > since]
                 known = np.isfinite(now.target).all()
-                _pose(arm, self._limbs, now.position)
+                self.pose(now.position)
                 _pose(arm, self._ghosts, ghost)
                 _place(self._target, now.aim)
                 _place(self._true, now.aim + now.true_tcp - now.target if known else now.true_tcp)
@@ -227,11 +265,17 @@ class WebPage:
             if self._count % SLOWER == 0:
                 self._tool.draw(1)
                 self._aims.draw(MOVES)
-                self._write(shown, newest, doing, stopped)
+                self.write(shown, newest, doing, stopped)
         self._count += 1
 
-    def _write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
         """Write what changed into the panel."""
+        for name, text in self.words(shown, seen, doing, stopped).items():
+            self.texts[name].content = str(text)  # viser sends no subclass, such as a template's
+        self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
+
+    def words(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> dict[str, str]:
+        """Return what to read of a cycle, by the parts of the panel."""
         write, robot, names = self._panel, shown.robot, shown.robot.arm.joint_names
         error, true, title, joints = np.nan, np.nan, robot.address, ""
         if seen is not None:
@@ -248,16 +292,13 @@ class WebPage:
             "the tool itself, where it is known": TRUE,
         }
         entries = [(f"rgb{colour}", text) for text, colour in legend.items()]
-        texts = {
+        return {
             "head": write.head(title, shown.controller, doing),
             "error": write.error(error, true, shown.within),
             "guard": write.guard(guard_words(self._recent, names), stopped),
             "joints": joints,
             "legend": write.legend([*entries, (GREY, f"squares of {1e3 * cell_of(reach(robot.arm)):.0f} mm")]),
         }
-        for name, text in texts.items():
-            self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
-        self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
 
     def _ask_to_hold(self) -> None:
         self._hold.label, self._hold.disabled = "Asked to hold", True
@@ -265,9 +306,9 @@ class WebPage:
 
     def close(self) -> None:
         """Send what is left, and end."""
-        self._server.flush()
+        self.server.flush()
         with redirect_stdout(None):
-            self._server.stop()
+            self.server.stop()
 
 
 def cell_of(size: float) -> float:

@@ -115,9 +115,7 @@ class LiveView(Observer):
     def __enter__(self) -> Self:
         """Serve the page; MissingExtraError without the extra ``live``, InputError for a taken port."""
         require("a live view", "live")
-        from rejoint.pages.live.page import WebPage
-
-        self._page = WebPage(self._host, self._port)
+        self._page = self.page_at(self._host, self._port)
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(min(HAND_OVER, self._interval))
         self._thread.start()
@@ -139,6 +137,12 @@ class LiveView(Observer):
         self._thread.join()
         page.close()
         sys.setswitchinterval(self._interval)
+
+    def page_at(self, host: str, port: int) -> WebPage:
+        """Serve the page that is drawn on."""
+        from rejoint.pages.live.page import WebPage
+
+        return WebPage(host, port)
 
     @property
     def address(self) -> str:
@@ -176,12 +180,12 @@ class LiveView(Observer):
     def _draw(self, page: WebPage) -> None:
         while not self._over.is_set():
             shown = self.shown
-            if not page.watched or shown is None:
-                page.shown = None
+            if not page.watched:
+                page.rest()
                 self._over.wait(ASLEEP)
                 continue
             began = time.monotonic()
-            if page.shown is not shown:
+            if shown is not None and page.shown is not shown:
                 page.show(shown)
             page.draw(self._doing, self._stopped)
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))

@@ -1,0 +1,459 @@
+"""Jobs of the steps: each calls the public functions, or the session, as any program does."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+import rejoint
+from rejoint.arms import Arm, Array
+from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.deployment import Deployed
+from rejoint.control.recording import StageObserver
+from rejoint.control.robot import JointState
+from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
+from rejoint.logs.history import find_rows
+from rejoint.logs.runfolder import LOGS, RunFolder, read_info
+from rejoint.robots import is_virtual, place_of, usable
+from rejoint.robots.family import SerialAddress
+from rejoint.robots.ports import answering, ports
+from rejoint.runs.history import arms_of, cells
+from rejoint.runs.repair import stages_of
+from rejoint.session.inputs import GaugeLike, arm_of
+from rejoint.studio.machine import Job, Status, Studio
+from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.system.extras import require
+
+SAYS = {
+    "stuck": "is stuck,",
+    "weak_gain": "sags",
+    "friction": "is stiff,",
+    "hysteresis": "stops short",
+    "play_in_loop": "is loose,",
+    "torque_limit": "is too weak,",
+    "low_damping": "rings,",
+    "lag": "is late,",
+    "offset": "is off,",
+    "noise": "is restless,",
+}
+"""What a finding says at its joint"""
+LEAST = 1.0
+"""[mm] at the tool that is worth a word at a joint (chosen)"""
+EARLY = 0.05
+"""Share of a job from which its pace tells when it ends (chosen)"""
+NUDGE = float(np.radians(5.0))
+"""[rad] of the motion that the owner confirms (chosen)"""
+EXPECTED = {
+    "diagnose": 115.0,
+    "calibrate": 115.0,
+    "identify": 30.0,
+    "gains": 90.0,
+    "train": 40.0,
+    "compare": 330.0,
+    "report": 10.0,
+}
+"""[s] of stages, before their own pace is known (what `make repair` prints; gains, compare and report: guessed)"""
+TURNS = {"diagnose": 16.0, "calibrate": 15.0, "gains": 10.0, "compare": 25.0}
+"""of all joints in these stages (likewise)"""
+
+
+EMULATED = {
+    "An emulated worn myCobot 280, to try everything": "emulated:worn",
+    "An emulated worn SO-101, to try everything": "emulated:so101",
+}
+SAG = 0.85
+"""Share of the usual supply below which a voltage is low (chosen)"""
+SUPPLIES = (5.0, 7.4, 12.0)
+"""[V] of servos (manuals of the STS3215 and the X series)"""
+WARM = 50.0
+"""[deg C] of a servo that should cool down before a repair (chosen: 15 below the guard's trip)"""
+
+
+def candidates(home: Path) -> dict[str, str]:
+    """Return addresses of arms by what an owner calls them: connected, repaired before below ``home``, emulated."""
+    found = dict[str, str]()
+    for device, what in ports().items():
+        wire = SerialAddress(text=device, device=device, baud=0)
+        heard = answering(wire)
+        if heard is None:
+            found[f"{device} ({what}): no arm answers; is it switched on?"] = ""
+            continue
+        kind, baud = heard
+        rate = "" if baud == kind.bauds[0] else f"?baud={baud}"
+        found[f"{kind.name.strip(',')}, on {device}"] = f"{kind.scheme(wire)}://{device}{rate}"
+    for address in runs(home):
+        if address not in (*found.values(), *EMULATED.values()):
+            found[f"{address}, known from before"] = address
+    return found | {name: address for name, address in EMULATED.items() if usable(address)}
+
+
+def runs(home: Path) -> dict[str, Path]:
+    """Return the newest run below ``home`` of every address."""
+    found = dict[str, tuple[str, Path]]()
+    for path in home.glob("*/*/run.json"):
+        with suppress(FileError):
+            info = read_info(path)
+            if ":" in info.robot and not info.robot.startswith(LOGS):
+                found[info.robot] = max(found.get(info.robot, ("", path)), (info.created, path.parent))
+    return {address: path for address, (_, path) in sorted(found.items())}
+
+
+@dataclass(frozen=True)
+class CheckLine:
+    """One thing that was looked at."""
+
+    good: bool
+    text: str
+
+
+def checks(arm: Arm, state: JointState) -> tuple[CheckLine, ...]:
+    """Look at the servos of an arm that stands."""
+    position, heat, volts = state.position[0], state.temperature, state.voltage
+    beyond = np.flatnonzero((position < arm.lower) | (position > arm.upper))
+    names = ", ".join(arm.joint_names[j] for j in beyond)
+    found = [CheckLine(good=True, text=f"All {arm.joints} servos answer.")]
+    found.append(
+        CheckLine(good=False, text=f"{names} is beyond its limit. Move it back by hand.")
+        if names
+        else CheckLine(good=True, text="Every joint is inside its limits.")
+    )
+    if volts is not None:
+        low, high = float(np.nanmin(volts)), float(np.nanmax(volts))
+        usual = min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high)
+        good = low >= SAG * usual
+        told = "" if good else f", and {usual:g} V are usual. Check the power supply and its plug"
+        found.append(CheckLine(good=good, text=f"The servos have a supply of {low:.1f} V{told}."))
+    if heat is not None and np.isfinite(heat[0]).any():
+        worst = int(np.nanargmax(heat[0]))
+        good = float(heat[0, worst]) <= WARM
+        told = "" if good else ". Let it cool down first"
+        text = f"The warmest servo, {arm.joint_names[worst]}, has {heat[0, worst]:.0f} deg C{told}."
+        found.append(CheckLine(good=good, text=text))
+    words = "; ".join(word for word in (state.trouble or ()) if word)
+    if words or (state.fault is not None and bool(state.fault.any())):
+        found.append(CheckLine(good=False, text=f"A servo reports a fault: {words or 'switch the arm off and on'}."))
+    return tuple(found)
+
+
+def look(studio: Studio) -> None:
+    """Look for arms."""
+    studio.keep(arms=candidates(studio.home))
+
+
+def choose(address: str, name: str | None = None) -> Job:
+    """Return what connects to an arm; nothing moves."""
+
+    def job(studio: Studio) -> None:
+        if not address.strip():
+            raise InputError("no arm answers there; choose another from the list, or type its address")
+        studio.release()
+        place = place_of(address.strip())
+        arm = arm_of(place.text, name)
+        known = runs(studio.home).get(place.text)
+        studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
+        try:
+            see(studio)
+        except BaseException:
+            studio.change(address="", arm=None, run=None)
+            raise
+        run = studio.run
+        if run is not None:
+            studio.keep(diagnosis=run.diagnosis)
+        finished = run is not None and run.comparison is not None
+        studio.change(step="use" if finished else "check")
+
+    return job
+
+
+def see(studio: Studio) -> None:
+    """Check the servos; nothing moves."""
+    session = studio.session()
+    session.state  # noqa: B018 - asks the arm
+    state = session.robot.read()
+    found = checks(session.arm, state)
+    studio.keep(checks=found, nudged=None)
+    bad = [line.text for line in found if not line.good]
+    if bad:
+        raise NotReadyError(" ".join(bad))
+
+
+def nudge(studio: Studio) -> None:
+    """Move the last but one joint a little, and ask the owner whether it did."""
+    session = studio.session()
+    j = max(session.arm.joints - 2, 0)
+    here = session.state.joints_rad
+    middle = 0.5 * (session.arm.lower[j] + session.arm.upper[j])
+    away = here.copy()
+    away[j] += NUDGE if here[j] < middle else -NUDGE
+    name = session.arm.joint_names[j]
+    for number, goal in enumerate((away, here, away, here)):
+        studio.progress(number / 4, f"{name} turns by {np.degrees(NUDGE):.0f} degrees, and back")
+        session.move_joints(np.clip(goal, session.arm.lower, session.arm.upper), within_rad=np.radians(3.0))
+    if studio.ask(f"Did {name} alone turn a little, and come back?") != "yes":
+        raise NotReadyError(f"{name} did not move as expected: compare cables and IDs with the arm's description")
+    studio.keep(nudged=True)
+    studio.change(step="diagnose", done=f"{name} answers. The arm is ready.")
+
+
+def diagnose(*, quick: bool = False) -> Job:
+    """Return what finds out what is wrong with the arm."""
+
+    def job(studio: Studio) -> None:
+        studio.keep(diagnosis=None)
+        run, status = studio.begin_run(quick=quick), studio.status
+        done = rejoint.diagnose(
+            status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
+        )
+        studio.keep(diagnosis=done.diagnosis)
+        studio.change(done="Diagnosed. What was found is written at the joints.")
+
+    return job
+
+
+def marks(arm: Arm, diagnosis: rejoint.Diagnosis | None) -> dict[int, str]:
+    """Return what stands at the joints: the largest finding of each."""
+    found = dict[int, str]()
+    for one in () if diagnosis is None else diagnosis.findings:
+        j = arm.joint_names.index(one.joint)
+        if one.tcp_mm >= LEAST:
+            found.setdefault(j, f"{one.joint} {SAYS[one.kind]} {one.tcp_mm:.0f} mm")
+    return found
+
+
+def left(studio: Studio) -> str:
+    """Return in words how long the job still takes, and how many turns the joints make; empty: unknown."""
+    status = studio.status
+    elapsed, share, turns = time.monotonic() - status.began, status.share, studio.travel / (2.0 * np.pi)
+    if not status.busy or status.question:
+        return ""
+    if status.stage is None or status.run is None:
+        return "" if share < EARLY else f"about {_minutes(elapsed * (1.0 - share) / share)} left"
+    stage, names = status.stage, tuple(EXPECTED)
+    within = stage.total * share - (stage.number - 1)
+    now = elapsed * (1.0 - within) / within if within > EARLY else max(EXPECTED.get(stage.name, 0.0) - elapsed, 0.0)
+    later = [name for name in names[names.index(stage.name) + 1 :] if not _skipped(status, name)]
+    pace = 0.2 if is_virtual(status.address) else 1.0
+    seconds = now + pace * sum(EXPECTED[name] for name in later)
+    coming = sum(TURNS.get(name, 0.0) for name in later) + (1.0 - within) * TURNS.get(stage.name, 0.0)
+    return f"about {_minutes(seconds)} and {coming:.0f} turns of the joints left; {turns:.0f} turns done"
+
+
+def _skipped(status: Status, name: str) -> bool:
+    arm, run = status.arm, status.run
+    return arm is None or run is None or name not in stages_of(status.address, arm, RunFolder(run))
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def repair(*, quick: bool = False) -> Job:
+    """Return what repairs the arm; it goes on where an earlier one ended."""
+
+    def job(studio: Studio) -> None:
+        from rejoint.pages.report.contents import before_after, read_contents
+
+        run, status = studio.begin_run(quick=quick), studio.status
+        done = rejoint.repair(
+            status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
+        )
+        errors, advice = before_after(read_contents(run.path)), done.recommendation
+        sentence = "" if errors is None else errors.sentence
+        if quick:
+            sentence = f"A quick try, which is no result. {sentence}"
+        studio.keep(diagnosis=done.diagnosis, repaired=sentence, advice=advice)
+        studio.change(done=f"Repaired. {advice.controller if advice else ''} drives the arm from now on.")
+
+    return job
+
+
+def again(studio: Studio) -> None:
+    """Begin another run of the same arm with the next job."""
+    studio.release()
+    studio.change(run=None, step="diagnose")
+    studio.keep(diagnosis=None, repaired=None, advice=None, proof=None)
+
+
+def calibrate(by: str, count: int, board: Path) -> Job:
+    """Return what measures where the tool is, ``by`` a ruler, a camera or an emulated arm's own word."""
+
+    def job(studio: Studio) -> None:
+        run, status = studio.begin_run(), studio.status
+        settings, gauge = studio.settings, cast("GaugeLike | None", None)
+        if by == RULER:
+            gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
+        elif by == CAMERA:
+            require("measuring with a camera", "camera")
+            from rejoint.studio.pictures import shown_camera
+
+            gauge = shown_camera(studio, status.address, board)
+        found = rejoint.calibrate(
+            status.address,
+            run=run,
+            gauge=gauge,
+            count=count,
+            arm=status.arm,
+            settings=settings,
+            observer=studio.observer,
+        )
+        helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
+        seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
+        known = f"{1e3 * found.after:.1f} mm from where the calibration does"
+        studio.change(done=f"The tool is {seen}, and {known}. {helps}.")
+
+    return job
+
+
+RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
+
+
+def gauges(address: str) -> tuple[str, ...]:
+    """Return what can measure the tool at an address."""
+    return (EMULATOR, CAMERA, RULER) if is_virtual(address) else (RULER, CAMERA)
+
+
+def _where(stop: Stop) -> str:
+    x, y, z = 1e3 * stop.believed
+    again = f"{stop.again}; it is measured once more. " if stop.again else ""
+    return (
+        f"{again}Posture {stop.number} of {stop.total}. The encoders see the tool at {x:.1f} {y:.1f} {z:.1f} mm. "
+        "Where is it? Type x y z in mm, - for one that you did not measure; leave it empty to leave the posture out."
+    )
+
+
+def prove(points: Sequence[Array]) -> Job:
+    """Return what drives to an owner's ``points`` (3,) [m], first as the arm was and then as it is now."""
+
+    def job(studio: Studio) -> None:
+        if not points:
+            raise InputError("there are no points yet; add some, or click on the table")
+        studio.keep(proof=None)
+        studio.release()
+        status, run, proof = studio.status, studio.run, list[Deployed]()
+        before = replace(studio.settings, controller=DefaultController.name, calibration="none")
+        for number, settings in enumerate((before, studio.settings)):
+            part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
+            arm = status.arm if run is None else None
+            done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
+            proof.append(done)
+        studio.keep(proof=tuple(proof))
+        studio.change(
+            done=f"Before: {mean_error(proof[0])}. After, with {proof[1].controller}: {mean_error(proof[1])}."
+        )
+
+    return job
+
+
+def mean_error(done: Deployed) -> str:
+    """Return the mean encoder error of a deployment in words."""
+    errors = [visit.error for visit in done.visits if visit.error is not None]
+    return f"{1e3 * sum(errors) / len(errors):.2f} mm" if errors else "not tried"
+
+
+def go_to(target: Array, within: float = 2e-3) -> Job:
+    """Return what brings the tool to ``target`` (3,) [m], and ``within`` [m]."""
+
+    def job(studio: Studio) -> None:
+        session = studio.session()
+        state = session.move_to(target, within_m=within)
+        error = float("nan") if state is None or state.error_m is None else 1e3 * state.error_m
+        studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
+
+    return job
+
+
+SPEED = 0.05
+"""[m/s] of a played path (chosen)"""
+
+
+def play(points: Sequence[Array], repeat: int) -> Job:
+    """Return what drives through ``points`` (3,) [m] as a smooth path."""
+
+    def job(studio: Studio) -> None:
+        if len(points) < 2:
+            raise InputError("a path needs two points; add the places where the tool is to go")
+        legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
+        _followed(studio, path, repeat)
+
+    return job
+
+
+def play_file(content: bytes) -> Job:
+    """Return what drives along a path of a CSV file."""
+
+    def job(studio: Studio) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "path.csv"
+            path.write_bytes(content)
+            _followed(studio, path, 1)
+
+    return job
+
+
+def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
+    found = studio.session().follow(path, repeat=repeat)
+    if found is not None:
+        error = found.passes[-1].encoder
+        studio.change(
+            done=f"Followed: {1e3 * error.rms_after:.2f} mm off on average, {1e3 * error.rms:.2f} mm with its lag."
+        )
+
+
+def carry(mass: float) -> Job:
+    """Return what tells the arm that its hand carries a ``mass`` [kg]."""
+
+    def job(studio: Studio) -> None:
+        studio.release()
+        studio.settings = replace(studio.settings, payload=mass or None)
+        studio.session()
+        studio.change(done=f"The hand carries {1e3 * mass:.0f} g from now on.")
+
+    return job
+
+
+def serve(listen: str) -> Job:
+    """Return what lets other programs drive the arm until it is stopped."""
+
+    def job(studio: Studio) -> None:
+        run = studio.begin_run()
+        rejoint.serve(studio.status.address, run, listen=listen, settings=studio.settings, observer=studio.observer)
+        studio.change(done="Serving has ended. The arm holds its position.")
+
+    return job
+
+
+def export(kind: str) -> Job:
+    """Return what writes what the run has found for other programs."""
+
+    def job(studio: Studio) -> None:
+        from rejoint.runs.exporting.exports import export_run
+
+        path, told = export_run(studio.begin_run(), kind)
+        studio.change(done=f"{path}: {told}")
+
+    return job
+
+
+def check_again(studio: Studio) -> None:
+    """See whether the arm has become worse."""
+    studio.release()
+    status = studio.status
+    found = rejoint.check(
+        status.address, history=studio.home, arm=status.arm, settings=studio.settings, observer=studio.observer
+    )
+    studio.change(done=f"{found.arm}: {found.line}")
+    history(studio)
+
+
+def history(studio: Studio) -> None:
+    """Read the history of all arms."""
+    rows = find_rows(studio.home)[0] if studio.home.is_dir() else []
+    studio.keep(history=tuple(cells(one) for one in arms_of(rows)))

@@ -1,0 +1,305 @@
+"""What the studio is doing: one job at a time, in one thread. Every page shows the same `Status`."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import re
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+
+import rejoint
+from rejoint.arms import Arm, Array
+from rejoint.control.recording import Observer
+from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
+from rejoint.logs.runfolder import RunFolder
+from rejoint.runs.run import RUNS, Run, newest_or_new
+from rejoint.system.errors import InputError, NotReadyError, RejointError, first_line
+from rejoint.system.extras import explain
+from rejoint.system.stopping import Interrupted, ending, interrupt
+
+StepName = Literal["find", "check", "diagnose", "repair", "calibrate", "prove", "use"]
+LINES = 6
+"""Newest messages that are shown (chosen)"""
+Job = Callable[["Studio"], object]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Status:
+    """What all pages show."""
+
+    step: StepName = "find"
+    address: str = ""
+    """of the chosen arm, or empty"""
+    arm: Arm | None = None
+    run: Path | None = None
+    """folder of its repair"""
+    job: str = ""
+    """what is being done, or empty"""
+    stage: rejoint.Stage | None = None
+    """of a repair"""
+    share: float = 0.0
+    what: str = ""
+    began: float = 0.0
+    """[s] of `time.monotonic`: start of the stage, else of the job"""
+    stopping: bool = False
+    question: str = ""
+    """what the job asks the owner, or empty"""
+    picture: Array | None = None
+    """(height, width, 3) of a camera"""
+    served: str = ""
+    """address for other programs while the arm is served"""
+    error: str = ""
+    """why the last job ended early, and what to do"""
+    done: str = ""
+    """result of the last job"""
+    lines: tuple[str, ...] = ()
+    """newest messages"""
+    found: dict[str, Any] = field(default_factory=dict)
+    """results by name"""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way."""
+        return bool(self.job)
+
+
+class _Messages(logging.Handler):
+    def __init__(self, say: Callable[[str], object]) -> None:
+        super().__init__(logging.WARNING)
+        self._say = say
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a warning."""
+        self._say(record.getMessage())
+
+
+class Studio(Observer):
+    """Holds the status, and does one job at a time; any thread may ask.
+
+    A job calls the public functions, or the session of `arm`, with `observer`.
+    """
+
+    def __init__(self, home: Path = RUNS) -> None:
+        """Begin without an arm; runs are below ``home``."""
+        self.home = home
+        self.observer: Observer = self
+        """given to what drives the arm"""
+        self.settings = rejoint.Settings()
+        self.left = threading.Event()
+        """the program is to end"""
+        self._lock, self._status = threading.RLock(), Status()
+        self._jobs, self._answers = queue.SimpleQueue[tuple[str, Job]](), queue.SimpleQueue[str | None]()
+        self._stopped_by = ""
+        self._session: rejoint.Session | None = None
+        self.seen: JointState | None = None
+        """newest reading of the arm"""
+        self.travel = 0.0
+        """[rad] of all joints in this job"""
+        logging.getLogger("rejoint").addHandler(_Messages(self.message))
+        self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
+        self._thread.start()
+
+    @property
+    def status(self) -> Status:
+        """What is the case now."""
+        return self._status
+
+    def change(self, **fields: Any) -> Status:  # noqa: ANN401 - of `Status`
+        """Change fields of the status."""
+        with self._lock:
+            self._status = replace(self._status, **fields)
+            return self._status
+
+    def keep(self, **results: object) -> None:
+        """Add results of a job; None removes one."""
+        with self._lock:
+            self.change(found={k: v for k, v in (self.status.found | results).items() if v is not None})
+
+    @property
+    def run(self) -> Run | None:
+        """Run of the chosen arm, if it has begun."""
+        path = self.status.run
+        return None if path is None or not RunFolder(path).info.exists() else Run.open(path)
+
+    # --- jobs ---------------------------------------------------------------------------------------
+
+    def do(self, title: str, job: Job) -> bool:
+        """Begin a job, unless one is under way; return whether it began."""
+        with self._lock:
+            if self.status.busy:
+                return False
+            self._stopped_by, self.travel = "", 0.0
+            while not self._answers.empty():
+                self._answers.get()
+            self.change(job=title, share=0.0, what="", began=time.monotonic(), stage=None)
+            self.change(error="", done="", lines=(), stopping=False, question="", picture=None)
+            self._jobs.put((title, job))
+            return True
+
+    def stop(self, by: str = "the stop button") -> None:
+        """End the job from any thread; a moving arm stops within a control period and holds."""
+        with self._lock:
+            if not self.status.busy:
+                self.change(done="Nothing moves. The arm holds its position.")
+                return
+            self._stopped_by = by
+            self.change(stopping=True)
+            self._answers.put(None)
+        interrupt(by)
+
+    def leave(self) -> None:
+        """End the job, let the arm hold, and end the program."""
+        self.left.set()
+        self.stop("the end of the studio")
+        self._thread.join(10.0)
+        self.release()
+
+    def _work(self) -> None:
+        while not self.left.is_set():
+            try:
+                title, job = self._jobs.get(timeout=0.5)
+            except queue.Empty:
+                continue
+            error = ""
+            try:
+                job(self)
+            except BaseException as why:  # noqa: BLE001 - whatever it is, the page says it
+                error = self._line(title, why)
+                self.release()
+                if isinstance(why, Interrupted) and not why.by:  # a signal, which ends the program
+                    self.left.set()
+            with self._lock:
+                self.change(job="", stopping=False, question="", picture=None, served="", error=error)
+
+    def _line(self, title: str, error: BaseException) -> str:
+        """Return in one line why a job ended, and what to do."""
+        if isinstance(error, Interrupted):
+            return f"{title}: stopped by {error.by or 'a signal'}. The arm holds its position."
+        notes = " ".join(getattr(error, "__notes__", ()))
+        if isinstance(error, RejointError):
+            return f"{error}. {notes}".strip() if notes else str(error)
+        if isinstance(error, OSError):
+            return f"{error.filename or title}: {error.strerror or error}. Check the path and the space left."
+        with tempfile.NamedTemporaryFile("w", prefix="rejoint-traceback-", suffix=".txt", delete=False) as file:
+            file.writelines(traceback.format_exception(error))
+        return explain(error) or f"a bug: {type(error).__name__}: {first_line(error)}; where it is: {file.name}"
+
+    # --- the arm ------------------------------------------------------------------------------------
+
+    def session(self) -> rejoint.Session:
+        """Return the session of the chosen arm, which stays open for the next job."""
+        if self._session is None:
+            status = self.status
+            if not status.address:
+                raise InputError("no arm is chosen yet; find it first")
+            self._session = rejoint.connect(
+                status.address, run=self.run, arm=status.arm, settings=self.settings, observer=self.observer
+            )
+        return self._session
+
+    def release(self) -> None:
+        """Close the session; the arm holds."""
+        session, self._session, self.seen = self._session, None, None
+        if session is not None:
+            with suppress(RejointError, KeyboardInterrupt):
+                session.close()
+
+    def begin_run(self, *, quick: bool | None = None) -> Run:
+        """Return the arm's repair, an interrupted or a new one; the session is closed for it.
+
+        A run of a quick try goes on with ``quick`` ones alone.
+        """
+        self.release()
+        status, path = self.status, self.status.run
+        if status.arm is None:
+            raise InputError("no arm is chosen yet; find it first")
+        if path is None:
+            home = self.home / "-".join(re.findall(r"\w+", f"{status.arm.name} {status.address}"))
+            path = newest_or_new(status.address, status.arm, 0, home)
+        if quick is False and RunFolder(path).quick.exists():
+            path = path.parent / f"{int(path.name) + 1:03}"
+        self.change(run=path)
+        return Run.plan(path, status.address, status.arm)
+
+    # --- what the job asks and tells ---------------------------------------------------------------
+
+    def ask(self, question: str) -> str:
+        """Ask the owner, and wait for the answer; Interrupted by `stop`."""
+        self.change(question=question)
+        try:
+            answer = self._answers.get()
+        finally:
+            self.change(question="")
+        if answer is None:
+            self.heed()
+            raise NotReadyError("the question was not answered")
+        return answer
+
+    def answer(self, text: str) -> None:
+        """Answer the question."""
+        if self.status.question:
+            self._answers.put(text)
+
+    def heed(self) -> None:
+        """Raise Interrupted in the job if it is to end, unless the arm is being brought to rest."""
+        if self._stopped_by and not ending() and threading.current_thread() is self._thread:
+            raise Interrupted(2, self._stopped_by)
+
+    def message(self, line: str) -> None:
+        """See `Observer`."""
+        self.change(lines=(*self.status.lines, line)[-LINES:])
+        self.heed()
+
+    def progress(self, share: float, what: str) -> None:
+        """See `Observer`."""
+        self.change(share=min(max(share, 0.0), 1.0), what=what)
+        self.heed()
+
+    def stage(self, stage: object) -> None:
+        """See `Observer`."""
+        self.change(stage=cast("rejoint.Stage", stage), began=time.monotonic())
+        self.heed()
+
+    def partial(self, result: object) -> None:
+        """See `Observer`."""
+        self.keep(partial=result)
+
+    def served(self, address: str) -> None:
+        """See `Observer`."""
+        self.change(served=address)
+
+    def watch(self, robot: Robot, **facts: object) -> Robot:  # noqa: ARG002 - as `Observer` has it
+        """See `Observer`."""
+        return _SeenRobot(robot, self)
+
+
+class _SeenRobot(RobotWrapper):
+    def __init__(self, robot: Robot, studio: Studio) -> None:
+        super().__init__(robot)
+        self._studio = studio
+
+    def read(self) -> JointState:
+        """Read."""
+        self._studio.heed()
+        return self._see(super().read())
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Step, unless the job is to end: a stop between two motions counts in the next one."""
+        self._studio.heed()
+        return self._see(super().step(command, active))
+
+    def _see(self, state: JointState) -> JointState:
+        last, self._studio.seen = self._studio.seen, state
+        if last is not None and last.position.shape == state.position.shape:
+            self._studio.travel += float(np.abs(state.position[0] - last.position[0]).sum())
+        return state

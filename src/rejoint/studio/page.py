@@ -1,0 +1,301 @@
+"""The page of the studio: the scene of the live view, a stop button, and the panel of the step."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.cookies import SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import viser
+import websockets.asyncio.server as sockets
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from rejoint.arms import Array, load_arm
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.recording import Observers
+from rejoint.pages.html import macros
+from rejoint.pages.live.page import AMBER, GREEN, GREY, PACES, RED, SLOWER, TARGET, WebPage
+from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
+from rejoint.robots import DEFAULT_ARM
+from rejoint.studio import jobs, panels
+from rejoint.studio.machine import Job, Status, StepName, Studio
+from rejoint.system.errors import InputError
+
+PING = 2.0
+"""[s] between signs of life of a browser; one that stays silent for twice that is gone (chosen)"""
+AWAY = 4.0
+"""[s] without a page before the arm holds, if the owner wants that (chosen: a reload takes less)"""
+HOLDS = "stops and holds"
+HERE = ("127.0.0.1", "localhost", "[::1]")
+
+
+class Admission:
+    """Decides who may use the page: pages of other sites may not, and from other computers only with the token."""
+
+    def __init__(self, token: str, report: Callable[[], bytes | None]) -> None:
+        """Take a ``token``, empty where this computer alone reaches the page, and what reads the report."""
+        self._token, self._report, self.used = token, report, False
+
+    def answer(self, request: Request) -> Response | None:
+        """Refuse a request, or answer it; None where it may go on to the page."""
+        self.used = True
+        head, path = request.headers, urlsplit(request.path)
+        host, origin = head.get("Host", ""), head.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return _text(HTTPStatus.FORBIDDEN, "This page is used from its own address alone.")
+        if not self._token and host.rpartition(":")[0] not in HERE:
+            return _text(HTTPStatus.FORBIDDEN, "This page is for this computer alone.")
+        if self._token:
+            given = parse_qs(path.query).get("token", [""])[0]
+            if secrets.compare_digest(given.encode(), self._token.encode()):
+                cookie = f"rejoint={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                return Response(HTTPStatus.FOUND, "Found", Headers({"Location": "/", "Set-Cookie": cookie}))
+            crumb = SimpleCookie(head.get("Cookie", "")).get("rejoint")
+            if crumb is None or not secrets.compare_digest(crumb.value.encode(), self._token.encode()):
+                return _text(HTTPStatus.FORBIDDEN, "Open the address with the token that rejoint studio has printed.")
+        if path.path == "/report":
+            page = self._report()
+            if page is None:
+                return _text(HTTPStatus.NOT_FOUND, "There is no report yet.")
+            return Response(HTTPStatus.OK, "OK", Headers({"Content-Type": "text/html; charset=utf-8"}), page)
+        return None
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Ask `answer` in every server of WebSockets that begins inside; viser has no option for that."""
+        serve = sockets.serve
+
+        def guarded(*given: Any, process_request: Callable[..., Any], **words: Any) -> Any:  # noqa: ANN401
+            def ask(connection: Any, request: Request) -> Any:  # noqa: ANN401
+                return self.answer(request) or process_request(connection, request)
+
+            self.used = True
+            return serve(*given, process_request=ask, ping_interval=PING, ping_timeout=2.0 * PING, **words)
+
+        sockets.serve = guarded  # type: ignore[assignment, misc]
+        try:
+            yield
+        finally:
+            sockets.serve = serve  # type: ignore[misc]
+        if not self.used:
+            raise InputError("this version of viser listens in another way; install the one that rejoint names")
+
+
+def _text(status: HTTPStatus, text: str) -> Response:
+    return Response(status, status.phrase, Headers({"Content-Type": "text/plain; charset=utf-8"}), text.encode())
+
+
+class StudioPage(WebPage):
+    """Shows a studio to any number of browsers."""
+
+    label = "rejoint studio"
+
+    def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
+        """Serve it; InputError if the port is taken."""
+        self.studio = studio
+        self.form: dict[str, Any] = {}
+        """what was typed and chosen"""
+        self._admission = Admission(token, self._report)
+        self._drawn: tuple[object, ...] = ()
+        self._frames = 0
+        self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
+        self._parts: list[Any] = []
+        self._marked: object = None
+        self._words = macros("studio.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        super().__init__(host, port)
+        if token:
+            self.address += f"/?token={token}"
+
+    def serve(self, host: str, port: int) -> viser.ViserServer:
+        """Listen, guarded."""
+        with self._admission.listening():
+            return super().serve(host, port)
+
+    def furnish(self, gui: viser.GuiApi) -> None:
+        """Put the parts that never change into the panel, in the order of what matters."""
+        gui.add_html(str(self._words.style()))
+        self._stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP)
+        self._stop.hint = "The arm stops and keeps its position, powered."
+        self._stop.on_click(lambda _: self.studio.stop())
+        self.texts["now"] = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0, color="teal", visible=False)
+        self._step = gui.add_dropdown("Step", list(panels.TITLES.values()))
+        self._step.on_update(lambda event: self._go(event.client is not None))
+        self._panel_of_step = gui.add_folder("Find the arm")
+        with gui.add_folder("The arm now", expand_by_default=False):
+            for name in ("error", "guard", "joints", "legend"):
+                self.texts[name] = gui.add_html("")
+            self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
+        with gui.add_folder("When the browser is closed", expand_by_default=False):
+            self._closed = gui.add_dropdown("The arm", [HOLDS, "goes on"])
+        self.build(load_arm(DEFAULT_ARM), Protocol.threshold)
+        self.server.scene.on_click()(lambda event: self._clicked(event.ray_origin, event.ray_direction))
+
+    # --- parts of a panel ---------------------------------------------------------------------------
+
+    def button(self, label: str, act: Callable[[], object], *, first: bool = False, anyway: bool = False) -> None:
+        """Add a button that does ``act``; during a job it is off, unless ``anyway``."""
+        off = self.studio.status.busy and not anyway
+        made = self.server.gui.add_button(label, color="teal" if first else "gray", disabled=off)
+        made.on_click(lambda _: self._act(act))
+        self._parts.append(made)
+
+    def _act(self, act: Callable[[], object]) -> None:
+        act()
+        self._drawn = ()
+
+    def job(self, label: str, title: str, make: Callable[[], Job], *, first: bool = False) -> None:
+        """Add a button that begins a job."""
+        self.button(label, lambda: self.begin(title, make), first=first)
+
+    def begin(self, title: str, make: Callable[[], Job]) -> None:
+        """Begin a job; what was typed wrong is said on the page."""
+        try:
+            self.studio.do(title, make())
+        except InputError as error:
+            self.studio.change(error=str(error))
+
+    def text(self, label: str, key: str, usual: str = "") -> None:
+        """Add a line to type into."""
+        made = self.server.gui.add_text(label, str(self.form.setdefault(key, usual)))
+        made.on_update(lambda _: self.form.update({key: made.value}))
+        self._parts.append(made)
+
+    def number(self, label: str, key: str, usual: float, step: float = 1.0) -> None:
+        """Add a number."""
+        made = self.server.gui.add_number(label, float(self.form.setdefault(key, usual)), step=step)
+        made.on_update(lambda _: self.form.update({key: made.value}))
+        self._parts.append(made)
+
+    def choice(self, label: str, key: str, options: Sequence[str]) -> None:
+        """Add a list of options, the first by default."""
+        value = self.form.get(key)
+        self.form[key] = value = value if value in options else options[0]
+        made = self.server.gui.add_dropdown(label, list(options), initial_value=value)
+        made.on_update(lambda _: self.form.update({key: made.value}))
+        self._parts.append(made)
+
+    def tick(self, label: str, key: str, usual: bool = False) -> None:
+        """Add a box to tick."""
+        made = self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual)))
+        made.on_update(lambda _: self.form.update({key: made.value}))
+        self._parts.append(made)
+
+    def upload(self, label: str, act: Callable[[bytes], None]) -> None:
+        """Add a button that takes a file."""
+        made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self.studio.status.busy)
+        made.on_upload(lambda _: act(made.value.content))
+        self._parts.append(made)
+
+    def html(self, macro: str, *given: object) -> None:
+        """Add text by a macro of the template."""
+        self._parts.append(self.server.gui.add_html(str(getattr(self._words, macro)(*given))))
+
+    def picture(self, image: Array) -> None:
+        """Add a picture (height, width, 3)."""
+        self._parts.append(self.server.gui.add_image(image.astype(np.uint8)))
+
+    # --- drawing ------------------------------------------------------------------------------------
+
+    def show(self, shown: Shown) -> None:
+        """Begin to draw a run."""
+        super().show(shown)
+        self._marked = None
+
+    def rest(self) -> None:
+        """Stop the arm if the page is gone for long, and its owner wants that."""
+        super().rest()
+        now = time.monotonic()
+        if self._alone is None:
+            self._alone = now
+        elif now - self._alone > AWAY and self._closed.value == HOLDS and not self.studio.status.stopping:
+            self._alone = np.inf
+            self.studio.stop("the studio, as its page was closed")
+
+    def draw(self, doing: Doing, stopped: str) -> None:
+        """Draw new cycles, and what has changed in the studio."""
+        self._alone = None
+        super().draw(doing, stopped)
+        if self._frames % SLOWER == 0:
+            self.render()
+        self._frames += 1
+
+    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+        """Write what follows the arm."""
+        texts = self.words(shown, seen, doing, stopped)
+        for name in ("error", "guard", "joints", "legend"):
+            self.texts[name].content = str(texts[name])
+
+    def render(self) -> None:
+        """Show the status."""
+        status, studio = self.studio.status, self.studio
+        left = jobs.left(studio)
+        self.texts["now"].content = str(self._words.now(status, left, panels.TITLES))
+        self._bar.visible = status.busy
+        self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
+        self._stop.label = "Stopping ..." if status.stopping else "STOP"
+        title = panels.TITLES[status.step]
+        if self._step.value != title:
+            self._step.value = title  # type: ignore[misc]  # declared read-only, and is not
+        shape = (status.step, status.busy, status.question, status.address, status.found, status.picture is None)
+        if len(shape) != len(self._drawn) or any(
+            a is not b and a != b for a, b in zip(shape, self._drawn, strict=True)
+        ):
+            self._drawn = shape
+            self._furnish_step(status)
+        found = status.found.get("diagnosis")
+        if self.shown is not None and self._marked is not found:
+            self._marked = found
+            self.mark(jobs.marks(self.shown.robot.arm, found))
+        if self.shown is not None and not self._recent and studio.seen is not None:
+            self.pose(studio.seen.position[0])
+
+    def _furnish_step(self, status: Status) -> None:
+        for part in self._parts:
+            part.remove()
+        self._parts.clear()
+        self._panel_of_step.label = panels.TITLES[status.step]
+        with self._panel_of_step:
+            panels.PANELS[status.step](self, status)
+
+    def _go(self, by_hand: bool) -> None:
+        step: StepName = next(name for name, title in panels.TITLES.items() if title == self._step.value)
+        if by_hand and step != self.studio.status.step:
+            self.studio.change(step=step, done="")
+
+    def _clicked(self, origin: Sequence[float], direction: Sequence[float]) -> None:
+        """Take a click onto the plane at the chosen height as a point."""
+        height, (start, way) = 1e-3 * float(self.form.get("z", 100.0)), np.array([origin, direction])
+        if self.studio.status.step not in ("prove", "use") or way[2] >= 0.0:
+            return
+        place = start + (height - start[2]) / way[2] * way
+        self.form |= {"x": round(1e3 * place[0]), "y": round(1e3 * place[1])}
+        self.server.scene.add_icosphere("/clicked", 0.006, TARGET, position=place)
+        self._drawn = ()
+        if self.form.get("at once"):
+            self.begin("Going to the point", lambda: jobs.go_to(panels.point(self.form)))
+
+    def _report(self) -> bytes | None:
+        run = self.studio.run
+        return run.page.read_bytes() if run is not None and run.page.exists() else None
+
+
+class StudioView(LiveView):
+    """The view of a studio: its page, and what happens when nobody looks any more."""
+
+    def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
+        """Serve a ``studio``; with a ``token`` other computers may use the page."""
+        super().__init__(host, port)
+        self._studio, self._token = studio, token
+        studio.observer = Observers(studio, self)
+
+    def page_at(self, host: str, port: int) -> StudioPage:
+        """Serve the page of the studio."""
+        return StudioPage(self._studio, host, port, self._token)

@@ -1,0 +1,170 @@
+"""The panels of the steps: each shows the status and offers what one can do next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rejoint.arms import CATALOGUE, Array
+from rejoint.studio import jobs
+from rejoint.studio.machine import Status, StepName
+
+if TYPE_CHECKING:
+    from rejoint.studio.page import StudioPage
+
+TITLES: dict[StepName, str] = {
+    "find": "1  Find the arm",
+    "check": "2  Check it",
+    "diagnose": "3  What is wrong?",
+    "repair": "4  Repair",
+    "calibrate": "5  Calibrate the tool",
+    "prove": "6  Before and after",
+    "use": "7  Use it",
+}
+
+
+def find(page: StudioPage, status: Status) -> None:
+    """Choose an arm, or type its address."""
+    known: dict[str, str] = status.found.get("arms") or {}
+    page.html("hint", "Connect the arm and switch it on. Or try everything with an emulated one.")
+    if known:
+        page.choice("Arm", "arm", list(known))
+    page.text("or its address", "address")
+    page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
+    page.job("Connect", "Connecting", lambda: jobs.choose(chosen(page.form, known), kind(page.form)), first=True)
+    page.job("Look for arms again", "Looking for arms", lambda: jobs.look)
+
+
+def chosen(form: Mapping[str, Any], known: Mapping[str, str]) -> str:
+    """Return the typed address, else that of the chosen arm."""
+    return str(form.get("address") or known.get(form.get("arm", ""), ""))
+
+
+def kind(form: Mapping[str, Any]) -> str | None:
+    """Return the chosen kind of arm; None: by its address."""
+    return form["kind"] if form.get("kind") in CATALOGUE else None
+
+
+def check(page: StudioPage, status: Status) -> None:
+    """Look at servos and surroundings, and confirm a small motion."""
+    page.html("checks", status.found.get("checks") or ())
+    if status.question:
+        page.html("question", status.question)
+        page.button("Yes", lambda: page.studio.answer("yes"), first=True, anyway=True)
+        page.button("No", lambda: page.studio.answer("no"), anyway=True)
+        return
+    page.html("surroundings")
+    page.job("The table is clear: move one joint", "A small motion", lambda: jobs.nudge, first=True)
+    page.job("Look again", "Looking at the servos", lambda: jobs.see)
+
+
+def diagnose(page: StudioPage, status: Status) -> None:
+    """Find out what is wrong."""
+    found = status.found.get("diagnosis")
+    page.html("hint", "The arm goes to ten targets and turns each joint. Watch it beside this panel.")
+    page.tick("Quick try (no result)", "quick")
+    page.job("Diagnose", "Diagnosis", lambda: jobs.diagnose(quick=bool(page.form["quick"])), first=found is None)
+    if found is not None:
+        page.html("diagnosis", found)
+        page.button("Next: repair", lambda: page.studio.change(step="repair"), first=True)
+
+
+def repair(page: StudioPage, status: Status) -> None:
+    """Repair the arm."""
+    done = status.found.get("repaired")
+    page.html("hint", "It fits a simulation of this arm, trains a policy, and compares all controllers on the arm.")
+    page.tick("Quick try (no result)", "quick")
+    page.job("Repair", "Repair", lambda: jobs.repair(quick=bool(page.form["quick"])), first=done is None)
+    if done is not None:
+        page.html("repaired", done, status.found.get("advice"))
+        page.button("Next: before and after", lambda: page.studio.change(step="prove"), first=True)
+        page.job("Begin a new repair", "Another repair", lambda: jobs.again)
+
+
+def calibrate(page: StudioPage, status: Status) -> None:
+    """Measure where the tool really is."""
+    if status.picture is not None:
+        page.picture(status.picture)
+    if status.question:
+        page.html("question", status.question)
+        page.form["measured"] = ""
+        page.text("x y z in mm", "measured")
+        page.button("Enter", lambda: page.studio.answer(str(page.form["measured"])), first=True, anyway=True)
+        return
+    page.html("hint", "Encoders do not see everything. A few measured points show where the tool really is.")
+    page.choice("Measure with", "gauge", jobs.gauges(status.address))
+    page.number("Postures", "count", 10)
+    page.text("Board", "board", "board.toml")
+    page.job("Calibrate", "Calibration", lambda: jobs.calibrate(*measuring(page.form)), first=True)
+
+
+def measuring(form: Mapping[str, Any]) -> tuple[str, int, Path]:
+    """Return what measures, the number of postures, and the file of the board."""
+    return form["gauge"], max(int(form["count"]), 2), Path(form["board"])
+
+
+def prove(page: StudioPage, status: Status) -> None:
+    """Compare before and after on points of the owner."""
+    page.html("hint", "Your own points, in mm from the middle of the base. A click on the table fills in x and y.")
+    places(page, status)
+    points = page.form.setdefault("points", [])
+    page.html("points", points)
+    page.button("Add the point", lambda: points.append(point(page.form)))
+    page.button("Remove all points", points.clear)
+    page.job("Compare before and after", "Before and after", lambda: jobs.prove(list(points)), first=True)
+    if status.found.get("proof"):
+        page.html("proof", status.found["proof"])
+        page.button("Next: use it", lambda: page.studio.change(step="use"), first=True)
+
+
+def places(page: StudioPage, status: Status) -> None:
+    """Type a point."""
+    middle = (
+        [150.0, 0.0, 150.0] if status.arm is None else 500.0 * (status.arm.targets.lower + status.arm.targets.upper)
+    )
+    for name, usual in zip("xyz", middle, strict=True):
+        page.number(f"{name} mm", name, round(float(usual)))
+
+
+def use(page: StudioPage, status: Status) -> None:
+    """Drive the arm, let others drive it, and look after it."""
+    page.html("hint", "Type a point, or click on the table: the height is that of z.")
+    places(page, status)
+    page.number("Accept mm", "within", 2.0, step=0.1)
+    page.tick("Go where I click", "at once")
+    page.job("Go", "Going to the point", lambda: jobs.go_to(point(page.form), 1e-3 * page.form["within"]), first=True)
+    path = page.form.setdefault("path", [])
+    page.html("points", path)
+    page.button("Record the point", lambda: path.append(point(page.form)))
+    page.button("Forget the path", path.clear)
+    page.number("Times", "times", 1.0)
+    page.job("Play the path", "Path", lambda: jobs.play(list(path), max(int(page.form["times"]), 1)))
+    page.upload("Play a path file (CSV)", lambda content: page.begin("Path", lambda: jobs.play_file(content)))
+    page.number("Load g", "load", 0.0)
+    page.job("The hand carries this load", "Payload", lambda: jobs.carry(1e-3 * max(page.form["load"], 0.0)))
+    page.text("For programs", "listen", "127.0.0.1:9001")
+    page.job("Let programs drive it", "Serving", lambda: jobs.serve(str(page.form["listen"])))
+    page.choice("Export", "export", ("datasheet", "urdf", "onnx", "ros2", "lerobot"))
+    page.job("Write the file", "Export", lambda: jobs.export(page.form["export"]))
+    page.job("Check again", "Check", lambda: jobs.check_again)
+    page.job("History of all arms", "History", lambda: jobs.history)
+    page.html("history", status.found.get("history") or ())
+
+
+PANELS: dict[StepName, Callable[[Any, Status], None]] = {
+    "find": find,
+    "check": check,
+    "diagnose": diagnose,
+    "repair": repair,
+    "calibrate": calibrate,
+    "prove": prove,
+    "use": use,
+}
+
+
+def point(form: Mapping[str, Any]) -> Array:
+    """Return the typed point (3,) [m]."""
+    return np.array([1e-3 * float(form[name]) for name in "xyz"])

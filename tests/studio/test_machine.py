@@ -1,0 +1,172 @@
+"""The studio without a page: one job at a time, a stop that ends each of them, and errors from which one can go on."""
+
+import re
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import tcp_position
+from rejoint.control.recording import Observer, Observers
+from rejoint.control.robot import WallClock
+from rejoint.runs.repair import MOVING, STAGES
+from rejoint.studio import jobs
+from rejoint.studio.machine import Studio
+from rejoint.system.errors import AddressError
+
+
+class RealTime(Observer):
+    """Slows an emulated arm down to the wall clock."""
+
+    def watch(self, robot, **_):
+        return WallClock(robot, lambda: 1.0)
+
+
+@pytest.fixture
+def studio(tmp_path):
+    machine = Studio(tmp_path / "runs")
+    yield machine
+    machine.leave()
+
+
+def until(condition, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def do(studio, job, *answers):
+    """Do a job to its end, with answers to its questions; return the status."""
+    assert studio.do("a job", job)
+    given = list(answers)
+    while studio.status.busy:
+        if studio.status.question and given:
+            studio.answer(given.pop(0))
+            until(lambda: not (studio.status.question and given))
+        time.sleep(0.01)
+    return studio.status
+
+
+def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
+    assert "emulated:worn" in do(studio, jobs.look).found["arms"].values()
+    status = do(studio, jobs.choose("emulated:worn"))
+    assert (status.step, status.arm.name, status.error) == ("check", "mycobot280", "")
+    assert all(line.good for line in status.found["checks"])
+    assert do(studio, jobs.nudge, "no").step == "check"
+    assert studio.status.error
+    assert do(studio, jobs.nudge, "yes").step == "diagnose"
+    status = do(studio, jobs.diagnose(quick=True))
+    assert status.found["diagnosis"].condition in ("worn", "bad")
+    marks = jobs.marks(status.arm, status.found["diagnosis"])
+    assert set(marks) <= set(range(status.arm.joints))
+    assert any("mm" in text for text in marks.values())
+    assert rejoint.Run.open(status.run).diagnosis is not None
+    points = [np.array([0.17, 0.0, 0.2]), np.array([0.18, 0.04, 0.21])]
+    before, after = do(studio, jobs.prove(points)).found["proof"]
+    errors = [np.mean([visit.error for visit in done.visits]) for done in (before, after)]
+    assert errors[1] < 0.3 * errors[0]
+    target = np.array([0.18, 0.02, 0.2])
+    assert not do(studio, jobs.go_to(target, within=5e-4)).error
+    place = tcp_position(status.arm, studio.session().state.joints_rad)
+    assert np.linalg.norm(place - target) < 1e-3
+
+
+def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
+    do(studio, jobs.choose("emulated:healthy"))
+    assert studio.do("calibration", jobs.calibrate(jobs.RULER, 2, None))
+    asked = set()
+    while studio.status.busy:
+        question = studio.status.question
+        if question and question not in asked:
+            asked.add(question)
+            x, y, z = re.search(r"at (\S+) (\S+) (\S+) mm", question).groups()
+            studio.answer(f"{x} {y} {z}")
+        time.sleep(0.01)
+    assert not studio.status.error, studio.status.error
+    assert len(asked) == 4
+    assert not studio.status.error, studio.status.error
+    assert rejoint.Run.open(studio.status.run).folder.calibration.exists()
+
+
+def test_only_one_job_is_done_at_a_time_and_a_question_is_answered_once(studio):
+    heard = []
+    assert studio.do("first", lambda machine: heard.append(machine.ask("which one?")))
+    assert not studio.do("second", lambda _: heard.append("second"))
+    until(lambda: studio.status.question)
+    studio.answer("this")
+    until(lambda: not studio.status.busy)
+    studio.answer("late")
+    assert heard == ["this"]
+
+
+def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
+    assert studio.do("asking", lambda machine: machine.ask("which one?"))
+    until(lambda: studio.status.question)
+    studio.stop()
+    until(lambda: not studio.status.busy, 5.0)
+    assert "stop" in studio.status.error
+
+    def busy(machine):
+        while True:
+            machine.observer.progress(0.5, "thinking")
+            time.sleep(0.005)
+
+    assert studio.do("thinking", busy)
+    studio.stop()
+    until(lambda: not studio.status.busy, 5.0)
+    assert studio.do("next", lambda _: None)
+
+
+@pytest.mark.realtime
+def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
+    studio.observer = Observers(studio, RealTime())
+    do(studio, jobs.choose("emulated:worn"))
+    do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2])))
+    for number in range(5):
+        side = 0.09 * (-1) ** number
+        assert studio.do("going", jobs.go_to(np.array([0.16, side, 0.2]), within=1e-4))
+        until(lambda: studio.travel > 0.05 or not studio.status.busy)
+        assert studio.status.busy, studio.status.error
+        pressed = time.monotonic()
+        threading.Thread(target=studio.stop).start()
+        until(lambda: not studio.status.busy, 5.0)
+        assert time.monotonic() - pressed < 0.3
+        assert "stopped" in studio.status.error
+    assert not do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2]))).error
+
+
+def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio, monkeypatch):
+    status = do(studio, jobs.choose("tcp://127.0.0.1:9"))
+    assert status.error
+    assert "\n" not in status.error
+    assert (status.step, status.address) == ("find", "")
+    do(studio, jobs.choose("emulated:worn"))
+    session = studio.session()
+    monkeypatch.setattr(type(session), "move_to", lambda *_, **__: _off())
+    status = do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2])))
+    assert status.error == "the arm is off"
+    monkeypatch.undo()
+    assert not do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2]))).error
+    assert studio.session() is not session
+
+
+def _off():
+    raise AddressError("the arm is off")
+
+
+def test_a_known_arm_is_used_at_once(studio, tmp_path):
+    do(studio, jobs.choose("emulated:worn"))
+    do(studio, jobs.diagnose(quick=True))
+    again = Studio(tmp_path / "runs")
+    status = do(again, jobs.choose("emulated:worn"))
+    assert status.run == studio.status.run
+    assert status.found["diagnosis"] is not None
+    again.leave()
+
+
+def test_every_stage_of_a_repair_has_a_time():
+    assert set(jobs.EXPECTED) == set(STAGES)
+    assert set(jobs.TURNS) == set(MOVING)
