@@ -16,7 +16,6 @@ import numpy as np
 
 import rejoint
 from rejoint.arms import load_arm
-from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import LookedAt, cycle_at_rest
 from rejoint.control.robot import JointState, Robot
 from rejoint.logs.runlog import read_log
@@ -40,7 +39,7 @@ def play(view: LiveView, over: Callable[[], bool]) -> None:
     arm = load_arm(log.arm)
     told = SimpleNamespace(arm=arm, address="a recording, while the simulation is prepared", count=1)
     seen = view.watch(cast(Robot, told), paced=False)
-    look = cast(LookedAt, seen).onlooker("default", GuardLimits.of(arm))
+    look = cast(LookedAt, seen).onlooker("default")
     visits = np.append(0, np.cumsum((np.diff(log.target, axis=0) != 0.0).any(axis=1)))
     while True:
         began = time.monotonic() - log.time[0]

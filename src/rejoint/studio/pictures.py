@@ -9,8 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rejoint.camera.board import ON_TOOL, Board, read_board
-from rejoint.camera.detector import Detector, Picture, Unusable
+from rejoint.camera.board import ON_TOOL, Board, Detector, Picture, Unusable, read_board
 from rejoint.camera.filming import CameraGauge, StillCamera
 from rejoint.camera.tracker import LiveCamera
 from rejoint.control.robot import Robot
