@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from itertools import product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +21,6 @@ from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import Solution, solve_position
 from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
-
-optimize = Late("scipy.optimize")
 
 SAMPLES = 4096
 """postures drawn (chosen)"""
@@ -31,14 +28,17 @@ SAMPLES = 4096
 EDGES = np.array([0.2, 0.4, 0.2])
 """largest edges over the reach (Park et al. 2024, section IV-A)"""
 
+STEPS = 6
+"""grid steps per edge (chosen)"""
+
 LIMIT_MARGIN = 0.05
 """share of a joint's range from each limit, at targets (chosen)"""
 
-REST_MARGIN, REST_INSIDE = 0.15, 0.3
-"""the same at rest, and least distance [rad] where the range has room for it (chosen)"""
+REST_MARGIN = 0.15
+"""the same at rest (chosen)"""
 
-REST_HEIGHT, REST_APART = 0.18, 0.05
-"""of the TCP above the floor, over the reach, and distance that it and all that rises keep beyond it (chosen)"""
+REST_HEIGHT = 0.18
+"""of the TCP above the floor, over the reach (chosen)"""
 
 AXIS_CLEARANCE = 0.15
 """of targets from the base axis, over the reach (chosen)"""
@@ -52,10 +52,10 @@ _RISING = 0.2
 _FLAT = 1e-6
 """manipulability over cubed reach on a surface (rounding)"""
 
-_MEMBERS, _GENERATIONS = 64, 150
-"""of the search for a rest posture (chosen)"""
-_CUTS = 40
-"""of a region of targets, by a sixth of an edge (chosen)"""
+_CANDIDATES, _SPREAD = 8, 16
+"""start postures and their distance in rank"""
+_CLIMB = 60
+"""steps (chosen)"""
 
 
 def reach(arm: Arm) -> float:
@@ -132,8 +132,8 @@ def _manipulability(arm: Arm, q: Array) -> Array:
     return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
 
 
-def _score(survey: _Survey, q: Array) -> Array:
-    """Scores of postures (..., n); minus infinity: unusable."""
+def _score(survey: _Survey, q: Array, apart: float, margin: float) -> Array:
+    """Scores of postures (..., n); minus infinity: unusable. See `_SEARCHES`."""
     arm, f = survey.arm, frames(survey.arm, q)
     tcp = f.tcp_position
     middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
@@ -147,39 +147,31 @@ def _score(survey: _Survey, q: Array) -> Array:
         - np.abs(gravity_torque(arm, q)).max(axis=-1) / max(survey.torque, 1e-12)
     )
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
-    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - REST_INSIDE, 2 * LIMIT_MARGIN * half))
+    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - margin, 2 * LIMIT_MARGIN * half))
     inside = (np.abs(q - middle) <= most).all(axis=-1)
-    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * REST_APART) * survey.reach
-    return np.where(survey.clear(f, REST_APART) & ahead & inside & high, score, -np.inf)
+    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * apart) * survey.reach
+    return np.where(survey.clear(f, apart) & ahead & inside & high, score, -np.inf)
 
 
-def _rest_posture(survey: _Survey) -> Array | None:
-    """Posture (n,) [rad] in whole degrees with the best score, or None without a usable one."""
-
-    def cost(degrees: Array) -> Array:
-        return -_score(survey, np.radians(degrees.T))
-
-    start = np.degrees(survey.postures)
-    limits = np.degrees([survey.low, survey.high]).T
-    found = optimize.differential_evolution(
-        cost,
-        limits,
-        init=start[np.argsort(cost(start.T), kind="stable")[:_MEMBERS]],
-        integrality=np.ones(len(limits), dtype=bool),
-        maxiter=_GENERATIONS,
-        tol=1e-3,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        rng=0,
-    )
-    return np.radians(found.x + 0.0) if np.isfinite(found.fun) else None
+def _rest_candidates(survey: _Survey, apart: float, margin: float) -> Array:
+    """Postures (c, n) [rad] in whole degrees, the best first, by random local search."""
+    scores = _score(survey, survey.postures, apart, margin)
+    best = np.degrees(survey.postures[np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]])
+    rng, low, high = np.random.default_rng(1), np.degrees(survey.low), np.degrees(survey.high)
+    for width in np.geomspace(0.2, 0.003, _CLIMB):
+        moves = width * (high - low) * rng.normal(size=(16, *best.shape)) * (rng.random((16, *best.shape)) < 0.5)
+        moves[0] = 0.0
+        trial = np.clip(np.rint(best + moves), np.ceil(low), np.floor(high))
+        choice = _score(survey, np.radians(trial), apart, margin).argmax(axis=0)
+        best = trial[choice, np.arange(len(best))]
+    found = np.radians(np.unique(best + 0.0, axis=0))
+    value = _score(survey, found, apart, margin)
+    return found[np.argsort(-value, kind="stable")][: np.isfinite(value).sum()]
 
 
-def _good(survey: _Survey, rest: Array, points: Array) -> NDArray[np.bool_]:
-    """Which targets (N, 3) [m] are reached with margins."""
+def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> NDArray[np.bool_]:
     arm = replace(survey.arm, rest=rest)
-    solution = solve_position(arm, points, rest, tolerance=1e-4 * survey.reach)
+    solution = solve_position(arm, points, rest, tolerance=1e-4 * survey.reach, iterations=iterations)
     margin = LIMIT_MARGIN * (arm.upper - arm.lower)
     inside = ((solution.q > arm.lower + margin) & (solution.q < arm.upper - margin)).all(axis=-1)
     load = np.abs(gravity_torque(arm, solution.q)).max(axis=-1)
@@ -189,25 +181,30 @@ def _good(survey: _Survey, rest: Array, points: Array) -> NDArray[np.bool_]:
 
 
 def _largest_box(survey: _Survey, rest: Array) -> Box | None:
-    """Box about the resting TCP: faces with bad targets move inwards, and the opposite ones outwards at first."""
-    centre, edges = tcp_position(survey.arm, rest), EDGES * survey.reach
-    bounds, kept = centre + np.outer([-0.5, 0.5], edges), np.zeros((2, 3), dtype=bool)
-    for _ in range(_CUTS):
-        lower, upper = np.ceil(bounds[0] * 1e3) / 1e3, np.floor(bounds[1] * 1e3) / 1e3
+    """Grow boxes of good targets around the resting TCP, axis by axis; the largest one."""
+    centre, step = tcp_position(survey.arm, rest), EDGES * survey.reach / STEPS
+    ticks = np.arange(-STEPS, STEPS + 1)
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    good, spans = _good(survey, rest, centre + grid * step), []
+    for order in permutations(range(3)):
+        span = np.full((2, 3), STEPS)
+        for axis, _, side in product(order, range(STEPS), (0, 1)):
+            bigger = span.copy()
+            bigger[side, axis] += 2 * side - 1
+            inside = tuple(slice(first, last + 1) for first, last in bigger.T)
+            if (np.ptp(bigger, axis=0) <= STEPS).all() and good[inside].all():
+                span = bigger
+        spans.append(span)
+    span = max(spans, key=lambda one: int(np.ptp(one, axis=0).prod()))
+    lower, upper = centre + (span - STEPS) * step
+    for _ in range(10):
+        lower, upper = np.ceil(lower * 1e3) / 1e3, np.floor(upper * 1e3) / 1e3
         if (upper - lower).min() <= 0:
             return None
         box = Box(lower=lower, upper=upper)
-        good = _good(survey, rest, box.grid(8)).reshape(8, 8, 8)
-        if good.all():
+        if _good(survey, rest, box.grid(8), 200).all():
             return box
-        room = np.abs(bounds - centre)
-        share = np.array([[good.take(side, axis).mean() for axis in range(3)] for side in (0, -1)])
-        side, axis = np.unravel_index(np.argmin(np.where(room > 1e-9, share, np.inf)), share.shape)
-        way = min(room[side, axis], edges[axis] / 6.0) * (1.0 if side == 0 else -1.0)
-        bounds[side, axis] += way
-        kept[side, axis] = True
-        if not kept[1 - side, axis]:
-            bounds[1 - side, axis] += way
+        lower, upper = lower + 0.06 * (centre - lower), upper + 0.06 * (centre - upper)
     return None
 
 
@@ -293,6 +290,8 @@ _LEAST = 0.25
 _LEAST_HOLDS = 0.1
 """Safe share around rest (chosen)"""
 
+_SEARCHES = ((0.0, 0.0), (0.05, 0.3), (0.1, 0.3))
+"""Extra distances from floor (over the reach) and limits [rad] (chosen)"""
 
 _STEPS = 0.8 ** np.arange(8)
 """(chosen)"""
@@ -365,15 +364,22 @@ def postures_to_hold(
 
 def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
-    survey = _survey(arm)
-    rest = _rest_posture(survey)
-    box = None if rest is None else _largest_box(survey, rest)
-    lack = "has a region of reachable targets"
-    if rest is not None and box is not None:
-        trial = replace(arm, rest=rest, targets=box)
-        if min(room(trial)) >= _LEAST:
-            return rest, box
-        lack = f"has room for an excitation (of the best one: {unsafe(trial, rest) or 'most around it are not safe'})"
+    survey, why, found = _survey(arm), "", list[tuple[float, Array, Box]]()
+    for apart, margin in _SEARCHES:
+        for rest in _rest_candidates(survey, apart, margin):
+            box = _largest_box(survey, rest)
+            if box is None:
+                continue
+            trial, edges = replace(arm, rest=rest, targets=box), box.upper - box.lower
+            share, spread = room(trial)
+            if (edges >= 0.5 * EDGES * survey.reach).all() and share >= _LEAST and spread == 1.0:
+                return rest, box
+            why = why or unsafe(trial, rest) or "most postures around it are not safe"
+            if min(share, spread) >= _LEAST:
+                found.append((share * spread * float(edges.prod()), rest, box))
+    if found:
+        return max(found, key=lambda one: one[0])[1:]
+    lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
     raise NoPostureError(
         f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
         f"and room in every joint {lack}; give rest_deg in the arm's TOML file"

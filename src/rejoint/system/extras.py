@@ -23,7 +23,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "feetech": ("scservo_sdk",),
     "dynamixel": ("dynamixel_sdk",),
     "fleet": ("ray",),
-    "live": ("viser", "trimesh", "jinja2"),
+    "live": ("viser", "trimesh", "jinja2", "websockets"),
 }
 """Imported modules per extra"""
 

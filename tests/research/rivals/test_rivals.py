@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from rejoint.control.controllers.law import NOMINAL_PERIOD, dls_step
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position
+from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
