@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
+from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics, tcp_position
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.moving.posture import STEP, Servos, command_for, joint_weights, speed_of
 from rejoint.control.robot import ControlInput, Mask
@@ -134,7 +134,7 @@ class Tracker:
         self._pace = Pace()
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
         self._wanted = self._expected = inputs.sent.copy()
-        self._missed = np.zeros((count, 3))  # [m] by light joints, smoothed
+        self._shift = np.zeros_like(self._wanted)  # (B, n) [rad] of heavy joints, for light ones
         self._last: Array | None = None  # (B,) [s] when the last command went out
         self._period = np.full(count, self._usual)
 
@@ -146,7 +146,7 @@ class Tracker:
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
         position, planned = inputs.state.position, inputs.goal
-        shift = self._relieve(position, position - planned, elapsed)
+        shift = self._relieve(position, planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
         away, speed = observer.soon(now)
         ahead = self._servos.delay + 0.5 * self._period + EARLY
@@ -165,13 +165,13 @@ class Tracker:
         most = (PACE / late) ** 2 * mass / self._servos.stiffness - 1.0
         return np.clip(most / STIFFNESS, 0.0, 1.0)
 
-    def _relieve(self, position: Array, away: Array, elapsed: Array) -> Array:
-        """Extra motion (B, n) [rad] of heavy joints for light ones ``away`` (B, n)."""
+    def _relieve(self, position: Array, planned: Array, elapsed: Array) -> Array:
+        """Extra motion (B, n) [rad] of heavy joints that brings the tool to its place wherever the light ones are."""
         light = joint_weights(self._arm) > 1.0
-        jacobian = position_kinematics(self._arm, position)[1]
-        missed = ((jacobian * light) @ away[..., None])[..., 0]
-        self._missed += (1.0 - np.exp(-elapsed / RELIEF))[:, None] * (missed - self._missed)
-        return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
+        there, jacobian = position_kinematics(self._arm, np.where(light, position, planned + self._shift))
+        step = dls(jacobian * ~light, tcp_position(self._arm, planned) - there, _RELIEF_DAMPING)
+        self._shift = self._shift + (1.0 - np.exp(-elapsed / RELIEF))[:, None] * step
+        return self._shift
 
     def _effective(self, sent: Array) -> Array:
         """Limit ``sent`` (B, n) [rad] to the servo's torque: no windup."""
