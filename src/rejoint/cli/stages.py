@@ -396,7 +396,7 @@ def gains(
     keep: bool = False,
     yes: bool = False,
 ) -> object:
-    """Search for better gains of the servos themselves (SO-101, Dynamixel), on the arm; what is found takes part in `rejoint compare`."""
+    """Search for better gains of the servos themselves, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
         found = call.stage("gains", rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")

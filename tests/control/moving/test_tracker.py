@@ -70,6 +70,17 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
         assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
 
 
+def test_the_tool_follows_though_a_wrist_joint_is_stuck_far_from_where_it_should_be():
+    guide, worn = standard_path("circle-8s", ARM), load_wear("worn", ARM)
+    stuck = {name: np.where(np.arange(ARM.joints) == 3, 5.0, getattr(worn, name)) for name in ("coulomb", "stiction")}
+    start = PathPostures(ARM, guide.place[:1]).last + np.radians([0.0, 0.0, 0.0, -60.0, 0.0, 0.0])
+    robot = EmulatedRobot(ARM, [replace(worn, **stuck)], seed=0, start=start)
+    schedule = Schedule(dwell=2.0 + guide.duration, sent=start)
+    seen = run(robot, Tracker(ARM, worn_servos()), PathReference(ARM, [guide], None), schedule)
+    assert np.ptp(seen.position[:, 0, 3]) < np.radians(1.0)
+    assert judge(ARM, seen, guide, 0).encoder.rms < 2e-3
+
+
 @pytest.mark.parametrize(
     ("usual", "period", "most"),
     [(0.025, (0.050, 0.050), 2.0e-3), (0.05, (0.045, 0.055), 2.5e-3)],
