@@ -199,3 +199,8 @@ def test_a_shell_completes_names_of_commands():
     words = {"_REJOINT_COMPLETE": "complete_bash", "COMP_WORDS": "rejoint do", "COMP_CWORD": "1"}
     code = "import sys; sys.argv = ['rejoint']; from rejoint.__main__ import main; main()"
     assert python("-c", code, env=os.environ | words).out.split() == ["doctor"]
+
+
+@pytest.mark.parametrize("words", [[], ["repair"], ["research"], ["arms", "add"]], ids=" ".join)
+def test_help_shows_that_flags_take_no_value(cli, words):
+    assert "bool" not in cli(*words, "--help").out

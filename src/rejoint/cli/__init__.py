@@ -59,7 +59,22 @@ def texts(package: str) -> dict[str, Any]:
     return tomllib.loads((files(package) / "options.toml").read_text(encoding="utf-8"))
 
 
-class CommandGroup(TyperGroup):
+class _Helped:
+    """Shows that flags take no value."""
+
+    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - the framework's own kind
+        """Return options and arguments."""
+        found = super().get_params(ctx)  # type: ignore[misc]
+        for one in found:
+            one.metavar = "" if getattr(one, "is_flag", False) else one.metavar
+        return found
+
+
+class _Command(_Helped, TyperCommand):
+    """A single command."""
+
+
+class CommandGroup(_Helped, TyperGroup):
     """Lists commands, and loads a command's module when that command is wanted."""
 
     table: Mapping[str, Any] = texts(__name__)["commands"]
@@ -86,7 +101,7 @@ class CommandGroup(TyperGroup):
             return typer.main.get_command(function)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
         about = texts(str(module.__package__))[cmd_name]["about"]
-        alone.command(cmd_name, help=about, context_settings=HELP | entry.settings)(function)
+        alone.command(cmd_name, cls=_Command, help=about, context_settings=HELP | entry.settings)(function)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
@@ -157,13 +172,11 @@ def _version(asked: bool) -> None:
 def _whole(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", "-V", callback=_version, is_eager=True, metavar="", help="Show the version and exit."
-        ),
+        typer.Option("--version", "-V", callback=_version, is_eager=True, help="Show the version and exit."),
     ] = False,
     verbose: Annotated[
         bool,
-        typer.Option(*VERBOSE, metavar="", help="Say more: what the libraries log, and where an error comes from."),
+        typer.Option(*VERBOSE, help="Say more: what the libraries log, and where an error comes from."),
     ] = False,
 ) -> None: ...
 

@@ -252,8 +252,6 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
     words = {"help": entry} if isinstance(entry, str) else dict(entry)
     argument, flag = words.pop("argument", None), words.pop("flag", f"--{name.replace('_', '-')}")
-    if kind is bool:
-        words["metavar"] = ""  # takes no value
     described = typer.Argument(metavar=argument, **words) if argument else typer.Option(flag, **words)
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
