@@ -16,7 +16,7 @@ import rejoint
 from commandline import python
 from rejoint.robots import place_of, ports
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.system.shell import listen_tcp
+from rejoint.system.shell import host_and_port, listen_tcp
 
 POLICY = Path(rejoint.__file__).parent / "control" / "controllers" / "policies" / "mycobot280.onnx"
 SERVO, COBOT = b"\xff\xff\x01\x02\x00\xfc", b"\xfe\xfe\x03\x12\x01\xfa"
@@ -204,3 +204,10 @@ def test_a_shell_completes_names_of_commands():
 @pytest.mark.parametrize("words", [[], ["repair"], ["research"], ["arms", "add"]], ids=" ".join)
 def test_help_shows_that_flags_take_no_value(cli, words):
     assert "bool" not in cli(*words, "--help").out
+
+
+@pytest.mark.parametrize("listen", ["x", "99999", ":80", ""])
+def test_a_place_to_listen_at_is_a_port_with_or_without_a_host(listen):
+    assert host_and_port("--listen", "9601") == host_and_port("--listen", "127.0.0.1:9601") == ("127.0.0.1", 9601)
+    with pytest.raises(rejoint.InputError, match="expected HOST:PORT"):
+        host_and_port("--listen", listen)

@@ -54,9 +54,9 @@ BUFFER = 1 << 16
 
 
 def host_and_port(option: str, text: str) -> tuple[str, int]:
-    """Read HOST:PORT of an ``option``; InputError for anything else."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
+    """Read HOST:PORT of an ``option``, or a port of this computer alone; InputError for anything else."""
+    host, _, port = (text if ":" in text else f"127.0.0.1:{text}").rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
         raise InputError(f"{option} {text!r}: expected HOST:PORT, such as 127.0.0.1:9000")
     return host, int(port)
 
