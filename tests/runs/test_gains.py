@@ -11,7 +11,7 @@ import pytest
 import rejoint
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.contract import decode_contract, encode_contract
-from rejoint.control.servogains import GainsFound, Round
+from rejoint.control.servogains import GainsFound, OverloadedError, Round
 from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
@@ -78,6 +78,27 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     assert all(gains in robot.history for gains in (found.alone, found.under))
     settled = {row.controller: row.settled.mean.value for row in compared.comparison.rows}
     assert settled["servo-gains"] < settled["default"]
+
+
+def test_gains_that_a_servo_does_not_bear_are_left_out_and_the_others_are_compared(tmp_path):
+    class Weak(ServoRobot):
+        def tune(self, gains):
+            if gains["p"][1] > 32:
+                raise OverloadedError(
+                    "shoulder_lift does not bear p=48: load 75 %, 31 deg C; the gains are as before", 1
+                )
+            super().tune(gains)
+
+    robot, run = Weak(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    found_by(run)
+    plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))
+    point = [[0.33, 0.05, 0.22]]
+    found = rejoint.compare(robot, ["default", "servo-gains"], point, run=run, plan=plan).comparison
+    assert [row.controller for row in found.rows] == ["default"]
+    assert "servo-gains" in found.left_out[0]
+    assert "load 75 %" in found.left_out[0]
+    with pytest.raises(OverloadedError):
+        rejoint.compare(robot, ["servo-gains"], point, run=run, plan=plan)
 
 
 def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):

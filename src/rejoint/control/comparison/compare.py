@@ -42,7 +42,7 @@ from rejoint.control.loop import run
 from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
-from rejoint.control.servogains import limits_under, require_gains, under_gains
+from rejoint.control.servogains import OverloadedError, limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
@@ -183,7 +183,7 @@ class TrialRunner:
             batched=settings.batched,
             protocol=settings.protocol,
             rows=rows,
-            left_out=tuple(self._out[name] for name in left_out),
+            left_out=tuple(f"{name} {self._out[name]}." for name in left_out),
             block=settings.block,
             orientations=tuple(words),
         )
@@ -258,7 +258,13 @@ class TrialRunner:
             self._to_rest(robot)
             if name in self._out:  # its period does not suit, as the first motion has shown
                 return
-            driven, recording = self._drive(robot, key)
+            try:
+                driven, recording = self._drive(robot, key)
+            except OverloadedError as heavy:  # a servo does not bear its gains, and has those from before
+                if len(self._left()) == 1:
+                    raise
+                self._out[name] = f"was left out, because {heavy}"
+                return
             if recording.gaps().max(initial=0.0) < LONG_GAP:
                 break
         if driven:
@@ -290,7 +296,7 @@ class TrialRunner:
             except ContractError as error:
                 if not self.settings.leave_out or len(self._left()) == 1:
                     raise
-                self._out[name] = f"{name} did not take part: {error}."
+                self._out[name] = f"did not take part: {error}"
 
     # --- a trial ------------------------------------------------------------------------------
 
