@@ -5,6 +5,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --no-compile
 
+# Packages come without compiled modules, most of which nothing imports. What is imported is kept compiled, also where the
+# environment forbids that: else each process would compile it again, for ten seconds.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: repair test wheel-test judge check docs bench format clean
 
 repair: $(VENV)/repair
