@@ -8,9 +8,8 @@ import numpy as np
 from benchmarks.truth import excite, to_targets, worn
 from rejoint.arms import Arm, mycobot280
 from rejoint.diagnosis.excitation import Excitation, plan_excitation
-from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import Problem
-from rejoint.twin.parameters import Layout, pack, prior
+from rejoint.twin.parameters import TIMESTEP, Layout, pack, prior
 from rejoint.twin.replay import Replay, cut
 
 OFF, ALIKE = np.radians(0.12), 8.0

@@ -1,4 +1,4 @@
-"""A friction law is added in two files: what docs/architecture.md says of it is done to a copy of the package."""
+"""A friction law is added in one file: what docs/architecture.md says of it is done to a copy of the package."""
 
 import os
 import shutil
@@ -9,7 +9,7 @@ import pytest
 
 import rejoint
 from commandline import python
-from rejoint.twin.chain.friction import STRIBECK_SPEED, dry_friction
+from rejoint.twin.parameters import STRIBECK_SPEED, dry_friction
 
 SOURCE = Path(rejoint.__file__).parent
 PAGE = SOURCE.parent.parent / "docs" / "architecture.md"
@@ -96,7 +96,7 @@ def documented_edits():
 def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
     shutil.copytree(SOURCE, tmp_path / "rejoint")
     edits = documented_edits()
-    assert {file for file, _, _ in edits} == {"twin/chain/friction.py", "twin/parameters.py"}
+    assert {file for file, _, _ in edits} == {"twin/parameters.py"}
     for file, old, new in edits:
         path = tmp_path / "rejoint" / file
         text = path.read_text(encoding="utf-8")

@@ -20,7 +20,6 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.declaration import TIMESTEP as FINE
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.judge import TIMESTEP, Candidate, judge
 from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError, prediction_error
@@ -36,6 +35,7 @@ from rejoint.twin.motionfit import (
     repeated,
     thin,
 )
+from rejoint.twin.parameters import TIMESTEP as FINE
 from rejoint.twin.parameters import (
     UNKNOWN_PARAMETERS,
     Layout,

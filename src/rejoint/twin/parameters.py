@@ -9,6 +9,7 @@ Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of un
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -19,8 +20,48 @@ from numpy.typing import NDArray
 from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
-from rejoint.twin.chain.friction import FRICTION
-from rejoint.twin.declaration import Parameter as Parameter
+
+TIMESTEP = 0.005
+"""[s]; chosen: half of it changes predictions by less than an encoder step"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A row of `rejoint.twin.parameters.PARAMETERS`."""
+
+    name: str
+    unit: str
+    meaning: str
+    nominal: float
+    """prior median at `rejoint.twin.parameters.REFERENCE_LOAD`, near the base"""
+    sigma: float
+    """prior sigma: of the logarithm if `log`, else in `unit`"""
+    lower: float
+    upper: float
+    wide: Mapping[str, float | bool] = field(default_factory=dict)
+    """for an unknown arm"""
+    healthy: float = 1.0
+    """of a servo without wear, over the median: chosen from the data sheet, as 35 N m/rad of an STS3215 under load
+    (SO-ARM100, issue 134)"""
+    log: bool = True
+    """estimated as its logarithm"""
+    difference: float = 0.045
+    """finite-difference step, in `unit` unless `log`; chosen"""
+    fitted: bool = True
+    """whether a descent may change it"""
+    per_joint: bool = True
+    scaled: bool = False
+    """torque known up to its joint's common scale"""
+    wrist: float = 1.0
+    """factor for wrist joints"""
+    alike: float | None = None
+    """sigma of the logarithm among equal servos (`rejoint.arms.Arm.servos`)"""
+    by_load: bool = False
+    """nominal value and bounds scale with the arm's weight"""
+    by_time: int = 0
+    """their power of sqrt(reach)"""
+    by_speed: bool = False
+    """they scale with the arm's speed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,7 +135,18 @@ PARAMETERS: tuple[Parameter, ...] = (
               # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
               wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0,
                     "alike": 0.05}),  # chosen: motors and voltages of one make differ by some percent
-    *FRICTION,
+    Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
+              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, healthy=3.2, by_load=True, by_time=1,
+              scaled=True,
+              # chosen: a servo that follows within 50 ms; damping over stiffness is that lag
+              wide={"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "wrist": 1.0, "alike": 0.2}),
+    Parameter(name="coulomb", unit="N m", meaning="dry friction",
+              nominal=0.08, sigma=0.8, healthy=0.6, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
+              # chosen: 0.03 to 1.5 N m within two sigma
+              wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
+    Parameter(name="load_friction", unit="1", meaning="dry friction per torque that the gears pass on",
+              nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
+              wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
               # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
@@ -297,6 +349,27 @@ def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
         if p.per_joint and p.alike is not None:
             correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
     return correlation
+
+
+DRY = ("coulomb", "load_friction")
+"""Parameters of dry friction, besides stiction"""
+STRIBECK_SPEED = 0.1
+"""[rad/s] at which friction has fallen to kinetic; chosen"""
+
+
+def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
+    """Terms (t, ..., n) of `dry_friction`: `DRY`, then ``stiction``."""
+    return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
+
+
+def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
+    """Dry friction (...) [N m] at ``speed`` (...) [rad/s] under ``load`` (...) [N m], from ``terms`` (t, ...).
+
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994), and gears that rub as they are pressed
+    (Rhoban/bam); also compiled.
+    """
+    coulomb, load_friction, stiction = terms[0], terms[1], terms[-1]
+    return (coulomb + load_friction * load) * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:

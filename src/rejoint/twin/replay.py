@@ -22,8 +22,7 @@ from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.parameters import STICTION, TwinParameters
+from rejoint.twin.parameters import STICTION, TIMESTEP, TwinParameters
 from rejoint.twin.reference import ServoReference
 
 if TYPE_CHECKING:

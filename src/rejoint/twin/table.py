@@ -18,10 +18,8 @@ from mujoco.batch import Batch
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.twin.chain.friction import dry_friction, friction_terms
-from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import influence
-from rejoint.twin.parameters import TwinParameters, back_emf
+from rejoint.twin.parameters import TIMESTEP, TwinParameters, back_emf, dry_friction, friction_terms
 from rejoint.twin.replay import Replay
 from rejoint.twin.twin import TablePlane
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.pages.html import render
-from rejoint.twin.chain.friction import STRIBECK_SPEED
-from rejoint.twin.parameters import back_emf
+from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
 

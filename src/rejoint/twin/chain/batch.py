@@ -12,10 +12,8 @@ from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
-from rejoint.twin.chain.friction import DRY, friction_terms
 from rejoint.twin.chain.step import advance, workspace
-from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.parameters import TwinParameters, back_emf, nominal_parameters
+from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 

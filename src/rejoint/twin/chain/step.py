@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint.twin.chain import dynamics, friction
+from rejoint.twin import parameters
+from rejoint.twin.chain import dynamics
 from rejoint.twin.chain.dynamics import (
     ACCELERATION,
     CARRIED,
@@ -40,7 +41,7 @@ STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, GAIN, FRICTION = range(7)
 """Rows of the parameters of servos; ``GAIN``: the part of ``DAMPING`` within the limit"""
 
 
-_dry_friction = njit(inline="always")(friction.dry_friction)
+_dry_friction = njit(inline="always")(parameters.dry_friction)
 
 
 @njit(**OPTIONS | {"cache": False})  # cached in `advance`, which knows the law of friction
@@ -242,4 +243,4 @@ def _compiled(sources):
     return advance
 
 
-advance = _compiled(zlib.crc32(b"".join(Path(str(part.__file__)).read_bytes() for part in (friction, dynamics))))
+advance = _compiled(zlib.crc32(b"".join(Path(str(part.__file__)).read_bytes() for part in (parameters, dynamics))))
