@@ -36,7 +36,7 @@ from rejoint.robots.feetech.gains import TABLE
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
-from rejoint.twin.judgement import NO_TWIN
+from rejoint.twin.twin import NO_TWIN
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import (
     BROADCAST,

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, gravity_torque, mycobot280
-from rejoint.arms.inverse import solve_position
+from rejoint.arms.kinematics import solve_position
 from rejoint.diagnosis.excitation import Excitation, record
 from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.logs.runlog import RunLog

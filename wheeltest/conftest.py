@@ -26,9 +26,8 @@ from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.training.train import TrainingOptions, train
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, Twin, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError, Twin, write_twin
 
 ROOT = Path(__file__).parent.parent
 CONSTRAINTS = ROOT / "constraints.txt"

@@ -64,8 +64,7 @@ if TYPE_CHECKING:
     from rejoint.system.progress import Progress
     from rejoint.system.shell import __version__
     from rejoint.system.stopping import Interrupted, interrupt
-    from rejoint.twin.judgement import Judgement
-    from rejoint.twin.twin import Twin
+    from rejoint.twin.twin import Judgement, Twin
 
 _HOMES = {
     "arms.arm": ("Arm",),
@@ -108,8 +107,7 @@ _HOMES = {
     "system.progress": ("Progress",),
     "system.stopping": ("Interrupted", "interrupt"),
     "system.shell": ("__version__",),
-    "twin.judgement": ("Judgement",),
-    "twin.twin": ("Twin",),
+    "twin.twin": ("Judgement", "Twin"),
 }  # fmt: skip
 """Where each public name is defined; a test compares it with the imports above and with `__all__`"""
 

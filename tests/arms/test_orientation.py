@@ -7,8 +7,7 @@ import pytest
 
 from rejoint.arms import Arm, collides, frames, mycobot280, position_kinematics, so101, solve_position
 from rejoint.arms.inertia import loaded
-from rejoint.arms.inverse import goals_of
-from rejoint.arms.kinematics import chain_of
+from rejoint.arms.kinematics import chain_of, goals_of
 from rejoint.arms.postures import NEAR, TURNED, find_postures, missed_pose
 from rejoint.arms.rotations import (
     WEIGHT,

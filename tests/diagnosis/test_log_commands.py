@@ -17,7 +17,7 @@ from rejoint.session.inputs import arm_of_twin, run_of_logs
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.twin.identify import REFITTED
-from rejoint.twin.judgement import NO_TWIN, Judgement
+from rejoint.twin.twin import NO_TWIN, Judgement
 
 PUBLISHED = "stiffness = 998.22\ndamping = 3.331\ncoulomb = 0.052\narmature = 0.028\n"
 

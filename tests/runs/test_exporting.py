@@ -26,7 +26,7 @@ from rejoint.control.controllers.policy import Policy
 from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.loop import Schedule, run
 from rejoint.robots import open_robot
-from rejoint.runs.exporting.exports import export_run
+from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.training.export import export_policy
 from rejoint.training.presets import DEFAULT

@@ -15,7 +15,7 @@ from madetwin import made_twin
 from rejoint.arms import so101
 from rejoint.diagnosis.excitation import record
 from rejoint.robots import open_robot
-from rejoint.runs.exporting.exports import export_run
+from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.twin.identify import EXCITATION_WINDOW, HOLD_OUT, identify

@@ -11,10 +11,10 @@ from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.identify import FREEDOM, _hard_to_follow
 from rejoint.twin.judge import Candidate, judge
-from rejoint.twin.judgement import smaller
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
+from rejoint.twin.twin import smaller
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
 TWIN = Candidate(name="twin", parameters=TRUTH, stiction=1.25)

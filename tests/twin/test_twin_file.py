@@ -7,9 +7,8 @@ import pytest
 
 from madetwin import made_twin
 from rejoint.arms import mycobot280
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.twin import HeldOut, read_twin, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError, read_twin, write_twin
 
 ARM = mycobot280()
 

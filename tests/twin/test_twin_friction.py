@@ -24,7 +24,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin.twin import read_twin, write_twin
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.parameters import PARAMETERS, nominal_parameters, pack, prior, vector_names
-from rejoint.twin.judgement import PredictionError
+from rejoint.twin.twin import PredictionError
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import HeldOut, Twin

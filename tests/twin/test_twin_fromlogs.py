@@ -10,12 +10,11 @@ from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
-from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
-from rejoint.twin.twin import TablePlane, read_twin, write_twin
+from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin, write_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)

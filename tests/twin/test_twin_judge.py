@@ -8,9 +8,8 @@ from motion_logs import ARM, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.twin.judge import Candidate, judge, read_published
-from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import healthy_parameters
-from rejoint.twin.twin import TablePlane
+from rejoint.twin.twin import NO_TWIN, TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
 

@@ -10,8 +10,8 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
 from rejoint.logs.exclusions import find_exclusions
 from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, fit_motions, identify_logs, independent
-from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, vector_names
+from rejoint.twin.twin import NO_TWIN
 from rejoint.twin.uncertainty import uncertainty
 from rejoint_lab.plant.wear import load_wear
 

@@ -11,7 +11,7 @@ from rejoint.arms import so101
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.twin.identify import FITTED, HEALTHY, LogSettings, identify_logs
-from rejoint.twin.judgement import NO_TWIN
+from rejoint.twin.twin import NO_TWIN
 
 ARM = so101()
 

@@ -4,14 +4,16 @@ from rejoint.arms.arm import Arm, Array, Box, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded
-from rejoint.arms.inverse import clip_norm, dls, solve_position
 from rejoint.arms.kinematics import (
+    clip_norm,
+    dls,
     frames,
     gravity_torque,
     heights,
     jacobian,
     link_inertia,
     position_kinematics,
+    solve_position,
     tcp_pose,
     tcp_position,
 )

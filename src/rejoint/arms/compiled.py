@@ -11,8 +11,7 @@ import numpy as np
 from numba import float64, int64, njit, types, void
 
 from rejoint.arms.collision import CollisionShape
-from rejoint.arms.inverse import DAMPING, MOST_STEP
-from rejoint.arms.kinematics import Chain
+from rejoint.arms.kinematics import DAMPING, MOST_STEP, Chain
 
 IN1, IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3, 4))
 ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))

@@ -24,8 +24,7 @@ from rejoint.arms.inertia import inertia_matrix, inertia_values
 from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.system.errors import InputError
-from rejoint.system.files import write_whole
-from rejoint.system.tomltable import Number, Positive, Table, Text, Triple, read_toml
+from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, write_whole
 
 
 class _FrameTable(Table):

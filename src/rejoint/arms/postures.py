@@ -17,8 +17,17 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.inertia import link_ends
-from rejoint.arms.inverse import REST_GAIN, ROUNDS, TOLERANCE, goals_of, solve_position
-from rejoint.arms.kinematics import chain_of, frames, gravity_torque, tcp_position
+from rejoint.arms.kinematics import (
+    REST_GAIN,
+    ROUNDS,
+    TOLERANCE,
+    chain_of,
+    frames,
+    goals_of,
+    gravity_torque,
+    solve_position,
+    tcp_position,
+)
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError

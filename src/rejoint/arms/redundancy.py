@@ -31,8 +31,7 @@ from rejoint.arms.compiled import (
     solve,
     task,
 )
-from rejoint.arms.inverse import REST_GAIN, TOLERANCE
-from rejoint.arms.kinematics import Chain
+from rejoint.arms.kinematics import REST_GAIN, TOLERANCE, Chain
 
 AMPLE, CRAMPED = 5.0 / 3.0, 10.0
 """Least distances from which there is enough room, and cost of a sufficient clearance less (chosen by `python -m

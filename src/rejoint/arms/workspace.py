@@ -18,8 +18,15 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box, frozen, mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
-from rejoint.arms.inverse import Solution, solve_position
-from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.kinematics import (
+    Frames,
+    Solution,
+    frames,
+    gravity_torque,
+    position_kinematics,
+    solve_position,
+    tcp_position,
+)
 from rejoint.system.errors import InputError
 
 SAMPLES = 4096

@@ -15,8 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from rejoint.arms import Array
 from rejoint.system.errors import InputError
-from rejoint.system.files import MEGABYTE, read_bounded, write_text, write_whole
-from rejoint.system.tomltable import read_toml
+from rejoint.system.files import MEGABYTE, read_bounded, read_toml, write_text, write_whole
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""

@@ -16,7 +16,7 @@ from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation
 from rejoint.camera.board import Board
 from rejoint.diagnosis.calibration.calibration import finite
 from rejoint.system.errors import ContractError
-from rejoint.system.tomltable import read_sealed, write_sealed
+from rejoint.system.files import read_sealed, write_sealed
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""

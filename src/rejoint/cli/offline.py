@@ -29,7 +29,7 @@ from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
-    from rejoint.twin.judgement import Errors, Judgement
+    from rejoint.twin.twin import Errors, Judgement
 
 
 @takes("arm", "part")
@@ -151,7 +151,7 @@ def export(
 ) -> object:
     """Write a run log as CSV or MCAP."""
     if kind is not None or lerobot is not None or controller is not None:
-        from rejoint.runs.exporting.exports import export_run
+        from rejoint.runs.exports import export_run
 
         kind = kind or ("lerobot" if lerobot else "onnx")
         out, told = export_run(source, kind, out, lerobot=lerobot, controller=controller)

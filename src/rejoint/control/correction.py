@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, position_kinematics, tcp_position
-from rejoint.arms.inverse import REST_GAIN
+from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import ControlInput, Mask, Stillness

@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, link_inertia, plan
 from rejoint.arms.collision import usual_distances
-from rejoint.arms.inverse import REST_GAIN
+from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
-from rejoint.arms.inverse import REST_GAIN
+from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import LAGS, PATIENCE, STOPPED, Ways, beginning_at, lead, nearest_postures, waiting

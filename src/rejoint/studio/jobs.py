@@ -434,7 +434,7 @@ def export(kind: str) -> Job:
     """Return what writes what the run has found for other programs."""
 
     def job(studio: Studio) -> None:
-        from rejoint.runs.exporting.exports import export_run
+        from rejoint.runs.exports import export_run
 
         path, told = export_run(studio.begin_run(), kind)
         studio.change(done=f"{path}: {told}")

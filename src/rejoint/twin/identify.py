@@ -22,7 +22,6 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.judge import TIMESTEP, Candidate, judge
-from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError, prediction_error
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
@@ -72,7 +71,7 @@ from rejoint.twin.structure import (
     simplest,
     without,
 )
-from rejoint.twin.twin import HeldOut, TablePlane, Twin
+from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"

@@ -22,21 +22,22 @@ from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.tomltable import Number, Positive, Table, read_toml
+from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.twin.chain.dynamics import GROUP
-from rejoint.twin.judgement import (
+from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
+from rejoint.twin.replay import Replay, Window, at_gain
+from rejoint.twin.twin import (
     NO_TWIN,
     Errors,
     Judgement,
     MotionErrors,
     PredictionError,
+    TablePlane,
     Trace,
+    Twin,
     prediction_error,
     smaller,
 )
-from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import Replay, Window, at_gain
-from rejoint.twin.twin import TablePlane, Twin
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""

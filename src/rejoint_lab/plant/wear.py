@@ -25,7 +25,7 @@ from rejoint.arms.arm import frozen
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach
 from rejoint.system.errors import ProfileError, first_line
-from rejoint.system.tomltable import Number, Positive, Table, read_toml
+from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint_lab.plant import xseries
 from rejoint_lab.plant.servo import AMBIENT, STEP
 

@@ -34,8 +34,8 @@ from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.loop import run
 from rejoint.control.robot import ControlInput, Controller, JointState, Mask
 from rejoint.system.errors import InputError
+from rejoint.system.files import read_toml
 from rejoint.system.progress import Progress
-from rejoint.system.tomltable import read_toml
 
 if TYPE_CHECKING:
     from rejoint.training.ranges import Ranges

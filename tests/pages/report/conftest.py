@@ -30,9 +30,8 @@ from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError, write_twin
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
 from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.logs.runfolder import RunFolder
-from rejoint.runs.exporting.exports import export_run
+from rejoint.runs.exports import export_run
 from rejoint.system.errors import FileError, InputError
 
 POINTS = "tool / Measured points in the base frame, each left out"

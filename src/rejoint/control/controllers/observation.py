@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, position_kinematics
-from rejoint.arms.inverse import DAMPING
+from rejoint.arms.kinematics import DAMPING
 from rejoint.control.robot import ControlInput, Mask
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]

@@ -18,10 +18,9 @@ from rejoint.control.controllers.contract import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, scatter, vector_of
 from rejoint.system.errors import ContractError, InputError
-from rejoint.system.files import array_of
+from rejoint.system.files import array_of, read_sealed, write_sealed
 from rejoint.system.results import Readable
 from rejoint.system.statistics import CONFIDENCE
-from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)

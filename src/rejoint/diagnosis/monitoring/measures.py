@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inverse import solve_position
+from rejoint.arms.kinematics import solve_position
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import iso_poses, reversal
 from rejoint.control.comparison.result import position_repeatability

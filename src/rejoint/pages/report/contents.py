@@ -27,8 +27,7 @@ from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, reading
 from rejoint.system.shell import command
-from rejoint.twin.judgement import Judgement
-from rejoint.twin.twin import Twin, read_twin
+from rejoint.twin.twin import Judgement, Twin, read_twin
 
 _LAST = 5  # updates that are averaged for "at the end"
 

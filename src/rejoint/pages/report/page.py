@@ -27,9 +27,8 @@ from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, above_zero, spread
 from rejoint.twin import parameters
-from rejoint.twin.judgement import Judgement
 from rejoint.twin.parameters import Parameter
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import Judgement, Twin
 
 CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."
 

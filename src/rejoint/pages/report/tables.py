@@ -13,7 +13,7 @@ from rejoint.control.comparison.result import Comparison, ControllerRow, Protoco
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
-from rejoint.twin.judgement import FEWEST, NO_TWIN, Judgement, smaller
+from rejoint.twin.twin import FEWEST, NO_TWIN, Judgement, smaller
 
 DEG = float(np.degrees(1.0))
 

@@ -22,8 +22,7 @@ from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import write_text
-from rejoint.system.tomltable import Positive, Table, Text, Texts, read_toml
+from rejoint.system.files import Positive, Table, Text, Texts, read_toml, write_text
 
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 ROOM = 5

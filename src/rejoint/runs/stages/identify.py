@@ -36,8 +36,7 @@ from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
-    from rejoint.twin.judgement import Judgement
-    from rejoint.twin.twin import Twin
+    from rejoint.twin.twin import Judgement, Twin
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,10 +33,9 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_parquet
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import write_whole
+from rejoint.system.files import read_toml, write_whole
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.shell import __version__
-from rejoint.system.tomltable import read_toml
 from rejoint.twin.twin import Twin, read_twin, write_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear

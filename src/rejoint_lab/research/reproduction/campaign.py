@@ -23,9 +23,8 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.pages.html import write_page as fill
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, write_json, write_whole
+from rejoint.system.files import read_json, read_toml, write_json, write_whole
 from rejoint.system.progress import Progress, no_progress, part
-from rejoint.system.tomltable import read_toml
 from rejoint.training.presets import Preset
 from rejoint.training.train import TrainingOptions, train
 from rejoint_lab.research.reproduction.paper import PAPER, PaperRanges

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from rejoint.arms import Arm
-from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
-from rejoint.arms.kinematics import GRAVITY, joint_terms
+from rejoint.arms.kinematics import DAMPING, GRAVITY, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
 from rejoint.control.controllers.classical import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.controllers.classical import PROJECTION_DAMPING
