@@ -1,27 +1,22 @@
 """What one control step of a deployed policy costs: observation, network, law and guard."""
 
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.control.controllers.policy import load_policy
+from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
-from rejoint.training.train import TrainingOptions, train
 
 STEPS, WARM_UP = 5000, 100
 
 
 def main() -> None:
     arm = mycobot280()
-    with tempfile.TemporaryDirectory() as folder:
-        train(arm, None, out=Path(folder), options=TrainingOptions(iterations=1, agents=32, threads=1))
-        policy = load_policy(Path(folder) / "policy.onnx", arm)
-    limits, target = GuardLimits.of(arm), arm.targets.sample(np.random.default_rng(0), (1,))
+    policy, limits = shelf_controller(arm), GuardLimits.of(arm)
+    target = arm.targets.sample(np.random.default_rng(0), (1,))
     goal = nearest_postures(arm, target, arm.rest[None])
     sent, speed = arm.rest[None], np.zeros((1, arm.joints))
     times = []

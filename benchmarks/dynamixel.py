@@ -9,11 +9,6 @@ seen; without them, each motion in LOGS is left out in turn.
 """
 
 import json
-import os
-import subprocess
-import sys
-import time
-from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -22,9 +17,8 @@ import numpy as np
 import typer
 from scipy.optimize import least_squares
 
-from benchmarks.feetech import PAUSE, exchange, timed
-from rejoint.arms import Arm, Box, load_arm
-from rejoint.robots import place_of
+from benchmarks.feetech import bus_cost
+from rejoint.arms import Arm, Box
 from rejoint.robots.dynamixel.bus import BLOCK, DynamixelBus
 from rejoint.robots.dynamixel.registers import TABLE
 from rejoint_lab.emulator.dynamixel import BROADCAST, FAST_SYNC_READ, SYNC_WRITE, TURN, encode
@@ -33,48 +27,19 @@ from rejoint_lab.plant.plant import Truth, XPlant
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import NEW
 
-CYCLES = 1000
 MOST = 1.1, 0.4
 """Times what the wire and the adapter take, and [ms] of the processor, at the median"""
 
 
-def requests(ids, counts):
-    """Return the two packets of a cycle that sends servos to ``counts``, and the size of the answer."""
-    goals = b"".join(bytes([one]) + count.to_bytes(4, "little") for one, count in zip(ids, counts, strict=True))
+def asked_of(bus, goal):
+    """Return the packets of a cycle, the size of the answer, and their time [s] on the wire and in the adapter."""
+    pairs = zip(bus.ids, bus.zeros.counts(goal[bus.joint]), strict=True)
+    goals = b"".join(bytes([one]) + count.to_bytes(4, "little") for one, count in pairs)
     write = TABLE["goal"].address.to_bytes(2, "little") + (4).to_bytes(2, "little") + goals
-    read = TABLE["load"].address.to_bytes(2, "little") + BLOCK.size.to_bytes(2, "little") + bytes(ids)
-    packets = [Packet(BROADCAST, SYNC_WRITE, write), Packet(BROADCAST, FAST_SYNC_READ, read)]
-    return (*map(encode, packets), 8 + len(ids) * (BLOCK.size + 4))
-
-
-def measure(name):
-    """Print what a cycle takes, with the driver and without."""
-    command = [sys.executable, "-m", "rejoint", "emulate", "--arm", name, "--pty"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
-        try:
-            address = next(word for line in emulator.stdout for word in line.split() if word.startswith("dynamixel:"))
-            place = place_of(address)
-            with closing(DynamixelBus(place.detail, load_arm(name))) as bus:
-                bus.open()
-                bus.prepare()
-                rest, line = bus.read().position, os.open(place.detail.wire.device, os.O_RDWR | os.O_NOCTTY)
-                request = requests(bus.ids, bus.zeros.counts(rest[bus.joint]))
-                taken = np.empty((CYCLES, 2, 2))
-                for driven, bare in taken:
-                    time.sleep(PAUSE)
-                    driven[:] = timed(lambda: (bus.send(rest), bus.read()))
-                    time.sleep(PAUSE)
-                    bare[:] = timed(lambda: exchange(line, *request))
-                os.close(line)
-        finally:
-            emulator.terminate()
-    write, read, size = request
-    least = 1e3 * ((len(write) + len(read) + size) * BYTE + TURN + ADAPTER)
-    print(f"{name}, {len(bus.ids)} servos: {least:.2f} ms on the wire and in the adapter at least")
-    for what, column, most in (("bus", 0, MOST[0] * least), ("processor", 1, MOST[1])):
-        for who, times in (("driver", taken[:, 0, column]), ("without", taken[:, 1, column])):
-            shown = ", ".join(f"p{share} {1e3 * np.percentile(times, share):.2f}" for share in (10, 50, 90, 99))
-            print(f"{what:10s} {who:8s} {shown} ms" + f" (at most {most:.2f} ms is asked for)" * (who == "driver"))
+    read = TABLE["load"].address.to_bytes(2, "little") + BLOCK.size.to_bytes(2, "little") + bytes(bus.ids)
+    write, read = (encode(Packet(BROADCAST, *one)) for one in ((SYNC_WRITE, write), (FAST_SYNC_READ, read)))
+    size = 8 + len(bus.ids) * (BLOCK.size + 4)
+    return write, read, size, (len(write) + len(read) + size) * BYTE + TURN + ADAPTER
 
 
 SERVO = "XL330-M288"
@@ -176,4 +141,4 @@ def main(words: Annotated[list[str] | None, typer.Argument()] = None):
         predict(words[0], (*words, "")[1])
         return
     for name in ("koch", "wx250s"):
-        measure(name)
+        bus_cost(name, DynamixelBus, asked_of, lambda least: (MOST[0] * least, MOST[1]))

@@ -12,8 +12,6 @@ sets. With `gains` instead of LOGS, what gains of the servos leave of the error 
 
 import os
 import select
-import subprocess
-import sys
 import time
 from contextlib import closing
 from functools import partial
@@ -24,6 +22,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from benchmarks.frame import process
 from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
@@ -56,8 +55,6 @@ ARM = load_arm("so101")
 CYCLES = 2000
 PAUSE = 0.005
 """[s] between two of them (chosen: enough to sleep, as in a control period of 20 ms)"""
-ANSWER = BLOCK + FRAME
-"""bytes of what one servo answers"""
 DELAY = 0.005
 """[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
 DWELL = 5.0
@@ -68,41 +65,11 @@ BUS, PROCESSOR = 3.0, 0.3
 """[ms] that a cycle should take at most, at the 99th percentile"""
 
 
-def cycles(bus, port, count=CYCLES):
-    """Return times [s] (count, 2, 2), NaN for none, of a synchronous write and read: through the driver, and without.
-
-    The last axis is time on the bus and time of the processor.
-    """
-    rest, line = bus.read().position, os.open(port, os.O_RDWR | os.O_NOCTTY)
-    taken = np.full((count, 2, 2), np.nan)
-    for k, (driven, bare) in enumerate(taken):
-        goal = rest + 0.05 * np.sin(k / 20)
-        request = requests(bus.ids, bus.zeros.counts(goal))
-        time.sleep(PAUSE)
-        try:
-            driven[:] = timed(lambda goal=goal: (bus.send(goal), bus.read()))
-        except (TimeoutError, NoReplyError):  # a busy machine: the emulator was late
-            bus.resynchronise(time.monotonic() + 1.0)
-        time.sleep(PAUSE)
-        bare[:] = timed(lambda request=request: exchange(line, *request, ANSWER * len(bus.ids)))
-    os.close(line)
-    return taken
-
-
 def timed(work):
     """Return the times [s] that ``work`` takes, by the clock and of the processor."""
     began, worked = time.perf_counter(), time.thread_time()
     work()
     return time.perf_counter() - began, time.thread_time() - worked
-
-
-def requests(ids, counts):
-    """Return the two packets of a cycle that sends servos to ``counts``."""
-    goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in zip(ids, counts, strict=True))
-    return (
-        encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals)),
-        encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *ids]))),
-    )
 
 
 def exchange(line, write, read, size):
@@ -113,32 +80,52 @@ def exchange(line, write, read, size):
         size -= len(os.read(line, size))
 
 
-def on_the_wire(ids):
-    """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
-    write, read = requests(ids, [0] * len(ids))
-    answers = StsBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
-    return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
+def bus_cost(name, kind, asked, bars):
+    """Print what a cycle of an arm takes, by the clock and of the processor, with the driver and without.
 
-
-def bus_cost():
-    """Print what a cycle takes, with the driver and without."""
-    command = [sys.executable, "-m", "rejoint", "emulate", "--arm", "so101", "--pty"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
-        try:
-            address = next(word for line in emulator.stdout for word in line.split() if word.startswith("feetech:"))
-            place = place_of(address)
-            with closing(FeetechBus(place.detail, ARM)) as bus:
-                bus.open()
-                bus.prepare()
-                taken = 1e3 * cycles(bus, place.detail.port)
-                wire, adapter = (1e3 * part for part in on_the_wire(bus.ids))
-        finally:
-            emulator.terminate()
-    print(f"{wire + adapter:.2f} ms at least: {wire:.2f} ms on the wire, {adapter:.2f} ms in the adapter")
-    for name, column, most in (("bus", 0, BUS), ("processor", 1, PROCESSOR)):
-        for who, times in (("driver", taken[:, 0, column]), ("without", taken[:, 1, column])):
+    ``kind`` is the driver's class. ``asked(bus, goal)`` returns both packets, the size of the answer, and what these
+    take on the wire and in the adapter [s]; ``bars`` from that what is asked for [ms].
+    """
+    with process("emulate", "--arm", name, "--pty") as address:
+        place = place_of(address)
+        with closing(kind(place.detail, load_arm(name))) as bus:
+            bus.open()
+            bus.prepare()
+            rest, line = bus.read().position, os.open(place.detail.wire.device, os.O_RDWR | os.O_NOCTTY)
+            taken = np.full((CYCLES, 2, 2), np.nan)
+            for k, (driven, bare) in enumerate(taken):
+                goal = rest + 0.05 * np.sin(k / 20)
+                *request, least = asked(bus, goal)
+                time.sleep(PAUSE)
+                try:
+                    driven[:] = timed(lambda goal=goal: (bus.send(goal), bus.read()))
+                except (TimeoutError, NoReplyError):  # a busy machine: the emulator was late
+                    bus.resynchronise(time.monotonic() + 1.0)
+                time.sleep(PAUSE)
+                bare[:] = timed(lambda request=request: exchange(line, *request))
+            os.close(line)
+            servos = len(bus.ids)
+    print(f"{name}, {servos} servos: {1e3 * least:.2f} ms on the wire and in the adapter at least")
+    for column, (what, most) in enumerate(zip(("bus", "processor"), bars(1e3 * least), strict=True)):
+        for who, times in zip(("driver", "without"), 1e3 * taken[..., column].T, strict=True):
             shown = ", ".join(f"p{share} {np.nanpercentile(times, share):.2f}" for share in (10, 50, 90, 99))
-            print(f"{name:10s} {who:8s} {shown} ms" + f" (at most {most} ms is asked for)" * (who == "driver"))
+            print(f"{what:10s} {who:8s} {shown} ms" + f" (at most {most:.2f} ms is asked for)" * (who == "driver"))
+
+
+def asked_of(bus, goal):
+    """Return the packets of a cycle, the size of the answer, and their time [s] on the wire and in the adapter."""
+    pairs = zip(bus.ids, bus.zeros.counts(goal), strict=True)
+    goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in pairs)
+    write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals))
+    read = encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *bus.ids])))
+    size = (BLOCK + FRAME) * len(bus.ids)
+    answers = StsBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
+    return write, read, size, (len(write) + len(read)) * BYTE + answers[-1].after + ADAPTER
+
+
+def measure_so101():
+    """Print what a cycle of an SO-101 takes."""
+    bus_cost("so101", FeetechBus, asked_of, lambda _: (BUS, PROCESSOR))
 
 
 def predict(folder):
@@ -219,4 +206,4 @@ def replay(plant, log):
 def main(words: Annotated[list[str] | None, typer.Argument()] = None):
     """Measure a control cycle; or do what the head of this file says of gains, joints ADDRESS RUN, or a folder."""
     what, *rest = words or ["bus"]
-    {"bus": bus_cost, "gains": gains, "joints": joints}.get(what, partial(predict, what))(*rest)
+    {"bus": measure_so101, "gains": gains, "joints": joints}.get(what, partial(predict, what))(*rest)

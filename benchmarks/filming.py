@@ -26,7 +26,6 @@ DWELL = 8.0
 def main(
     arms: int = 4,
     first: int = 700,
-    profile: str = "worn",
     targets: int = 4,
     carried: str = "board",
 ) -> None:
@@ -35,7 +34,7 @@ def main(
     before, after, inside, used, left, pictures = [], [], [], 0, 0, 0
     began = time.perf_counter()
     for seed in range(first, first + arms):
-        address = f"emulated:{profile}?seed={seed}"
+        address = f"emulated:worn?seed={seed}"
         gauge = CameraGauge(
             camera=lambda robot, seed=seed: nullcontext(simulated(robot).camera(board, carried, seed)),
             board=board,

@@ -56,10 +56,10 @@ def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     return left
 
 
-def main(arms: int = 40, targets: int = 20, family: int = 0, slope: float = 0.0) -> None:
+def main(arms: int = 40, targets: int = 20, slope: float = 0.0) -> None:
     """Print what chance leaves; ``slope`` [deg] raises the base on one side."""
-    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=targets, seed=family)
-    places = draw_targets(arm, sets=arms, count=targets, seed=FAMILY_SIZE * (family + 1) + 1)
+    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=targets)
+    places = draw_targets(arm, sets=arms, count=targets, seed=FAMILY_SIZE + 1)
     tilt = np.radians(slope)
     robot = open_family(arm, replace(WORN, tilt_deg=slope), drawn)
     read, beyond = held(robot, places)

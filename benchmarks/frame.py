@@ -1,4 +1,9 @@
-"""What the benchmarks share: cells and rows of their tables."""
+"""What the benchmarks share: cells and rows of their tables, commands in processes of their own."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,3 +50,15 @@ def holds(name: str, settled: Array, stay: Array, against: tuple[Array, Array] |
     within = " / ".join(f"{np.median(one):.2f}" for one in np.moveaxis(stay, -1, 0))
     far = " and ".join(f"{100 * np.mean(~(settled < 1e-3 * mm)):.1f} % beyond {mm} mm" for mm in (1, 5))
     print(f"{name:34} settled {cell(1e3 * settled)} mm, {far}, stays within {within} s{told}", flush=True)
+
+
+@contextmanager
+def process(*words: str) -> Iterator[str]:
+    """Yield the address that a command of rejoint prints first."""
+    command = [sys.executable, "-m", "rejoint", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as one:
+        try:
+            assert one.stdout is not None
+            yield next(word for line in one.stdout for word in line.split() if "://" in word)
+        finally:
+            one.terminate()

@@ -10,7 +10,6 @@ not the longest alone. Every process is forked from this one, which has imported
 
 import mmap
 import os
-import re
 import shutil
 import signal
 import sys
@@ -32,6 +31,7 @@ import rejoint.pages.report.page
 import rejoint.training.presets
 import rejoint.training.train
 import rejoint.twin.identify
+from benchmarks.frame import process
 from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
 from rejoint.logs.journal import Journal
@@ -197,16 +197,10 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
     def counting() -> None:
         Journal.append = count  # type: ignore[method-assign,assignment]
 
-    emulator = start(["emulate", "--port", "0"], work / "emulator.txt", lambda: None)
-    try:
-        found = None
-        while found is None:
-            time.sleep(0.1)
-            text = (work / "emulator.txt").read_text() if (work / "emulator.txt").exists() else ""
-            found = re.search(r"tcp://\S+:\d+(?=\s)", text)
+    with process("emulate", "--port", "0") as address:
         folder, out = RunFolder(work / "deploy"), work / "deploy.txt"
         Run.create(folder.path, "emulated:worn", mycobot280(), 0)
-        words = ["deploy", found[0], str(folder.path), "--controller", "integrator", "--dwell", str(DWELL)]
+        words = ["deploy", address, str(folder.path), "--controller", "integrator", "--dwell", str(DWELL)]
         words += ["--targets", str(work / "points.csv")]
         began = time.monotonic()
         finish(start(words, out, counting), out)
@@ -226,9 +220,6 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
                 raise WrongError(f"not put right: {leftovers(folder.path)}")
             if rows:
                 lost.append(last - (float(logs[0].time[-1]) if logs else first))
-    finally:
-        os.kill(emulator, signal.SIGTERM)
-        wait(emulator)
     return lost
 
 

@@ -19,11 +19,10 @@ from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, PathReference, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.family import own_twin
+from rejoint_lab.research.evaluation.family import own_twins
 from rejoint_lab.research.evaluation.moving import played
 
 ARM = mycobot280()
@@ -84,9 +83,5 @@ def main() -> None:
 
 
 def identified(seeds: Sequence[int]) -> list[TwinParameters]:
-    twins = []
     with TemporaryDirectory() as place:
-        for seed in seeds:
-            folder = RunFolder(Path(place) / str(seed))
-            twins.append(own_twin(ARM, seed, folder, 0).parameters)
-    return twins
+        return [twin.parameters for twin in own_twins(ARM, seeds, Path(place), 0)]

@@ -13,8 +13,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
@@ -40,25 +38,20 @@ def changed(change: str, family: ArmFamily) -> EmulatedRobot:
     return robot
 
 
-def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) -> None:
-    """Print a table for each change; ``points`` of the second calibration."""
-    arm, family, counts = (
-        mycobot280(),
-        ArmFamily(arms=arms, targets=TARGETS, crossings=0),
-        [*map(int, points.split(","))],
-    )
+def main(arms: int = 20, count: int = 3) -> None:
+    """Print a table for each change; ``count`` points of the second calibration."""
+    arm, family = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, crossings=0)
     begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
     first = fitted(arm, begun, FIRST)
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
-    for change in changes.split(","):
-        measured = measure(changed(change, family), suggest(arm, max(counts), visits=1, sigma=SIGMA, seed=1), 1)
-        found = {"first calibration as it is": first}
-        for count in counts:
-            parts = [one.rows(np.arange(count)) for one in measured]
-            found[f"{count} points alone"] = [fit(arm, part) for part in parts]
-            found[f"{count} points after the first"] = [
-                fit(arm, part, prior=one) for part, one in zip(parts, first, strict=True)
-            ]
+    for change in CHANGES:
+        measured = measure(changed(change, family), suggest(arm, count, visits=1, sigma=SIGMA, seed=1), 1)
+        pairs = list(zip(measured, first, strict=True))
+        found = {
+            "first calibration as it is": first,
+            f"{count} points alone": [fit(arm, part) for part in measured],
+            f"{count} points after the first": [fit(arm, part, prior=one) for part, one in pairs],
+        }
         print(f"{change}, {arms} arms")
         for name, calibrations in found.items():
             drive = partial(make_controller, "feedforward")

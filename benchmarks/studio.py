@@ -9,17 +9,16 @@ leaves its place by more than `STILL` in the second that follows. ``--quick`` re
 """
 
 import random
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+
+from benchmarks.frame import process
 
 sys.path.extend(str(Path(__file__).parents[1] / "tests" / room) for room in ("", "pages"))
 from browser import chromium
@@ -36,20 +35,6 @@ POINTS = {
 """[mm] of the owner"""
 FAR = {"mycobot280": ((160, -90, 160), (200, 90, 240)), "so101": ((300, -80, 190), (350, 80, 250))}
 """[mm] between which the arm is stopped"""
-
-
-@contextmanager
-def process(*words: str) -> Iterator[str]:
-    """Yield the address that a command of rejoint prints first."""
-    command = [sys.executable, "-m", "rejoint", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as one:
-        try:
-            assert one.stdout is not None
-            line = one.stdout.readline()
-            yield next(word for word in line.split() if "://" in word)
-        finally:
-            one.terminate()
-            one.wait(20)
 
 
 def read_truth(path: Path) -> Any:

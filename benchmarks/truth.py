@@ -11,77 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, gravity_torque, mycobot280
-from rejoint.arms.kinematics import solve_position
-from rejoint.diagnosis.excitation import Excitation, record
-from rejoint.diagnosis.open_loop import DWELL, TARGETS
+from rejoint.diagnosis.excitation import record
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.identify import identify
-from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters, pack
-from rejoint.twin.reference import ServoReference
-from rejoint.twin.simulation import Draw, Simulation
+from rejoint.twin.parameters import PARAMETERS, Layout, TwinParameters, pack
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.servo import RAMP_SHARE
 from rejoint_lab.plant.wear import lifting_torque, load_wear
 
-WORN = TwinParameters(
-    stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5],
-    damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
-    coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04],
-    armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
-    torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4],
-    offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
-    delay=0.022,
-    ramp_speed=2.2,
-)
-"""An arm that its motors can just carry"""
-SPREAD = 0.25
-"""Standard deviation of the logarithm of each parameter"""
-PERIOD, JITTER, STEP = 0.03, 0.002, 0.005
-"""[s] of control, of the answers, of the simulation"""
 SPEED_FILTER = 0.01
 """[s] by which an emulated servo knows its speed late: of its derivative gain that takes inertia away"""
-
-
-def worn(arm: Arm, rng: np.random.Generator) -> TwinParameters:
-    """Draw an arm around `WORN`."""
-    names = ("stiffness", "damping", "coulomb", "armature")
-    changed = {name: getattr(WORN, name) * np.exp(SPREAD * rng.standard_normal(arm.joints)) for name in names}
-    offset = np.radians(0.5) * rng.standard_normal(arm.joints)
-    return replace(WORN, **changed, offset=offset, delay=rng.uniform(0.01, 0.03))
 
 
 def heavier(arm: Arm, rng: np.random.Generator, spread: float) -> Arm:
     """Draw links of other masses."""
     factor = np.exp(spread * rng.standard_normal(arm.joints))
     return replace(arm, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
-
-
-def to_targets(arm: Arm) -> Excitation:
-    """Ten targets, each sent once."""
-    path = Excitation(arm, arm.rest)
-    for number, target in enumerate(arm.targets.sample(np.random.default_rng(0), (TARGETS,))):
-        with path.segment(f"targets/{number}", "targets"):
-            path.travel(solve_position(arm, target, path.position[-1]).q, 50.0)
-            path.wait(DWELL)
-    return path
-
-
-def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator, plan: Excitation) -> RunLog:
-    """Log of a planned motion, on an arm whose twin is ``truth``."""
-    times = np.arange(0.0, plan.time[-1], PERIOD)
-    command = np.stack([np.interp(times, plan.time, column) for column in plan.position.T], axis=1)
-    reference = ServoReference(times, command, np.atleast_1d(truth.ramp_speed))
-    grid = np.arange(int(times[-1] / STEP) + 2) * STEP
-    control = reference.sample(grid, np.atleast_1d(truth.delay))
-    simulation = Simulation(arm, 1)
-    simulation.twins.timestep[:] = STEP
-    simulation.place(Draw.of(truth.repeat(1), STICTION), command[:1], command[:1])
-    simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
-    path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
-    read = np.clip(times + rng.uniform(-JITTER, JITTER, len(times)), 0.0, grid[-1])
-    position = np.stack([np.interp(read, np.arange(len(path)) * STEP, column) for column in path.T], axis=1)
-    position = np.round(position / arm.encoder_step) * arm.encoder_step
-    return RunLog.of(times, command, position, arm=arm, label="excitation")
 
 
 def emulated(arm: Arm, seeds: range, masses: float) -> list[tuple[list[RunLog], TwinParameters]]:

@@ -106,10 +106,9 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Amplitudes, speeds and durations of an excitation, about 60 s; defaults chosen.
+    """Amplitudes, speeds and durations of an excitation, about 60 s; chosen.
 
-    By its Fisher information, a twin learns most per second from the multisine and the ten targets (`python -m
-    benchmarks information`); the rest is what the regressions of a diagnosis need.
+    The multisine and the ten targets inform a twin most per second; the rest is for a diagnosis.
     """
 
     still: float = 2.0
