@@ -257,21 +257,21 @@ def load_arm(
     Parameters
     ----------
     source
-        a name of `CATALOGUE`, as ``so101``, or a path that ends in ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf``
+        a name of `CATALOGUE`, or a ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf`` file
     base, tip
-        first and last body (or site) in a URDF or MJCF file; by default its root and the end of its only chain
+        first and last body or site of a URDF or MJCF file; default: its root, the end of its only chain
     hold
-        its joints that stay where they are, with their positions [rad], of slides [m]
+        joints that stay, with their positions [rad], of slides [m]
 
     Returns
     -------
     Arm
-        geometry, limits and masses; `read_arm` names what had to be estimated
+        `read_arm` names what was estimated
 
     Raises
     ------
     InputError, FileError
-        for an unknown name, or a file or chain that cannot be used
+        for an unknown name, or an unusable file or chain
 
     Examples
     --------

@@ -1,8 +1,7 @@
 """Trajectories between postures: straight in joint space, else with corners; jerk-limited.
 
 Each straight piece has one time-optimal profile for all joints (Biagiotti and Melchiorri, Trajectory Planning for
-Automatic Machines and Robots, 2008, section 3.4), so the arm stays on the checked line. At corners pieces overlap in
-time as far as limits and clearances allow.
+Automatic Machines and Robots, 2008, section 3.4). At corners pieces overlap in time.
 """
 
 from __future__ import annotations
@@ -104,12 +103,11 @@ def plan(
     start, goal
         postures; the start may have a contact
     motors
-        their torques; where they may not lift the arm, the lightest detour is taken, and no joint is asked for more
-        speed than its motor has on the way
+        their torques: the plan respects their speed, and takes the lightest detour where they may not lift the arm
     speed
         share of ``arm.max_speed``
     clearance
-        [m] margin of the links: twice, once, or half of it, as much as there is a way for; less where an end is closer
+        [m] margin of the links: twice, once or half of it, as there is a way; less where an end is closer
     seed
         of the search for a detour
 
@@ -121,7 +119,7 @@ def plan(
     Raises
     ------
     PlanningError
-        no trajectory found; the message names the obstacle
+        the message names the obstacle
     """
     start, goal = np.array(start, dtype=float), np.array(goal, dtype=float)
     found: list[tuple[float, _Field, Array]] = []

@@ -1,8 +1,7 @@
 """Inverse kinematics over all branches, with a choice of posture.
 
-Cost: static torque over what the motor surely lifts, distance from joint limits, clearance, longest joint travel. The
-search moves stored postures to the target by damped least squares, and lowers the cost of the best in the null space
-(`rejoint.arms.redundancy`). A comfortable posture of `solve_position` is kept.
+Cost: torque over what the motor surely lifts, joint limits, clearance, joint travel. Stored postures move to the target
+by damped least squares; the best lower their cost in the null space. A comfortable posture of `solve_position` is kept.
 """
 
 from __future__ import annotations
@@ -119,11 +118,11 @@ def choose_postures(
     turn
         wanted orientations (K,); None: any
     motors
-        postures that they surely lift are preferred; None: no target is too heavy
+        preferred are postures that they surely lift; None: no target is too heavy
     chained
-        the arm goes from target to target; neighbours stay on one branch
+        from target to target, on one branch
     thorough
-        search 0.4 s before a target is refused, also for the reason and a near place
+        search 0.4 s before refusing a target
 
     Returns
     -------
@@ -156,8 +155,7 @@ def find_postures(
 ) -> Array:
     """Postures (B, n) [rad] of poses, found from ``start`` (B, n); ``target`` (B, 3) [m].
 
-    `choose_postures` helps where that ends off the pose or in a contact. A ``rest_gain`` of 0 keeps postures near
-    ``start``; else they drift to rest.
+    `choose_postures` helps where that ends off the pose or in a contact. A ``rest_gain`` above 0 pulls to rest.
     """
     if turn is None:
         return solve_position(arm, target, start, rest_gain=rest_gain).q

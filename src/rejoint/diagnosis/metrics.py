@@ -1,16 +1,15 @@
 """A joint's law, overshoot, hunting, noise and torque, from its motion and rest.
 
-Speeds and accelerations come without differentiating noise, as averages under smooth windows: for a window w(t) that is
-zero with its first derivatives at both ends, int q'' w = int q w'' (modulating functions, Shinbrot 1957).
+Speeds and accelerations are averages under smooth windows w: int q'' w = int q w'' (modulating functions, Shinbrot
+1957).
 
 The following error e = command - measured position of a servo with stiffness k, damping d, inertia J, gravity torque
 tau and Coulomb friction F is
 
     e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset + (f/k) (|tau| - mean |tau|) sign(q')
 
-with friction F at the mean load, which grows by f (Linderoth et al. 2013). `fit_law` fits all terms to moving moments
-of any log. Only the start of a step separates delay from lag: each delay gets its own fit, and the one that predicts
-these starts best wins.
+with friction F at the mean load, which grows by f (Linderoth et al. 2013). Only the start of a step separates delay
+from lag: of a fit for each delay, the one that predicts these starts best wins.
 """
 
 from __future__ import annotations
@@ -466,8 +465,8 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
 def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> dict[str, Any]:
     """Compare the torque that a joint's law asks for with that of its load, in steady motion; see `JointMetrics`.
 
-    A joint is behind where it hardly turns and the demand is over twice the torque, beyond friction, `_EXCESS` and
-    10 ms. It is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
+    A joint is behind where it hardly turns and the demand exceeds twice the torque, friction, `_EXCESS` and 10 ms. It
+    is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
     found = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))

@@ -1,12 +1,11 @@
 """What the columns of a file mean; units are never guessed.
 
-A title is a group, a joint and a unit: ``position.elbow_deg``, ``act_m0``, ``actual_q_5``, ``tau_measured_2``.
-`ImportOptions.columns` maps others: ``time_ms=t``, ``command.elbow=u3``, ``target.x_mm=gx``. ``elbow=q3`` or
-``joint1=m0/6.33-0.184`` holds for all columns of a joint (torque is divided by the scale, current takes its sign).
-``command=27..32`` names all joints from the base on.
+A title is a group, a joint and a unit: ``position.elbow_deg``, ``act_m0``, ``tau_measured_2``. `ImportOptions.columns`
+maps others: ``time_ms=t``, ``target.x_mm=gx``. ``joint1=m0/6.33-0.184`` holds for all columns of a joint (torque is
+divided by the scale, current takes its sign). ``command=27..32`` names all joints.
 
-In radians or degrees, the readings of an encoder step by the same amount on every joint. LeRobot's normalised values
-step by 200 over the counts of a joint's calibrated range. All thresholds of these steps are chosen.
+Readings in radians or degrees step alike on every joint; LeRobot's normalised values step by 200 over the counts of a
+joint's range. Thresholds are chosen.
 """
 
 from __future__ import annotations

@@ -167,20 +167,20 @@ def import_logs(
     Parameters
     ----------
     source
-        a file, a motion's folder, or a folder of several
+        a file, or a folder of one or several motions
     out
-        new or empty folder; each log becomes ``MOTION.parquet`` in it
+        new or empty folder of ``MOTION.parquet``
     format
         one of `FORMATS`; None detects it
     options
         units, joint names, topics
     on_progress
-        receives the done share and the log's name
+        receives the progress
 
     Raises
     ------
     FileError
-        for a file that is damaged or fails the checks; such files among several are skipped
+        for a damaged or doubted file; among several it is skipped
     InputError
         for wrong options
 

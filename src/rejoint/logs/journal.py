@@ -1,8 +1,8 @@
 """Journals: a run log on disk while it is recorded.
 
 A hidden file beside the run log: a line of JSON, then rows of float64 (time, position, command, target, true TCP), each
-with its CRC-32. A thread writes it, so a slow disk never delays the control loop. After ``kill -9`` `recover` restores
-all but the last `INTERVAL`; after a power loss Linux lacks about half a minute. Where writing fails, the run goes on.
+with its CRC-32. A thread writes it. After ``kill -9`` `recover` restores all but the last `INTERVAL`. Where writing
+fails, the run goes on.
 """
 
 from __future__ import annotations

@@ -152,17 +152,17 @@ class RunLog:
         Parameters
         ----------
         time
-            (T,) [s] at which the positions were read, strictly increasing
+            (T,) [s] of the readings, strictly increasing
         command
-            (T, n) [rad] joint positions sent after each reading
+            (T, n) [rad] sent after each reading
         position
-            (T, n) [rad] measured joint positions
+            (T, n) [rad] measured
         arm
-            arm, its name or file; its joints are the columns, in order
+            arm, name or file; its joints are the columns
         label
             name of the motion
         target, true_tcp
-            (T, 3) [m] target and true place of the tool
+            (T, 3) [m]
 
         Returns
         -------
@@ -172,7 +172,7 @@ class RunLog:
         Raises
         ------
         InputError
-            if shapes differ, values are not finite, or time does not increase
+            for wrong shapes, values or times
 
         Examples
         --------

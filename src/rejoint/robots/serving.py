@@ -1,9 +1,8 @@
 """An arm offered on the myCobot's own wire, with a controller behind it: its computer, its answers, the log of orders.
 
-The computer plans moves as the vendor's, and reports the last state. The control loop calls `ServedArm.advance`; the
-server's thread carries out orders. Clients see a perfect arm whose tool is where this one's is. Orders that would let
-the arm fall or move its zeros are refused; the control loop passes on grippers, lamps and pins. No client can end the
-server, and the arm holds when one goes.
+The computer plans moves as the vendor's. The control loop calls `ServedArm.advance`; the server's thread carries out
+orders. Clients see a perfect arm whose tool is where this one's is. Orders that would let the arm fall or move its
+zeros are refused. When a client goes, the arm holds.
 """
 
 from __future__ import annotations

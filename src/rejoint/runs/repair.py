@@ -132,25 +132,25 @@ def repair(
 ) -> Run:
     """Diagnose an arm, fit a twin, train a policy, compare controllers on the arm, and write the report.
 
-    The same call resumes an interrupted repair. Nothing changes on the arm. Ctrl-C and SIGTERM first bring a moving arm
-    to a hold; then `Interrupted`, a KeyboardInterrupt, is raised.
+    The same call resumes an interrupted repair. Nothing changes on the arm. On Ctrl-C and SIGTERM it holds, then
+    `Interrupted` is raised.
 
     Parameters
     ----------
     robot
         robot or its address; default: an emulated worn arm
     run
-        run, or its folder; default: below ``runs/``, an interrupted one of this robot, else a new one
+        run, or its folder; default: below ``runs/``, this robot's interrupted one, else a new one
     arm
-        arm, name or file (`load_arm` reads a URDF); default: by the address, else a myCobot 280
+        arm, name or file; default: by the address, else a myCobot 280
     quick
-        test all steps in a minute, without a result
+        test all steps in a minute; no result
     plan
         recipe, controllers, targets, measuring device
     only
         do this stage alone
     settings
-        payload, tool, control period, seed and so on, which the run keeps
+        payload, tool, control period, seed; the run keeps them
     observer
         receives stages with results, and progress
 
@@ -164,7 +164,7 @@ def repair(
     MissingExtraError
         without the extras ``train`` and ``report``
     InputError
-        for another robot's run, or an unknown preset, controller or target, before anything moves
+        for another robot's run, an unknown preset, controller or target; nothing has moved
     AddressError, GuardTripError, RobotError, UnsavedError
         from the stages; finished ones are kept
 
@@ -293,7 +293,7 @@ class _RepairStages:
 
 
 def report(run: RunLike) -> Path:
-    """Write the report of a run: one self-contained page, and its figures as PNG files.
+    """Write the report of a run: one page, and its figures as PNG files.
 
     Parameters
     ----------
@@ -328,8 +328,8 @@ def report(run: RunLike) -> Path:
 class Session(ArmSession):
     """An arm with everything that drives it, see `rejoint.connect`; its run takes up what a stage finds.
 
-    One motion at a time, always guarded; between motions the arm holds. Before its first motion to a point or along a
-    path it goes slowly to its rest posture. Use it in a ``with`` block.
+    One motion at a time, always guarded; between motions the arm holds. Before the first target or path it goes to
+    rest. Use it in a ``with`` block.
 
     Examples
     --------
@@ -384,12 +384,11 @@ def connect(
         ``emulated:worn`` (virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``, ``feetech:///dev/DEVICE``, or
         an open robot
     run
-        run, or its folder, for twin, calibration, recommended controller and logs; without one the generic policy
-        drives, if this arm has one
+        run, or its folder, for twin, calibration, controller and logs; without one the generic policy drives, if any
     arm
         arm, name or file; default: by the run or the address
     settings
-        controller, payload, control period and the like
+        controller, payload, control period and so on
     observer
         receives messages, progress, control cycles
 
@@ -403,7 +402,7 @@ def connect(
     AddressError
         if nothing usable is there
     MissingExtraError
-        for an emulated arm without the simulator
+        without the simulator of an emulated arm
     InputError, ContractError
         if run, controller and arm do not fit
 

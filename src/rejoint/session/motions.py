@@ -65,8 +65,8 @@ def deploy(
 ) -> Deployed:
     """Drive an arm to targets, under the guard.
 
-    The arm goes slowly to its rest posture, and then to one target after the other. Ctrl-C and SIGTERM bring it to a
-    hold; then `Interrupted` is raised, a KeyboardInterrupt. In other threads `rejoint.interrupt` does the same.
+    The arm goes slowly to rest, then to each target. On Ctrl-C, SIGTERM and `rejoint.interrupt` it holds, and
+    `Interrupted`, a KeyboardInterrupt, is raised.
 
     Parameters
     ----------
@@ -75,30 +75,29 @@ def deploy(
     targets
         (K, 3) [m], `Pose` objects, or a CSV file in mm; default: ten random points
     run
-        its controller, twin and calibration drive the arm, and it keeps the log; without one the generic policy drives,
-        and nothing is written
+        for controller, twin, calibration and log; without one the generic policy drives, and nothing is written
     arm
         needed where neither run nor address tells it
     settings
-        controller, payload, time per target (``dwell``), accepted error (``within``) and the like
+        controller, payload, time per target (``dwell``), accepted error (``within``) and so on
     observer
-        receives messages, progress, and as ``partial`` what was done until an error
+        receives messages, progress, ``partial`` results before an error
 
     Returns
     -------
     Deployed
-        ``visits``, one for each target; ``missed``; the run log
+        ``visits`` of the targets; ``missed``; the run log
 
     Raises
     ------
     InputError, ContractError
-        if controller, control period or targets do not fit; nothing has moved
+        if controller, period or targets do not fit; nothing has moved
     NotReadyError
         if it is unsafe to move the arm
     GuardTripError, RobotError
         if the motion had to be ended; the arm holds
     UnsavedError
-        if the log could not be written; the error has the result
+        if writing failed; the error holds the result
 
     Examples
     --------
@@ -234,25 +233,24 @@ def follow(
 ) -> Followed:
     """Drive an arm along a path, under the guard, and say how well it followed.
 
-    The arm goes slowly to its rest posture and to the start of the path, waits two seconds, and moves. Ctrl-C and
-    SIGTERM bring it to a hold; then `Interrupted` is raised. `Session.follow` follows a `Stream`.
+    The arm goes slowly to rest and to the start of the path, waits two seconds, and moves. On Ctrl-C and SIGTERM it
+    holds, and `Interrupted` is raised. `Session.follow` follows a `Stream`.
 
     Parameters
     ----------
     robot
         robot or its address
     path
-        `Path`, CSV file ``time,x,y,z`` in seconds and millimetres, (T, 4) numbers in seconds and metres, or a standard
-        path such as ``circle-8s`` and ``random-0.2hz``
+        `Path`, CSV file ``time,x,y,z`` [s, mm], (T, 4) [s, m], or a standard path such as ``circle-8s``
     run
         run with the twin; keeps the log
     arm
         needed where neither run nor address tells it
     repeat
-        how often; each pass corrects the errors of those before
+        how often; each pass corrects earlier errors
     settings
-        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` with a twin,
-        else what drives to points
+        twin, payload, accepted error (``within``); ``controller``: by default ``tracker`` with a twin, else as for
+        points
     observer
         receives messages and progress
 
@@ -264,7 +262,7 @@ def follow(
     Raises
     ------
     InputError, FileError
-        if the path is out of reach or too fast, or no twin is known; nothing has moved
+        if the path is out of reach or too fast, or without a twin; nothing has moved
     NotReadyError
         if it is unsafe to move the arm
     GuardTripError, RobotError

@@ -62,8 +62,8 @@ def serve(
 ) -> Serving:
     """Drive an arm for programs that speak the myCobot's own protocol, until interrupted.
 
-    The arm goes slowly to its rest posture; then one client at a time drives it, and it holds in between. Ctrl-C and
-    SIGTERM bring it to a hold, and end the serving.
+    The arm goes slowly to rest; one client at a time drives it, and it holds in between. Ctrl-C and SIGTERM end the
+    serving in a hold.
 
     Parameters
     ----------
@@ -72,16 +72,16 @@ def serve(
     run
         run with the twin; keeps the log of orders and motion
     listen
-        HOST:PORT of the TCP port; port 0 is any free one
+        HOST:PORT; port 0 is any free one
     pty
-        serve a serial line (pseudo-terminal) instead
+        a serial line (pseudo-terminal) instead
     pace
-        simulated seconds per second, for an emulated arm of this process
+        of an emulated arm: simulated seconds per second
     stop
-        ends the serving when it is set
+        ends the serving
     settings
-        twin, payload, control period and the like; with a calibration coordinates are those of the tool itself.
-        ``controller``: by default the posture controller, which brings every joint; others bring the tool
+        twin, payload, control period; with a calibration coordinates are the tool's own. ``controller``: by default the
+        posture controller, which brings every joint; others bring the tool
     observer
         receives the address for clients, and messages
 
@@ -93,7 +93,7 @@ def serve(
     Raises
     ------
     InputError
-        if the address cannot be used, or the arm is no myCobot; nothing has moved
+        for an unusable address, or if the arm is no myCobot; nothing has moved
     FileError
         if the run has no twin
     NotReadyError

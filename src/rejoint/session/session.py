@@ -82,8 +82,8 @@ class ArmState(Readable):
 class ArmSession(ArmDriver):
     """An arm and everything that drives it, one motion at a time and always guarded; see `rejoint.connect`.
 
-    Before the first motion the session looks at the arm. Before the first motion to a point or along a path, the arm
-    goes slowly to its rest posture. Between motions it holds. Use it in a ``with`` block.
+    Before the first target or path, the arm goes slowly to its rest posture. Between motions it holds. Use it in a
+    ``with`` block.
 
     Examples
     --------
@@ -148,9 +148,9 @@ class ArmSession(ArmDriver):
     ) -> ArmState | None:
         """Bring the tool to ``target_m`` (3,) [m] in the base frame, or to a `Pose`.
 
-        It is reached once the tool stays ``within_m`` (default: the settings', else 2 mm) of its corrected target, by
-        the encoders, and ``within_rad`` of its orientation. With ``wait`` return the state at the end. Else return None
-        at once; the next order or `close` raises what ended the motion.
+        It is reached once the tool stays ``within_m`` (default: the settings', else 2 mm) of its corrected target and
+        ``within_rad`` of its orientation, by the encoders. With ``wait`` return the last state, else None at once; the
+        next order or `close` raises what ended the motion.
 
         InputError for a target out of reach; NotReadyError during a motion; NotReachedError after ``timeout_s``;
         GuardTripError or RobotError. The arm then holds.
@@ -233,8 +233,7 @@ class ArmSession(ArmDriver):
         """Send joint positions (n,) [rad] of a stream; return what the limits and contacts leave of them (n,).
 
         With a calibration they are those of a perfect arm: the tool goes where its tool would be. The arm follows in
-        its own thread, and rests where the stream stops; the next call raises what ended it. InputError for a wrong
-        number, or degrees.
+        its own thread, and rests where the stream stops. InputError for a wrong number, or degrees.
         """
         goal = np.clip(self._joints("send_joints", joints_rad), self.arm.lower, self.arm.upper)
         with self._asking:

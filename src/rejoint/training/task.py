@@ -1,11 +1,10 @@
 """The learning task: bring the tool to a target and hold it there, on randomly drawn arms.
 
-N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies by agent and cycle.
-Observation, command law and guard are those of deployment, without limits of acceleration (no measurable effect on the
-policy, docs/benchmarks.md), contacts, and the push of stuck joints: with it, policies settle farther away.
+N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies. Observation, command
+law and guard are those of deployment, without limits of acceleration (no effect, docs/benchmarks.md), contacts, and the
+push of stuck joints: with it, policies settle farther away.
 
-A target ends by time-out, not failure: the return is bootstrapped from the last state. So it is after a collision; else
-a policy would crash on purpose to end a bad episode.
+Returns are bootstrapped from the last state of a target, also after a collision: else a policy would crash on purpose.
 """
 
 from __future__ import annotations

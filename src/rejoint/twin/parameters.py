@@ -1,10 +1,8 @@
 """The parameters of a twin, their units and priors.
 
-Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad
-(measured in simulation, as the other ranges). Bounds contain identified hobby servos (SO-101: stiffness 19-26 N m/rad,
-Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of unknown arms reach to industrial joints.
-
-`rejoint_lab.plant` shares no physics code with the twin, so that it can test the fit.
+Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad (in
+simulation). Bounds contain identified hobby servos (SO-101: 19-26 N m/rad, Coulomb friction 0.25-0.8 N m, viscous
+friction 0.8-1.6 N m s/rad); ranges of unknown arms, industrial joints.
 """
 
 from __future__ import annotations

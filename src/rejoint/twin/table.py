@@ -2,8 +2,8 @@
 
 MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q) -
 (damping - b) qdot, +-limit) - b qdot - dry friction with `back_emf` b, without contacts of links and joint stops.
-Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense: the sparse
-Cholesky of MuJoCo 4.0.0 has a fault. The solver is projected Gauss-Seidel: Newton's method stops too early (measured).
+Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s). The Jacobian is dense (the sparse Cholesky of
+MuJoCo 4.0.0 has a fault), the solver projected Gauss-Seidel (Newton's method stops too early).
 
 Only the TCP touches the table, with a soft sphere.
 """

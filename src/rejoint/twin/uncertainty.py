@@ -2,10 +2,9 @@
 
 The jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015),
 with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
-are too narrow: a third of such 95 % intervals held the truth of twins of known arms.
+are too narrow.
 
-What a fit holds fixed, links and friction at rest, widens it too ("consider" covariance, Schmidt 1966; Bierman 1977,
-chapter 8).
+What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
 """
 
 from __future__ import annotations

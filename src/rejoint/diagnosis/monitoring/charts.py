@@ -1,12 +1,10 @@
 """Charts of one quantity over the checks of an arm: baseline, state, jumped zeros, and when a tolerance is reached.
 
-The first checks give mean, scatter and temperature effect. For later ones, in standard deviations, an EWMA (Roberts
-1959) gives the state, a two-sided CUSUM (Page 1954) the alarm.
+The first checks give mean, scatter and temperature effect; an EWMA (Roberts 1959) the state, a two-sided CUSUM (Page
+1954) the alarm.
 
-A collision moves a zero alike in all poses; wear changes sag and friction too.
-
-Wear is a Brownian motion with drift, seen by noisy checks; for each posterior draw its first-passage time is inverse
-Gaussian (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
+Wear is a Brownian motion with drift, its first-passage time inverse Gaussian (Folks and Chhikara, J. R. Stat. Soc. B
+40, 1978).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The motion of a check, two to three minutes, and what it measures by encoders.
 
-Every other joint sweeps slowly, then the rest; then the tool visits the poses of ISO 9283:1998, five times from below
-and above.
+Every other joint sweeps slowly, then the rest; the tool visits the poses of ISO 9283:1998, five times from both sides.
 
 ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it,
 vAP the distance between directions of approach. ISO 230-2: *reversal value* B, a joint's difference between directions.

@@ -146,8 +146,8 @@ def calibrate(
 ) -> Calibrated:
     """Measure where an arm's tool is, fit its displacement, and store a correction that helps.
 
-    The arm moves slowly to informative postures, from two sides each. In a run, `deploy` and `compare` then use the
-    correction, and an interrupted session resumes.
+    The arm moves slowly to informative postures, from two sides each. `deploy` and `compare` in the run then use the
+    correction; an interrupted session resumes.
 
     Parameters
     ----------
@@ -156,8 +156,8 @@ def calibrate(
     run
         run, or its folder, for measurements, calibration and pictures
     gauge
-        measuring device: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or your own object with ``measure``;
-        default: the emulator's truth with 0.5 mm of noise. Without a robot: measurements, their file, or pictures
+        `TouchGauge`, `TrackerGauge`, `CameraGauge`, or your own object with ``measure``; default: the emulator's truth
+        with 0.5 mm of noise. Without a robot: measurements, their file, or pictures
     count
         postures; default: 10, with a camera 14 and 12 about rest
     visits
@@ -165,8 +165,8 @@ def calibrate(
     arm
         arm, name or file, if neither run nor address tells
     settings
-        control period, seed, and ``calibration``: an earlier one to start from (default: the run's); ``none``: no
-        prior and no resuming
+        control period, seed, ``calibration``: an earlier one as prior (default: the run's), or ``none``, without
+        resuming
     observer
         receives progress
 
@@ -178,9 +178,9 @@ def calibrate(
     Raises
     ------
     InputError, ContractError
-        for unusable measurements, or a calibration of another arm
+        for unusable measurements or another arm's calibration
     NotReadyError, GuardTripError, RobotError
-        if the motion is unsafe or was ended; measurements are kept
+        if the motion is unsafe or ended; measurements are kept
     UnsavedError
         if writing failed; the error holds the result
 

@@ -95,13 +95,13 @@ def check(
 ) -> Checked:
     """Move an arm through a fixed routine (2.5 minutes), and compare it with its own earlier checks.
 
-    The first five checks after a repair, also in a row, are the baseline. A repair, a move, or another description of
-    the arm begin a new one.
+    The first five checks after a repair, also in a row, are the baseline. A repair, a move, or a changed arm begin a
+    new one.
 
     Parameters
     ----------
     robot
-        robot or its address; default: an emulated worn arm. ``emulated:worn?hours=500`` has aged
+        robot or its address; default: an emulated worn arm
     history
         folder of all runs and checks
     name
@@ -111,23 +111,23 @@ def check(
     tolerance_mm
         [mm] tolerated tool error; default: that of the last check
     notes
-        hours of use, another date, or that the arm was moved
+        hours of use, date, whether the arm was moved
     settings
-        control period, and seed of an emulated arm's noise; default: a new one per check
+        control period; seed of an emulated arm's noise, new in each check
     observer
         receives progress
 
     Returns
     -------
     Checked
-        result in one line, and its details
+        result in one line, and details
 
     Raises
     ------
     AddressError, NotReadyError
-        if no robot answers, or the motion is unsafe
+        without an answer, or if the motion is unsafe
     GuardTripError, RobotError
-        if the motion was ended, or a joint did not follow; the arm holds, the history is unchanged
+        if the motion was ended; the arm holds, the history is unchanged
     FileError, UnsavedError
         if writing failed; the error holds the result, if any
 

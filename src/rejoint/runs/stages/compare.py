@@ -326,22 +326,22 @@ def compare(
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-    Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets. One that misses three
-    targets in a row, or is significantly worse than the best, is eliminated. The diagnosis of the run counts as trials
-    of ``default``. In a run, the same call resumes after the last finished trial.
+    Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets; after three misses in a
+    row, or if significantly worse, they are eliminated. The run's diagnosis counts as trials of ``default``. The same
+    call resumes after the last finished trial.
 
     Parameters
     ----------
     robot
         robot or its address
     controllers
-        names of baselines (``default``, ``integrator``, ``feedforward``), ``shelf``, ``predictive``, policies, their
-        files, or your own controllers; a mapping names them. Default: baselines, ``shelf`` where it suits (a real arm:
-        only without a policy), the run's policy, and with a twin ``predictive``; after a search for servo gains these
-        two under the gains found, and ``servo-gains``
+        baselines (``default``, ``integrator``, ``feedforward``), ``shelf``, ``predictive``, policies, their files, or
+        your own; a mapping names them. Default: baselines, ``shelf`` (a real arm: only without a policy), the run's
+        policy, with a twin ``predictive``; after a search for servo gains these two under the gains found, and
+        ``servo-gains``
     targets
         (K, 3) or (S, K, 3) [m], `Pose` objects, or a CSV file in mm (``x,y,z``, and orientations for baselines);
-        default: drawn, ten in a set; on one arm first those of the diagnosis
+        default: ten drawn, on one arm first those of the diagnosis
     run
         run, or its folder, for policy, twin and results; default: nothing is written
     arm
@@ -361,7 +361,7 @@ def compare(
     Raises
     ------
     InputError, ContractError
-        if a controller, its period or the targets do not fit; nothing has moved
+        if controller, period or targets do not fit; nothing has moved
     GuardTripError, RobotError
         if a real arm's motion was ended
     UnsavedError

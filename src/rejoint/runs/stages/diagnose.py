@@ -80,17 +80,17 @@ def diagnose(
     Parameters
     ----------
     source
-        robot or its address (with a colon); or run logs, a file of one, or a folder of them
+        robot or its address; or run logs, their file or folder
     arm
-        arm, name or file; needed for logs, and where the address does not tell
+        arm, name or file, if the address does not tell
     run
         run, or its folder, for logs and diagnosis; default: nothing is written
     healthy
-        run or diagnosis of a good arm; default: an emulated one of its kind
+        run or diagnosis of a good arm; default: an emulated one
     quick
-        mark the run, so that the next stages do little
+        mark the run: the next stages do little
     settings
-        payload, tool, control period, seed and so on, which the run keeps
+        payload, tool, control period, seed; the run keeps them
     observer
         receives progress
 
@@ -102,11 +102,11 @@ def diagnose(
     Raises
     ------
     InputError
-        for logs of another arm or with too little free motion, or another robot's run
+        for another arm's logs or run, or too little free motion
     AddressError
         if no robot answers
     GuardTripError, RobotError
-        if the motion was ended; the notes name its log
+        if the motion was ended; the notes name the log
     UnsavedError
         if writing failed; the error holds the result
 

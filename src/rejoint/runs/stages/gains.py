@@ -23,7 +23,7 @@ def gains(
     """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
 
     The arm repeats four targets with other P, dead zone, startup force and I; each joint keeps what brings it nearer
-    to its command without noise. Afterwards the gains are as before. `compare` then tries the best.
+    without noise. Afterwards the gains are as before; `compare` tries the best.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def gains(
     NotReadyError
         if the motion is unsafe
     GuardTripError, RobotError
-        if the motion was ended; the arm holds, its gains are as before
+        if the motion was ended; the arm holds, gains as before
     UnsavedError
         if writing failed; the error holds the result
 

@@ -65,8 +65,7 @@ def identify(
 ) -> Twin:
     """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset, delay.
 
-    The two logs of a diagnosis are best. In others, contacts and stops are left out, and whole
-    motions held out to judge the fit.
+    The two logs of a diagnosis are best. In others, contacts and stops are left out, whole motions held out.
 
     Parameters
     ----------
@@ -79,7 +78,7 @@ def identify(
     plan
         other twins, held-out motions, gains and pauses
     seed
-        of search and held-out motions; default: that of the run, else 0
+        default: that of the run, else 0
     quick
         search less: the fit is worse
     observer
@@ -88,7 +87,7 @@ def identify(
     Returns
     -------
     Twin
-        ``parameters`` with ``interval`` (95 %) in SI units; ``held_out`` errors; for logs of any motion ``judgement``
+        ``parameters``, ``interval`` (95 %), ``held_out`` errors; for any logs ``judgement``
 
     Raises
     ------
@@ -190,8 +189,6 @@ def replay(
 ) -> Replayed:
     """Predict every motion open loop with a twin, and compare that with the encoders.
 
-    Motions of the fit flatter the twin.
-
     Parameters
     ----------
     twin
@@ -203,7 +200,7 @@ def replay(
     beside
         other twins to judge
     out
-        folder for a page with figures; default: nothing is written
+        folder for a page with figures; default: none
 
     Returns
     -------
@@ -215,7 +212,7 @@ def replay(
     ContractError
         if the twin is of another arm
     InputError
-        for a log of another arm, or without commands
+        for another arm's log, or without commands
 
     Examples
     --------

@@ -61,20 +61,20 @@ def train(
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
 
-    An interrupted training begins again; the same seed gives the same policy.
+    The same seed gives the same policy.
 
     Parameters
     ----------
     twin
-        twin or its file; default: that of the run; without a run: for any worn arm of this kind
+        twin or its file; default: the run's; without either: any worn arm of this kind
     arm
         arm, name or file; default: that of run or twin
     run
-        run, or its folder, for ``policy.onnx``; give either a run or a twin
+        run, or its folder, for ``policy.onnx``; or a twin
     preset
-        recipe: ``default`` (on a twin: from the arm's generic policy, if any), ``scratch``, or your own
+        ``default`` (on a twin: from the arm's generic policy), ``scratch``, or your own
     quick
-        train for seconds: the policy hardly improves
+        train for seconds; no result
     settings
         seed, threads
     observer
@@ -88,7 +88,7 @@ def train(
     Raises
     ------
     InputError
-        for both run and twin, for neither twin, run nor arm, or for a run without a twin
+        for run and twin, none of twin, run and arm, or a run without a twin
     ContractError
         if the twin is of another arm
 

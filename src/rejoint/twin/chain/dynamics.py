@@ -1,9 +1,8 @@
 """Compiled dynamics of some dozen serial arms at once.
 
-Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), all in the
-base's axes and about its origin, so that bodies simply add. Link frames have their joint as z axis. To vectorize, loops
-over the arms need arrays without overlap (`NoAlias`), one row per quantity of a joint, no calls but of `INLINE`
-functions, and an unknown number of lanes.
+Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), about the
+base's origin, so that bodies add. Link frames have their joint as z axis. Loops over arms vectorize with arrays without
+overlap (`NoAlias`), one row per quantity, only `INLINE` calls, and an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False

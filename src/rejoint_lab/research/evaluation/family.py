@@ -222,12 +222,12 @@ def try_on(
 ) -> Columns:
     """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
 
-    ``opened`` puts all arms at rest, as a new batch. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or
-    None for the nearest postures, are the family's own by default. ``calibrations`` of each arm correct them, and
-    model true errors. ``on_targets`` receives the number of targets that are done, now and then.
+    ``opened`` puts all arms at rest. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or None, are the
+    family's by default. ``calibrations`` correct them, and model true errors. ``on_targets`` receives the number of
+    done targets.
 
-    Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
-    which the guard ``tripped``; with calibrations, whether they are ``used``.
+    Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, flags of the
+    guard's trip; with calibrations, whether they are ``used``.
     """
     places, ways = targets or (family_targets(arm, family), None)
     protocol, shape = family.protocol, places.shape[:2]
