@@ -1,8 +1,7 @@
 """Give a worn robot arm its accuracy back, in software.
 
-Everything an owner of an arm needs is here: the stages of a repair as functions (`repair` is all of them), the objects
-that they take and return, and the errors that they raise. Importing this package loads none of its parts; each comes
-when its name is first used. Positions are in radians, lengths in metres, times in seconds, everywhere.
+The stages of a repair as functions (`repair` is all of them), the objects that they take and return, and the errors
+that they raise. Each name is loaded at its first use. Positions are in radians, lengths in metres, times in seconds.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ _HOMES = {
     "system.shell": ("__version__",),
     "twin.twin": ("Judgement", "Twin"),
 }  # fmt: skip
-"""Where each public name is defined; a test compares it with the imports above and with `__all__`"""
+"""Where each public name is defined"""
 
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

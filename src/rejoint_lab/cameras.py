@@ -1,6 +1,6 @@
 """A camera before an emulated arm.
 
-Each pixel is traced back to the drawing, without projected corners, so that images can test the detection.
+Each pixel is traced back to the drawing, so that images can test the detection.
 """
 
 from __future__ import annotations

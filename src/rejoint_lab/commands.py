@@ -226,7 +226,6 @@ def _arm(call: Call) -> Arm:
 
 
 def _contestants(arm: Arm, words: list[str], gains: Path | None = None) -> list[Contestant]:
-    """Return controllers by name, or by the file of a policy."""
     from rejoint_lab.research.evaluation.evaluate import classical, learned
 
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])

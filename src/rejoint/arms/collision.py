@@ -1,7 +1,7 @@
 """Contacts of an arm with itself, the ground or a box, by capsules.
 
 Pairs of links that meet in a joint, overlap at rest or at a target (Coleman et al. 2014), or keep their distance do not
-count. Distances: Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
+count. Distances: Ericson 2005, section 5.1.9.
 """
 
 from __future__ import annotations

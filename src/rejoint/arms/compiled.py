@@ -206,7 +206,7 @@ def in_null_space(jacobian, motion):  # noqa: ANN001, ANN201
 def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN201
     """Move ``q`` (n,) within ``limits`` (2, n) to the ``goal``; returns the largest error [m].
 
-    The damping shrinks with the error (quadratic convergence). ``pull``: to rest per step, in the null space.
+    ``pull``: to rest per step, in the null space.
     """
     _clip(q, limits)
     missed = np.inf

@@ -1,7 +1,7 @@
 """Displacements behind encoders: play, flex, zero errors, links, a tilted base.
 
-Weight presses a joint to one side of its play and bends it; without weight only the last motion tells the side. Model:
-Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
+Weight presses a joint to one side of its play and bends it; without weight the last motion tells the side (Khalil and
+Dombre 2002, chapter 11).
 """
 
 from __future__ import annotations

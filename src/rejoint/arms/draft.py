@@ -21,7 +21,7 @@ DEFAULT_SPEED = np.radians(90.0)
 """[rad/s] of a joint without one (chosen)"""
 
 DEFAULT_COUNTS = 4096
-"""Encoder steps a turn, as hobby servos have; doubled until a step moves no tool farther than a myCobot's (chosen)"""
+"""Encoder steps a turn of hobby servos; doubled until a step moves no tool farther than a myCobot's (chosen)"""
 
 MOST_TURN = 4 * 2 * np.pi
 """[rad] larger limits are ignored (chosen)"""

@@ -35,8 +35,7 @@ ROUNDING = 0.05
 def pseudo_inertia(mass: float, com: ArrayLike, inertia: Array) -> Array:
     """Second moments (4, 4) of the mass at (x, y, z, 1), of a ``com`` (3,) [m] and ``inertia`` (3, 3) about it.
 
-    Those of bodies add up; seen from the frame in which theirs has the pose T they are T J T' (Wensing, Kim and Slotine
-    2018, "Linear matrix inequalities for physically consistent inertial parameter identification").
+    Those of bodies add up; in a frame where theirs has the pose T they are T J T' (Wensing, Kim and Slotine 2018).
     """
     moment = np.append(com, 1.0)
     second = mass * np.outer(moment, moment)
@@ -199,7 +198,6 @@ def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
 
 
 def _numbers(what: str, given: ArrayLike, expected: str, shape: tuple[int, ...], most: float = np.inf) -> Array:
-    """Numbers of a ``shape``, as far from zero as ``most``; InputError."""
     found = as_floats(what, given, expected)
     if found.shape != shape or not np.abs(found).max() <= most:
         raise InputError(f"{what}: expected {expected}, got {given!r}")

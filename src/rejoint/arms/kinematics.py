@@ -172,8 +172,7 @@ class Solution:
 def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Array:
     """Damped least-squares step J'(JJ' + lambda^2 I)^-1 e, (..., n) [rad].
 
-    ``jacobian`` (..., k, n), ``error`` (..., k), ``damping`` a number or (...). This k x k form equals the paper's n x
-    n form.
+    ``jacobian`` (..., k, n), ``error`` (..., k), ``damping`` a number or (...).
     """
     transpose = np.swapaxes(jacobian, -1, -2)
     ridge = np.asarray(damping)[..., None, None] ** 2 * np.eye(jacobian.shape[-2])
@@ -211,7 +210,7 @@ def solve_position(
     """Search joint positions of the TCP at ``target`` (..., 3) [m], from ``start`` (..., n) [rad].
 
     ``turn`` (...): wanted orientation. The null space pulls to rest. ``tolerance`` [m], weighted radians. Without a
-    solution the search ends at the least weighted sum of squares nearby, within the limits.
+    solution it ends at the least weighted sum of squares nearby.
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.array(np.broadcast_to(start, (*shape, arm.joints)), dtype=float, order="C").reshape(-1, arm.joints)

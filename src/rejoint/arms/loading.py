@@ -1,7 +1,7 @@
 """Arms by name, and in TOML and URDF files.
 
-docs/files.md lists the TOML keys. `rejoint.arms.draft` completes missing values. In a URDF, errors of zeros and links
-go into the joint origins: other programs ignore ``<calibration>`` tags.
+docs/files.md lists the TOML keys. In a URDF, errors of zeros and links go into the joint origins: other programs ignore
+``<calibration>`` tags.
 """
 
 from __future__ import annotations
@@ -234,7 +234,6 @@ def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:
-    """Add an element; arrays become numbers between spaces."""
     texts = {
         name: value if isinstance(value, str) else " ".join(repr(float(one)) for one in np.atleast_1d(value))
         for name, value in attributes.items()

@@ -1,6 +1,6 @@
 """Cut a serial chain out of a URDF or MJCF file, which MuJoCo reads.
 
-Only kinematics and masses are compiled: meshes may be missing. All joints but those of the chain are frozen.
+Meshes may be missing. Joints outside the chain are frozen.
 """
 
 from __future__ import annotations
@@ -166,7 +166,6 @@ def _strip(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
 
 
 def _repair(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
-    """Replace the inertias and masses that no rigid body has."""
     for body in spec.bodies:
         full, mass, com = np.array(body.fullinertia), float(body.mass), np.array(body.ipos)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(body.inertia)
@@ -265,9 +264,8 @@ def _speeds(root: ET.Element) -> dict[str, float]:
 def cut(tree: Tree, base: str | None, tip: str | None) -> Loaded:
     """Unfinished arm from body ``base`` to the body or site ``tip``, see `rejoint.arms.draft.finish`.
 
-    Default ``tip``: last link of the longest chain of hinges without a gripper; default ``base``: the root. Slides are
-    held; other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or a joint that can be
-    neither driven nor held.
+    Default ``tip``: last link of the longest chain of hinges without a gripper; ``base``: the root. Slides are held;
+    other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or an impossible joint.
     """
     notes = list(tree.notes)
     start = None if base is None else _index(base, "body", tree.names)
@@ -374,9 +372,9 @@ _ACROSS = 1e-6
 
 
 def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
-    """First body of the arm to ``end``: the root, the load of a mobile base, or the world.
+    """First body of the arm to ``end``: the root, or the load of a mobile base.
 
-    A mobile base is two slides or more, and a hinge across them, at the beginning of a chain.
+    A mobile base is two slides or more, and a hinge across them.
     """
     path, axes = tree.path(end), tree.data.xaxis
     joints = tree.joints_of(path)

@@ -151,8 +151,6 @@ def clearance(arm: Arm, q: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Field:
-    """Clearances that a trajectory keeps."""
-
     arm: Arm
     least: Array
     """(n + c,) [m]"""

@@ -37,8 +37,8 @@ redundancy = Late("rejoint.arms.redundancy")
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
 CLEARANCE, APART, SPACIOUS = 0.010, 0.016, 0.015
-"""[m] least clearance to the ground and to boxes, and between links (chosen: worn arms keep 5 mm, though joints that
-break loose fall); and sufficient clearance of a myCobot 280 (chosen)"""
+"""[m] least clearance to the ground and to boxes, and between links (chosen: worn arms keep 5 mm); sufficient clearance
+of a myCobot 280 (chosen)"""
 STEP = 0.004
 """[m] of a myCobot 280: motion between checks of a way (chosen)"""
 POOL, DRAWN = 8000, 40000
@@ -80,7 +80,7 @@ class Motors(NamedTuple):
     stiffness: Array | float = np.inf
     """(n,) [N m/rad] of the servos"""
     delay: float = 0.09
-    """[s] command to effect (chosen for unknown servos, which damping makes late: worn ones by 0.07 to 0.15 s)"""
+    """[s] command to effect (chosen for unknown servos: worn ones take 0.07 to 0.15 s)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

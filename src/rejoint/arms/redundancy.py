@@ -35,7 +35,7 @@ from rejoint.arms.kinematics import REST_GAIN, TOLERANCE, Chain
 
 AMPLE, CRAMPED = 5.0 / 3.0, 10.0
 """Least distances from which there is enough room, and cost of a sufficient clearance less (chosen by `python -m
-benchmarks postures`: in postures with the least distances, worn arms came nearer than 5 mm)"""
+benchmarks postures`)"""
 FAR = 1000.0
 """Cost of an impossible posture"""
 LOAD, MOST_LOAD, NEAR_LIMIT = 0.85, 1.5, 0.2
@@ -232,8 +232,7 @@ LONGEST, SHORTEST = 1.5, 0.02
 def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
     """Share, 0 to 1, of the straight line ``start`` to ``goal`` (n,) that keeps ``least`` (n + c,) [m]; what ends it.
 
-    Between checks a distance changes by ``body.step`` or its reserve at most. ``leaving``: too small distances at the
-    start may grow.
+    ``leaving``: too small distances at the start may grow.
     """
     rates = (body.levers * np.abs(goal - start)).sum(axis=1)
     before, share, safe = np.full(len(least), -np.inf), 0.0, 0.0

@@ -1,9 +1,8 @@
 """Workspace of an arm: size, rest posture, targets, and room for a diagnosis.
 
-Rest: random postures in front of the base, clear of floor and limits, scored by manipulability (Yoshikawa 1985),
-mid-range, elbow height, heading and holding torque. Targets: the largest box that inverse kinematics reaches with
-margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et al. 2024, section IV-A). Constants in N m or mm are a myCobot
-280's.
+Rest: the best of random postures in front of the base by manipulability (Yoshikawa 1985), mid-range, elbow height,
+heading and holding torque. Targets: the largest box that inverse kinematics reaches with margins, at most 0.2 x 0.4 x
+0.2 of the reach (Park et al. 2024, section IV-A). Constants in N m or mm are a myCobot 280's.
 """
 
 from __future__ import annotations
@@ -105,8 +104,6 @@ class NoPostureError(InputError):
 
 
 class _Survey(NamedTuple):
-    """Samples of the joint space."""
-
     arm: Arm
     reach: float
     """[m]"""

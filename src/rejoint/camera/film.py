@@ -148,7 +148,6 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
 
 
 def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
-    """Read shots of ``pictures`` that are not examined yet."""
     joints, came = joint_columns(arm)
     remedy = "write one line for each picture"
     meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}

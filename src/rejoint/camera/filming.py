@@ -40,7 +40,7 @@ _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed 
 def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
     """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    D-optimal: the poses of camera and board count too. InputError for too few views.
+    D-optimal. InputError for too few views.
     """
     candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
@@ -146,8 +146,8 @@ class CameraGauge:
     ) -> Film:
         """Take the pictures about rest, then ``count`` postures from ``visits`` sides each.
 
-        A run ``folder`` keeps each of them; resumes what was interrupted there unless ``fresh``. InputError if the
-        board is hardly visible; errors of `rejoint.control.loop.run`.
+        A run ``folder`` keeps each; resumes unless ``fresh``. InputError if the board is hardly visible; errors of
+        `rejoint.control.loop.run`.
         """
         arm, total = drive.robot.arm, SCOUTS + count * visits
         film = Film(board=self.board, carried=self.carried)
@@ -169,8 +169,6 @@ class CameraGauge:
 
 @dataclass(eq=False)
 class _Shooting:
-    """Takes or resumes the image sequence of one arm."""
-
     drive: StandingDrive
     camera: StillCamera
     film: Film

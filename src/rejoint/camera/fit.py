@@ -1,8 +1,7 @@
 """Lens, camera, board and arm from pictures of a board and encoder readings.
 
-OpenCV finds the lens and the poses of the board. Then one fit refines all of it together
-with the arm's displacement. Views that do not fit are named and left out, and a bent board is refused: it makes focal
-lengths wrong.
+OpenCV finds the lens and the poses of the board; one fit refines them with the arm's displacement. Views that do not
+fit are left out; a bent board is refused: it makes focal lengths wrong.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ def _hand_eye(seen: Array, tool: Array) -> tuple[Array, Array, float]:
     """Poses ``standing`` and ``mounted`` of a rig: A M = F B by linear least squares (Dornaika and Horaud 1998).
 
     ``seen`` M (V, 4, 4): the carried one in the frame of the standing one; ``tool`` F (V, 4, 4) in the base. Also the
-    factor of the pictures' lengths that fits best. OpenCV's `calibrateRobotWorldHandEye` is missing from its version 5.
+    best factor of the pictures' lengths. OpenCV 5 lacks `calibrateRobotWorldHandEye`.
     """
     one, turn = np.eye(3), tool[:, :3, :3]
     rows = [np.hstack([np.kron(m.T, one), -np.kron(one, f)]) for m, f in zip(seen[:, :3, :3], turn, strict=True)]

@@ -106,8 +106,8 @@ class Placed(NamedTuple):
 def place(lens: Lens, corners: Array, pixel: Array, near: Array | None = None) -> Placed:
     """Pose of a board with ``corners`` (K, 3) [m], not on a line, at ``pixel`` (K, 2).
 
-    A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006). Both are tried. Of those that fit, the
-    nearest to ``near`` (4, 4) wins; without it the best.
+    A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006); of those that fit, the nearest to
+    ``near`` (4, 4) wins, else the best.
     """
     seen = (np.asarray(corners), np.asarray(pixel), lens.matrix, lens.distortion)
     _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)

@@ -1,10 +1,9 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
-Exit codes: 0 done; 1 a bug, here or in the driver of another package; 2 input that cannot be used; 3 the guard stopped
-the motion; 4 the robot failed; 5 done, but not all targets were reached, or the path was not followed; 6 checked, and
-the arm drifts; 7 checked, and it is an alarm, or the tolerance is reached; 128 and the number of the signal, such as
-130 for Ctrl-C and 143 for SIGTERM, interrupted.
-Results go to standard output, everything else to standard error.
+Exit codes: 0 done; 1 a bug, here or in another package's driver; 2 unusable input; 3 the guard stopped the motion; 4
+the robot failed; 5 targets not reached, or the path not followed; 6 the arm drifts; 7 alarm, or the tolerance is
+reached; 128 and the number of the signal (130 Ctrl-C, 143 SIGTERM). Results go to standard output, everything else to
+standard error.
 """
 
 from __future__ import annotations
@@ -250,7 +249,6 @@ def _ended(error: BaseException, *, json: bool) -> int:
 
 
 def _reason(error: BaseException) -> tuple[str, str, int]:
-    """Return why a command ended, the kind of its error, and its exit code."""
     match error:
         case Interrupted():
             command = sys.argv[1] if len(sys.argv) > 1 else ""

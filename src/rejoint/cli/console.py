@@ -117,7 +117,7 @@ class Terminal:
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table with the row ``bold`` set off.
 
-        A column without text is left out; a wide table is split, its first column in each part.
+        A column without text is left out; a wide table is split.
         """
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
         page = Console(file=_results(), width=width, highlight=False)
@@ -171,7 +171,6 @@ class Terminal:
 
 
 def _parts(columns: Sequence[Sequence[str]], most: int) -> list[list[Sequence[str]]]:
-    """Distribute columns to tables of at most ``most`` characters, the first to each."""
     parts = [list(columns[:1])]
     for column in columns[1:]:
         if len(parts[-1]) > 1 and sum(_least(one) + 3 for one in [*parts[-1], column]) >= most:
@@ -181,7 +180,6 @@ def _parts(columns: Sequence[Sequence[str]], most: int) -> list[list[Sequence[st
 
 
 def _least(column: Sequence[str]) -> int:
-    """Width in which words, and short cells, stay on one line."""
     words = [cell_len(word) for cell in column for word in cell.split()]
     whole = [wide for wide in map(cell_len, column[1:]) if wide <= _CELL]
     return min(max([*words, *whole]), WIDTH // 2)

@@ -109,7 +109,7 @@ def calibrate(
 
 
 SECONDS = 4.0
-"""[s] of the arm for one measurement (measured over the wire of a myCobot 280, see docs/true-accuracy.md)"""
+"""[s] of the arm for one measurement (measured, docs/true-accuracy.md)"""
 EMULATED = "emulated"
 PLACES = {"tool": "board", "table": "camera"}
 """Where the board is, and what the tool carries then"""

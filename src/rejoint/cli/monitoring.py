@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
-"""Exit codes of a check after which the arm is to be watched, and is to be repaired"""
+"""Exit codes of a check: watch the arm, repair it"""
 
 
 @takes("arm", "part", "live", "period", "dry_run")

@@ -219,7 +219,6 @@ def arms(
 
 
 def _calibrated(address: str, file: Path) -> str:
-    """Put LeRobot's calibration into an address."""
     if not hasattr(place_of(address).detail, "calibration"):
         raise InputError(f"--calibration is LeRobot's, of arms on a bus of servos, and {address} is none: leave it out")
     if not file.is_file():

@@ -98,7 +98,7 @@ class Call(Terminal):
     def arm(self, robot: str | None = None) -> Arm:
         """Load the arm, by default the one that ``robot`` is, and say what its description left open.
 
-        Without a rest posture the arm is written to a TOML file in the working folder, for its owner to give it.
+        Without a rest posture the arm is written to a TOML file for its owner.
         """
         source, base, tip, hold = self.pick
         source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
@@ -120,8 +120,7 @@ class Call(Terminal):
     def job(self, robot: str, path: Path | None, seed: int) -> OpenRun:
         """Prepare the run of a robot or of logs.
 
-        It is the one at ``path``, with its own arm unless another is named; else the newest interrupted one, or a new
-        one.
+        It is the one at ``path``, else the newest interrupted one, or a new one.
         """
         if path is not None and RunFolder(path).info.exists() and not any(self.pick):
             chosen = OpenRun.open(path).arm
@@ -275,9 +274,9 @@ SHARED = {
 
 
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
-    """Give a command options of `SHARED`; ``part`` stands for those of a part of the arm, and all have ``json``.
+    """Give a command options of `SHARED`, and ``json``; ``part``: those of a part of the arm.
 
-    The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
+    The command receives a `Call`, and returns its `Result` or value; None prints no JSON.
     """
     parts = ArmPick._fields[1:] if "part" in names else ()
     shared = {name: SHARED[name] for name in SHARED if name in (*names, *parts, "json")}

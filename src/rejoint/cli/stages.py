@@ -170,7 +170,7 @@ class _Narrator(ConsoleObserver):
 
 
 MISSED = 5
-"""Exit code of a deployment that did not reach all of its targets, and of a path that was not followed"""
+"""Exit code for targets not reached, and a path not followed"""
 
 
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
@@ -183,7 +183,7 @@ def diagnose(
     seed: int = 0,
     quick: bool = False,
 ) -> object:
-    """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone."""
+    """Find out what is wrong with an arm: by moving it, or from logs."""
     if logs is not None and (robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given()):
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
     robot = robot or FIRST_ROBOT
@@ -214,7 +214,7 @@ def identify(
     seed: int | None = None,
     quick: bool = False,
 ) -> object:
-    """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report."""
+    """Fit a digital twin to the logs of a run or others; then write the report."""
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if (run is None) == (logs is None) or (run is not None and any((folder, published, hold_out, gain, torque_off))):
         raise InputError(

@@ -1,8 +1,7 @@
 """Joint goals: the posture for each target, and the way there.
 
-Every controller receives the posture that brings the tool to its target, and searches none. A far goal comes with a
-way: a joint trajectory from the last posture, along which goal and target move. So controllers always work close to
-their target.
+Controllers receive the posture of their target. A far goal comes with a way: a joint trajectory from the last posture,
+along which goal and target move, so that controllers work close to their target.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from rejoint.control.moving.posture import TURNING
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] lags behind a way between which the arm slows down, and the least share of its speed (chosen: a worn joint lags
-by 8 deg at full speed; with twice these lags an arm cut a corner by 7 mm)"""
+by 8 deg at full speed)"""
 SHARE = 0.5
 """Share of the friction that goals on a way compensate (chosen: a fit mistakes it for stiffness)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
@@ -32,14 +31,13 @@ STUCK = tuple(np.radians([30.0, 36.0]))
 PATIENCE, STOPPED = (20.0, 10.0), 6.0
 """[s] plus durations of the way, and [s] that it stands still, after which the target is given up (chosen)"""
 ROOM, LEAST = 0.1, 0.3
-"""[m] of a myCobot 280: clearance below which those lags shrink in proportion, and their least share (chosen by
-`python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
+"""[m] of a myCobot 280: clearance below which those lags shrink, and their least share (chosen by `python -m benchmarks
+postures`)"""
 STOP, LAST, _REST = 0.012, 0.9, 12
-"""[m] clearance that the others keep on the rest of the way while a joint is stuck, and share of a way after which they
-wait for it (chosen)"""
+"""[m] clearance of the others while a joint is stuck, and share of a way after which they wait for it (chosen)"""
 AHEAD, BRAKING, RESERVE = 0.05, 0.22, 0.007
 """[s] over which the approach to obstacles is measured; least time [s] to a clearance of the [m] after it (chosen
-likewise: with 0.35 s ways took up to 0.3 s longer)"""
+likewise)"""
 UNKNOWN = Motors(np.array(np.inf), np.array(np.inf))
 """Motors of an arm without a twin"""
 
@@ -53,8 +51,7 @@ def with_ways(
 ) -> tuple[JointTrajectory, ...]:
     """Plan the ways of one arm from ``start`` (n,) through ``posture`` (K, n) [rad].
 
-    The ``motors`` lift the arm; ``speed`` is a share of the arm's. Where no way is clear, a joint goes a turn farther
-    or less. InputError where that does not help.
+    The ``motors`` lift the arm. Where no way is clear, a joint goes a turn farther or less, else InputError.
     """
     ways: list[JointTrajectory] = []
     for goal in posture:
@@ -77,10 +74,7 @@ def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed
 
 
 def beginning_at(arm: Arm, way: JointTrajectory, position: Array) -> JointTrajectory:
-    """Return the ``way``, or a new one from ``position`` (n,) [rad] if the arm is not at its start.
-
-    The old one stays where no new one is clear.
-    """
+    """Return the ``way``, or a new one from ``position`` (n,) [rad] if the arm is not at its start."""
     if np.abs(way.start - position).max() > LAGS[1]:
         with suppress(PlanningError):
             return plan(arm, position, way.goal, motors=way.motors, speed=way.speed)
@@ -100,9 +94,8 @@ def lead(arm: Arm, way: JointTrajectory, since: float, pace: float) -> Array:
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:
     """Share (B,) of the time that ways wait for lagging joints.
 
-    ``since`` (B,) [s]: time on the way; ``position`` (B, n) [rad]: measured; ``sag`` (B, n) [rad]: distance from it to
-    the start of the way, at the begin. The whole way waits: with another lag of each joint it would not be the checked
-    one. At its end it waits for a stuck joint.
+    ``since`` (B,) [s]: time on the way; ``position`` (B, n) [rad]: measured; ``sag`` (B, n) [rad]: its distance from
+    the start of the way at the begin. The whole way waits, else it would not be the checked one.
     """
     share = np.zeros(len(ways))
     for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
@@ -115,9 +108,9 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
 def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Array | float = 0.0) -> float:
     """Share of its speed at which a way goes on, ``since`` [s] its begin, at ``position`` (n,) [rad].
 
-    It brakes before obstacles, and before those that the arm would come near to if one joint did not move. The less
-    room there is, the less joints may lag. It waits for a stuck joint where the others would touch something without
-    it, or where the motors may not lift the arm.
+    It brakes before obstacles, also those that the arm meets if one joint does not move. The less room, the less joints
+    may lag. It waits for a stuck joint where the others would touch something, or where the motors may not lift the
+    arm.
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
     behind = np.abs(goal - position - sag)

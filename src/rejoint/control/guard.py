@@ -1,8 +1,8 @@
 """The guard between controller and robot.
 
 Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
-lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
-a hold is always allowed. The guard judges the commanded posture, and what a step does to the measured one, which sags.
+lead, position, step, acceleration, floor, contacts. All but the first two only shorten the step, so a hold is always
+allowed. The guard judges the commanded posture, and what a step does to the measured one.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def guard_along(
 ) -> Guarded:
     """`guard` a ``command`` (B, n) [rad] whose ``goal`` (B, n) [rad] is ``moving`` (B,) along a clear way.
 
-    Where the command would touch something, only the clear part of its difference from the goal remains.
+    In a contact, only the clear part of its difference from the goal remains.
     """
     guarded = guard(limits, command, sent, speed, state, period)
     touched = guarded.reasons & np.uint16(Reason.COLLISION.value)

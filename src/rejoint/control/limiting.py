@@ -16,8 +16,8 @@ TOLERANCE = 1e-9
 FOLLOWS = float(np.radians(1.0))
 """[rad] off the last command within which an arm follows (chosen)"""
 APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
-"""[m] by which a joint's step may always bring measured bodies nearer; share of what is left to the least distance that
-it may take; [m] to it from which steps are looked at; and share of a step below which there is none (chosen)"""
+"""[m] by which a step may always bring measured bodies nearer; share of the rest to the least distance that it may
+take; [m] to it from which steps are looked at; share of a step below which there is none (chosen)"""
 
 _NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
 _LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
@@ -96,8 +96,8 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
 def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
     """Shorten steps to ``out`` (n,) that bring the measured arm too near to something, or too fast; returns flags.
 
-    A step takes at most `CLOSING` of the distance that is left (a discrete control barrier: Agrawal and Sreenath 2017),
-    and goes on to no joint position that is too near. Each joint alone, since others may be stuck. ``asked`` (4, n).
+    A step takes at most `CLOSING` of the distance that is left (a discrete control barrier: Agrawal and Sreenath 2017);
+    each joint alone, since others may be stuck. ``asked`` (4, n).
     """
     last, position, found = asked[1], asked[3], 0
     if (np.abs(position - last) < FOLLOWS).all():  # the commanded posture tells

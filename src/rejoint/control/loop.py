@@ -1,7 +1,7 @@
 """The one control loop: every motion of every robot goes through `run`.
 
-In each cycle the loop looks for the end of the target, the controller commands, the guard limits, the robot moves.
-Every arm has its own clock and target. Constants without a source are chosen.
+In each cycle the controller commands, the guard limits, the robot moves. Every arm has its own clock and target.
+Constants without a source are chosen.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def run(
 ) -> Recording:
     """Drive ``robot`` along a ``reference``, or to targets (B, K, 3) [m] in turn.
 
-    An exception first stops the robot, and carries the recording (`recording_of`). After a gap an arm goes on slowly.
+    An exception first stops the robot, and carries the recording (`recording_of`).
     """
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
@@ -329,7 +329,6 @@ class RunState:
         return finished
 
     def _decide(self, renewed: Mask) -> Guarded:
-        """Ask the controller, then the guard."""
         active = self.active
         if not active.any():
             return Guarded(self.sent, np.zeros(len(active), dtype=np.uint16), self.speed)

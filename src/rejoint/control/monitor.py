@@ -94,7 +94,7 @@ class Following:
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
         """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
 
-        Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
+        Travel counts only for arms ``aimed`` (B,) at a target.
         """
         load = np.full_like(self._nothing, np.nan) if state.load is None else state.load
         balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
@@ -163,7 +163,7 @@ class Following:
     def pulled(self, joints: Mask, sent: Array) -> Array:
         """Commands (B, n) [rad] that move overdue ``joints`` (B, n) back; else `balance`.
 
-        A motor that holds a joint may be too weak to move it on, but never to move it back.
+        A weak motor can move a held joint back.
         """
         tracks, overdue = self._tracks, joints & (self._verdict == compiled.OVERDUE)
         width = np.where(overdue, tracks["width"], 0.0)
@@ -193,10 +193,7 @@ class Following:
         return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
 
     def _levers(self, position: Array) -> Array:
-        """Levers (B, n) [m/rad] of the tool, scaled to the reach of a myCobot 280.
-
-        Joints of a longer arm stick over equal angles, so its tool goes farther.
-        """
+        """Levers (B, n) [m/rad] of the tool, scaled to the reach of a myCobot 280."""
         levers = np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2) / length_size(self._arm)
         return np.maximum(levers, 1e-6)
 
@@ -243,7 +240,7 @@ PER_MEDIAN = 1.4826
 def load_slopes(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array] | None:
     """Fit loads over leads of stationary joints: slopes (n,) [1/rad], relative errors (n,); None: unknown.
 
-    A servo's torque is proportional to its error. An infinite error: unknown.
+    An infinite error: unknown.
     """
     told = [(log, log.servo_load) for log in logs if log.servo_load is not None]
     if not told:
@@ -318,9 +315,8 @@ REACHES = np.radians(np.geomspace(20.0, 0.3, 30))
 def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Array) -> Bands:
     """Friction bands of an arm's joints from the ``logs`` of its diagnosis.
 
-    ``softness`` (n,) [rad/(N m)] and ``offset`` (n,) [rad] of the balance come from the diagnosis too; joints with a
-    NaN stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it. A joint
-    that the monitor flags in these logs stays unknown too.
+    ``softness`` (n,) [rad/(N m)] and ``offset`` (n,) [rad] are those of the balance; joints with a NaN, or flagged in
+    these logs, stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it.
     """
     logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
     endless, slope, zero = np.full(arm.joints, np.inf), np.where(known, softness, 0.0), np.where(known, offset, 0.0)

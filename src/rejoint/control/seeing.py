@@ -1,8 +1,8 @@
 """Visual servoing of the last millimetres.
 
-Each detection, with the encoders at its time, measures the tool error. Near the target a worn joint sticks and jumps by
-a millimetre. So the joints nearest to the tool dither while an integrator removes the error; then the dither fades.
-Results: `python -m benchmarks seeing`. Constants without a source are chosen.
+Detections, with the encoders at their times, measure the tool error. Worn joints stick and jump by a millimetre, so
+those nearest to the tool dither while an integrator removes the error. Results: `python -m benchmarks seeing`.
+Constants without a source are chosen.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Gains of the servos' position loops, and a safe search.
 
 Whole numbers in servo units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). The search changes one gain at a
-time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Constants without a
-source are chosen.
+time; each joint keeps a value that reduces its error without unrest. Constants without a source are chosen.
 """
 
 from __future__ import annotations
@@ -370,8 +369,6 @@ class _Climb:
 
 
 class _RoundWatch:
-    """Ends a round when a joint shakes, labours or gets warm."""
-
     def __init__(self, arm: Arm) -> None:
         self.joints: Mask = np.zeros(arm.joints, dtype=bool)
         self._labours = np.zeros(arm.joints)

@@ -1,7 +1,4 @@
-"""The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion.
-
-In logs of any motion, stiffness needs a gravity load, friction motion in both directions.
-"""
+"""The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion."""
 
 from __future__ import annotations
 
@@ -248,7 +245,6 @@ def _usual(healthy: HealthyReference | None) -> str:
 
 
 def _untold(measurement: Measurement) -> tuple[str, ...]:
-    """Sentences about what is not known, with the joints that they hold for."""
     named = {words: [row.joint for row in measurement.joints if asks(row)] for words, asks in QUESTIONS.items()}
     whole = len(measurement.joints)
     return tuple(

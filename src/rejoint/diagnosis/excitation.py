@@ -106,10 +106,7 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Amplitudes, speeds and durations of an excitation, about 60 s; chosen.
-
-    The multisine and the ten targets inform a twin most per second; the rest is for a diagnosis.
-    """
+    """Amplitudes, speeds and durations of an excitation, about 60 s; chosen."""
 
     still: float = 2.0
     """[s]"""

@@ -1,12 +1,10 @@
 """What a healthy arm of the same kind measures, by the same procedure.
 
-A catalogue arm has a file in this package, measured on emulated arms with the wear profile ``healthy`` or that of
-`NEW`. It is written by
+A catalogue arm has a file, measured on emulated arms of the wear profile ``healthy`` or that of `NEW` by
 
     python -m rejoint.diagnosis.healthy mycobot280
 
-An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures other arms, `reference_by` uses a real good
-arm.
+An SO-101 has one for each P in `MEASURED`.
 """
 
 from __future__ import annotations
@@ -94,7 +92,7 @@ def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
 def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
     """Return the package's reference, or measure one for a ``robot`` (address) with hobby servos.
 
-    Other arms have none: an emulated hobby servo is no reference for their joints.
+    Other arms have none.
     """
     packaged = load_healthy(arm)
     if packaged is not None or not robot.startswith(HOBBY) or not usable("emulated:healthy"):
@@ -105,10 +103,7 @@ def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
 def as_set(
     arm: Arm, reference: HealthyReference | None, gains: ServoGains | None, voltage: Array | None
 ) -> HealthyReference | None:
-    """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V].
-
-    Torque scales with P and supply, from the reference of the nearest P.
-    """
+    """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V]."""
     if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
     p = np.array(gains["p"], dtype=float)
@@ -138,7 +133,6 @@ def _new(arm: Arm) -> str | None:
 
 
 def _nearest(p: float) -> int:
-    """P of the reference nearest to ``p``."""
     return min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
 
 
@@ -188,7 +182,6 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
 
 
 def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
-    """Healthy ranges of a joint, from one arm known to be good or from several."""
     allowed = {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
     ranges: dict[str, Estimate] = {}
     for name in (*POSITIVE, *allowed):

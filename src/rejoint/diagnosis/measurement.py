@@ -37,8 +37,7 @@ stiffness, at most 0.74 with gravity fed forward
 """
 
 MODELLED = Estimate(1.0, 0.5, 2.0)
-"""Stiffness over that by sag and a stranger's model: part of gravity may be fed forward, which looks the same; chosen:
-half of it
+"""Stiffness over that by sag and a stranger's model: part of gravity may be fed forward; chosen: half
 """
 
 MASS, CENTRE = 0.10, 0.15
@@ -51,7 +50,7 @@ TORQUES = within(1.0, 0.1)
 """The same by logged torques; chosen"""
 
 SAG = within(1.0, 0.04)
-"""The same by the sag of a known arm; measured on emulated worn ones, whose friction grows with the load"""
+"""The same by the sag of a known arm; measured on emulated worn ones"""
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
 """Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
@@ -186,7 +185,6 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
 def _stiffness(
     arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
 ) -> list[tuple[Estimate | None, Estimate | None]]:
-    """Stiffness and motor inertia of each joint."""
     links = link_inertia(arm, arm.rest)
     by_sag = _by_sag(arm, laws, SURE_WITHIN)
     found = [_loaded(k, ratio, float(link)) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
@@ -215,7 +213,6 @@ def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
 
 
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
-    """Stiffness by logged torque, else by gravity."""
     by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     return [torque or sag for torque, sag in zip(by_torque, _by_sag(data.arm, laws, KNOWN_WITHIN), strict=True)]
 
@@ -232,10 +229,7 @@ def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate
 
 
 def _uncertain_masses(arm: Arm, laws: Sequence[Law | None]) -> tuple[Array, Array]:
-    """Logarithm and sigma (n,) of the stiffness at which the sags of all joints agree best with links like the arm's.
-
-    Joints share the links behind them: what one sag says of a mass counts at the others.
-    """
+    """Logarithm and sigma (n,) of the stiffness at which all sags agree best with links like the arm's."""
     n, centre = arm.joints, CENTRE * np.linalg.norm(arm.com, axis=1)[:, None]
     usual = np.log(USUAL * torque_size(arm))
 

@@ -255,10 +255,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 
 
 def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
-    """Share of the sag by any masses that the arm's own explain, and `Law.moments`.
-
-    The share is low where a controller compensates gravity, or masses are wrong.
-    """
+    """Share of the sag by any masses that the arm's own explain, and `Law.moments`."""
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
     position = np.stack([np.interp(motion.time, log.time, column) for column in log.position.T], axis=1)
@@ -300,8 +297,7 @@ def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
 def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
     """Fit the following error to logged torque [N m], speeds, and gravity that may be fed forward; None without torque.
 
-    A servo's torque over its following error is its stiffness, whatever the links weigh. A delay shows as the
-    command's speed.
+    A servo's torque over its following error is its stiffness, whatever the links weigh.
     """
     if data.log.torque is None or data.log.units.get("torque") != "N m" or not data.log.commanded:
         return None
@@ -366,7 +362,6 @@ def _repeating_share(pieces: list[Array]) -> float:
 
 
 def _correlation(pieces: list[Array], shift: int) -> float:
-    """Correlation of rows ``shift`` apart; 0 for zeros."""
     early, late = (np.concatenate([p[rows].ravel() for p in pieces]) for rows in (slice(-shift), slice(shift, None)))
     return float(early @ late / max(np.linalg.norm(early) * np.linalg.norm(late), 1e-300))
 

@@ -1,7 +1,7 @@
 """Least squares with intervals for dependent neighbouring samples.
 
-The covariance is clustered by motion (sandwich estimator, Liang and Zeger 1986, with the small-sample factor of Stata's
-``vce(cluster)``); quantiles are Student's.
+The covariance is clustered by motion (Liang and Zeger 1986, with the small-sample factor of Stata's ``vce(cluster)``);
+quantiles are Student's.
 """
 
 from __future__ import annotations

@@ -148,10 +148,7 @@ class ExcitationLog:
 
 
 def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
-    """Torques (T, n) [N m] for the acceleration of the links along ``position`` (T, n) [rad] at ``time`` (T,) [s].
-
-    Differences are not smoothed: averages under a window do that.
-    """
+    """Torques (T, n) [N m] for the acceleration of the links along ``position`` (T, n) [rad] at ``time`` (T,) [s]."""
     f = frames(arm, position)
 
     def rate(values: Array) -> Array:

@@ -1,7 +1,7 @@
 """Named findings from numbers: what is worn, its error at the tool, and a sentence.
 
-A finding's 95 % interval lies wholly outside the healthy range, on the bad side. Without a reference only absolute
-faults count.
+A finding's 95 % interval lies outside the healthy range, on the bad side. Without a reference only absolute faults
+count.
 """
 
 from __future__ import annotations
@@ -85,8 +85,6 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Case:
-    """Inputs of a rule; K targets."""
-
     row: JointMetrics
     healthy: JointMetrics | None
     levers: Array

@@ -1,8 +1,8 @@
 """Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): topics, clocks, joint states and commands.
 
 Messages are ``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.foxglove.dev/docs/sdk/schemas/joint-states),
-``control_msgs/JointTrajectoryControllerState`` and ``std_msgs/Float64MultiArray``, decoded to dicts or objects with
-fields. Of a trajectory's goals no log tells what the controller made of them: its state does.
+``control_msgs/JointTrajectoryControllerState`` and ``std_msgs/Float64MultiArray``. A trajectory's goals do not tell
+what was commanded: the controller's state does.
 """
 
 from __future__ import annotations
@@ -112,7 +112,6 @@ class Message(NamedTuple):
 
 
 def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]:
-    """Read the motion of a bag; FileError."""
     require(f"{file}: reading bags", "logs")
     notes: list[str] = []
     found: dict[str, list[Message]] = {}
@@ -154,7 +153,6 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
 
 
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
-    """Choose the topics of states and commands, with their groups."""
     kinds = {name: schema.replace("/", ".").rpartition(".")[2] for name, schema in held.items()}
     found = shown([f"{name} ({held[name] or 'no type'})" for name in sorted(held)])
     controllers = [name for name, kind in kinds.items() if kind == CONTROLLER]
@@ -210,7 +208,6 @@ def _message(content: Any, group: str, logged: int, options: ImportOptions) -> M
 
 
 def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
-    """First field that is there and not empty, or None."""
     fields = (_field(content, path.split(".")) for path in paths)
     return next((field for field in fields if field is not None and np.size(field)), None)
 

@@ -284,8 +284,6 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
 
 
 class _GroupedColumns:
-    """Columns of a frame with a meaning."""
-
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
         self.frame, self.arm, self.options = frame, arm, options
         self.notes: list[str] = []
@@ -308,7 +306,6 @@ class _GroupedColumns:
         return [column for column in self.columns.values() if column.group == group]
 
     def _mapped(self, ours: str, theirs: str) -> list[tuple[str, Column]]:
-        """Columns that ``theirs`` names: one, a range, or all of a joint."""
         titles, joint, own = self.frame.titles, joint_of(ours, self.arm), _classified(ours)
         if joint is None and own is None:
             raise InputError(

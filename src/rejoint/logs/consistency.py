@@ -1,7 +1,6 @@
 """Consistency checks of logs.
 
-Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. All thresholds
-without a source are chosen.
+Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. Thresholds are chosen.
 """
 
 from __future__ import annotations
@@ -313,7 +312,6 @@ def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
 
 
 def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
-    """Find single readings that jump out, steps to elsewhere, and speeds beyond the servos'."""
     value, time, long = motion.position, motion.time[:, None], len(motion) > 4 * SPEED_ROWS
     way, steps = np.diff(value, axis=0), np.diff(time, axis=0)
     out = np.abs(way[:-1] - way[1:]) / 2
@@ -349,7 +347,6 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
 
 
 def _largest(size: Array) -> tuple[int, int]:
-    """Row and joint of the largest value."""
     row, joint = np.unravel_index(int(np.argmax(size)), size.shape)
     return int(row), int(joint)
 

@@ -1,7 +1,7 @@
 """Rows of a log with the free arm; others are in contact, at a stop, or unread.
 
-Gravity pulls a free arm below its command: a tip at rest above it is held up. If that happens only at the bottom of the
-reach, there is a table. A joint at an end of its travel that is stationary far from its command is at a stop.
+A tip at rest above its command is held up: by a table if only at the bottom of the reach. A joint stationary at an end
+of its travel, far from its command, is at a stop.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def correlations(time: Array, position: Array, command: Array) -> tuple[Array, A
 def unpowered_joints(log: RunLog) -> tuple[str, ...]:
     """Joints that never answer, or are declared without torque.
 
-    They move less than a tenth of the command's travel, or unlike it; a stuck joint looks the same.
+    They move less than a tenth of the command's travel, or unlike it.
     """
     silent = np.isin(log.joint_names, log.extra.get(UNPOWERED, "").split(","))
     if log.commanded and len(log) > 1:

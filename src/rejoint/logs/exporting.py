@@ -1,7 +1,6 @@
 """Run logs as CSV, and as MCAP for PlotJuggler, Foxglove and Rerun.
 
-MCAP holds ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition: the one form that all three read
-(rerun.io/docs/reference/mcap; PlotJuggler issue 878; docs.foxglove.dev).
+MCAP holds ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition, which all three read.
 """
 
 from __future__ import annotations

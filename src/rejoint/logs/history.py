@@ -1,7 +1,4 @@
-"""Summary rows of runs and checks: one for the arm, one for each joint.
-
-Unique file names let several machines write into one folder.
-"""
+"""Summary rows of runs and checks: one for the arm, one for each joint."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Which joint a name in a foreign file means, by the user's declarations and by LeRobot's calibration.
 
-Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign. Ranges
-and degrees move with it.
+Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign.
 """
 
 from __future__ import annotations
@@ -122,9 +121,8 @@ _SO101_NAMES = {
     "Wrist_Pitch": "wrist_flex",
     "Wrist_Roll": "wrist_roll",
 }
-"""Joint names of the first SO-ARM100 model, as in SAGE, and of so101_new_calib.xml.
-
-Source: TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``."""
+"""Joint names of the first SO-ARM100 model, as in SAGE, and of so101_new_calib.xml (TheRobotStudio/SO-ARM100, folder
+``Simulation``)."""
 
 COUNTS_PER_TURN = 4096
 """12-bit encoder; Feetech STS3215 datasheet"""

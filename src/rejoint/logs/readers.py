@@ -3,7 +3,7 @@
 SAGE (github.com/isaac-sim2real/sage): a folder per motion. ``control.csv`` (type, timestamp, positions) holds commands,
 ``state_motor.csv`` states, in the order of ``joint_list.txt``, in microseconds and radians. Tables: text, JSON records,
 NumPy archives. LeRobot, versions 2 and 3 (huggingface/lerobot, folder ``datasets``): ``observation.state`` was
-measured, ``action`` sent; the user declares the unit, and each episode becomes one log.
+measured, ``action`` sent; each episode is one log.
 """
 
 from __future__ import annotations
@@ -112,7 +112,6 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
-    """Return records of a JSON file; numbers beside them hold for every row."""
     with reading(file, "JSON without one list of records of numbers", _AGAIN):
         data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]

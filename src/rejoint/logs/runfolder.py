@@ -132,10 +132,7 @@ def read_info(path: Path) -> RunInfo:
 
 @contextmanager
 def locked(folder: RunFolder) -> Iterator[None]:
-    """Lock a run folder, and repair what a killed process left; FileError if locked or not writable.
-
-    Systems without locks neither lock nor repair.
-    """
+    """Lock a run folder, and repair what a killed process left; FileError if locked or not writable."""
     path = folder.path / ".lock"
     try:
         folder.path.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """Run logs: commands and readings of one arm, as Parquet.
 
-Row k holds the state of cycle k and the command sent after it. Columns are flat (``position.joint1``).
+Row k holds the state of cycle k and the command sent after it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Pages from ``templates/``, and one look per controller in every figure and theme.
 
-Colours: Okabe and Ito, "Color Universal Design" (2008), and three more; no figure relies on colour alone.
+Colours: Okabe and Ito, "Color Universal Design" (2008), and three more.
 """
 
 from __future__ import annotations

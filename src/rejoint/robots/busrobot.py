@@ -72,7 +72,7 @@ class Continuity:
     def check(self, time: float, position: Array) -> None:
         """Raise ImpossibleReplyError if no servo can reach ``position`` (n,) [rad] by ``time`` [s].
 
-        After a pause two answers must agree; two that agree overrule the last one if they suit the one before.
+        After a pause two answers must agree.
         """
         if not self._accepted:
             return
@@ -102,7 +102,7 @@ class Continuity:
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take an answer; return its age [s]: how long it should have changed.
 
-        Only commands of two joints that moved by over 10 deg count. StaleReplyError when that lasts.
+        StaleReplyError when that lasts.
         """
         if not self._accepted or np.any(position != self._accepted[-1][1]):
             self._command_then, self._waiting_since = command, None

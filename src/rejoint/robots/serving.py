@@ -487,7 +487,6 @@ class Clients(Conversation[Frame]):
         return None if found is None else Frame(request.command, found)
 
     def _say_again(self, about: str, line: str) -> None:
-        """Say a line, unless one ``about`` the same was just said."""
         now = time.monotonic()
         if now - self._said.get(about, -AGAIN) >= AGAIN:
             self._said[about] = now
@@ -502,7 +501,6 @@ class Clients(Conversation[Frame]):
             channel.send(encode(found))
 
     def _look(self, readable: int | None) -> None:
-        """Refuse a further client, unless this one is gone."""
         if self._listener is None or readable is None or readable == self._listener.fileno():
             return
         ready = [handle for handle in (self._listener.fileno(), readable) if await_data(handle, 0.0)]

@@ -82,7 +82,6 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
 
 
 def _unit(run: Run) -> Arm:
-    """Return the unit as calibrated, or the arm as described."""
     found = as_calibration(None, run, run.arm)
     return run.arm if found is None or not found.used else unit_arm(run.arm, _rigid(run)[1])
 
@@ -109,7 +108,6 @@ def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
 
 
 def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str]:
-    """Write a corrected calibration, gains that the servos are to keep, or both."""
     path, told, kept = out or run.path / "lerobot.json", "", None
     try:
         kept = gains_to_keep(run)
@@ -143,7 +141,6 @@ _GAINS = {
 
 
 def _registers(arm: Arm, gains: ServoGains) -> dict[str, Any]:
-    """Return the registers of each motor as LeRobot's ``bus.write`` takes them, from ``gains`` per joint."""
     # one register of two bytes: the limit of the I part is the upper one
     force = {"Minimum_Startup_Force": np.array(gains["startup"]) + 256 * np.array(gains["limit"])}
     values = {name: gains[ours] for name, ours in _GAINS.items()} | force

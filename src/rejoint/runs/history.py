@@ -94,7 +94,6 @@ def _worst(found: Outlook, joint: str) -> str:
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    """Measures of a check; None where one is missing."""
     tool = {name: getattr(head, name) for name in _TOOL}
     found = [{name: getattr(row, name) for name in JointCheck.__annotations__} for row in joints]
     needed = [tool[name] for name in _TOOL[:3]] + [row[name] for row in found for name in _JOINT]

@@ -206,8 +206,6 @@ def repair(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _RepairStages:
-    """Does stages without a file; always writes the report."""
-
     robot: RobotLike
     run: Run
     plan: RepairPlan

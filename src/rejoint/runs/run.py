@@ -311,8 +311,8 @@ class _StageRobot(RobotWrapper):
 def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
     """Return what wraps the robots of a stage; the run then knows their motion.
 
-    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion until then, in the
-    run or beside ``path``; what is written inside is safe from a kill.
+    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion, in the run or
+    beside ``path``.
     """
     motion = StageMotion(run, stage, dated(run, stage) if path is None and run is not None else path)
     try:

@@ -109,7 +109,7 @@ def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
 
 
 def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
-    """Which joints (K, n) of known torque limit are too weak at ``targets`` (K, 3) [m]; light joints do not count."""
+    """Which joints (K, n) are too weak at ``targets`` (K, 3) [m] by their torque limit; light ones do not count."""
     from rejoint.twin.parameters import Layout
 
     known = twin.identified[Layout(arm.joints).at("torque_limit")]
@@ -120,10 +120,7 @@ def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
-    """Estimate an unreported mass [kg] at the tool and its standard error; NaN if the arm never stood.
-
-    Joints at their torque limit are left out, so it is rather too small.
-    """
+    """Estimate an unreported mass [kg] at the tool and its standard error; NaN if the arm never stood."""
     rows = _standing(log)
     if not len(rows):
         return float("nan"), float("nan")

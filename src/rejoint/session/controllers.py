@@ -138,8 +138,7 @@ def make_factories(
 ) -> dict[str, Factory]:
     """Return factories by name; ``twin`` gives the feed-forward its stiffness.
 
-    Nothing given: the `contenders` for a ``real`` arm or virtual time. Refuses what does not fit; ``posed`` targets
-    need controllers that turn the tool.
+    Default: the `contenders` for a ``real`` arm or virtual time. ``posed`` targets need controllers that turn the tool.
     """
     asked = given or contenders(arm, period, run, twin, real=real, posed=posed)
     factories = {name: _factory(one, run, twin, usual(period)) for name, one in named(asked).items()}

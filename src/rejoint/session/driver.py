@@ -226,7 +226,7 @@ class GoalCheck:
 class GoalStream(Reference):
     """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
 
-    Goals are those of a perfect arm with its tool in the same place.
+    Goals are those of a perfect arm.
     """
 
     def __init__(self, apparent: Apparent, position: Array) -> None:
@@ -342,7 +342,6 @@ class ArmDriver:
             return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=False)
 
     def _limit(self, robot: Robot) -> None:
-        """Take the guard's limits, by what the run knows of the arm."""
         self._base = guard_limits(self.run, self.arm, self.address)
         self.limits = limits_under(self._base, robot, None)
 
@@ -468,7 +467,7 @@ class ArmDriver:
         self._seen_through(lambda see: move(self.robot, posture, settle=0.5, on_cycle=see, **about))
 
     def _seen_through(self, motion: Callable[[OnCycle], Recording], *watches: OnCycle) -> Recording:
-        """Do a motion that everyone sees who looks, and keep its last command; its end is written also in an error."""
+        """Do a motion that observers see, and keep its last command, also after an error."""
 
         def see(cycle: Cycle) -> None:
             self._last = cycle

@@ -247,7 +247,7 @@ def as_targets(
 class Settings:
     """Options of a session; those of the command line have the same names.
 
-    A run keeps payload, tool, boxes, period and accepted error of its diagnosis; they hold for that run by default.
+    A run keeps payload, tool, boxes, period and accepted error of its diagnosis.
 
     Examples
     --------
@@ -256,8 +256,8 @@ class Settings:
     """
 
     controller: ControllerLike | None = None
-    """name of a controller or a policy file; by default what the run recommends, without one the generic policy; along
-    a path the tracker. In Python also a policy, a controller or a factory"""
+    """name of a controller or a policy file; by default what the run recommends, else the generic policy; along a path
+    the tracker. In Python also a policy, controller or factory"""
     twin: TwinLike | None = None
     """twin or its file; by default that of the run"""
     calibration: CalibrationLike | None = None
@@ -269,8 +269,7 @@ class Settings:
     keep_out: Sequence[Box] = ()
     """boxes [m] in the base frame to keep out of, besides the arm's own"""
     eye: EyeLike | None = None
-    """what sees the tool, for the last millimetres: the number of the run's camera, or emulated for an emulated arm. In
-    Python also an `Eye`"""
+    """what sees the tool: number of the run's camera, or emulated. In Python also an `Eye`"""
     period: Period | None = None
     """[s] shortest and longest control period; by default what the robot suits"""
     seed: int | None = None

@@ -359,7 +359,6 @@ class PathDrive:
         return session.followed
 
     def _carry(self, motion: ArmMotion, controller: Controller, reference: PathReference, number: int) -> Recording:
-        """Drive once along the path."""
         session, total = self.session, self.repeat
 
         def watch(cycle: Cycle) -> None:

@@ -24,7 +24,7 @@ LogKind: TypeAlias = tuple[Robot, str, str]
 class RunRecorder:
     """Writes ``logs/NAME-DATE.parquet`` of a run, one log for motions of a kind, a new one every `PIECE`.
 
-    FileError without disk space before the arm moves; later ``say`` reports once that the log ends.
+    FileError without disk space before the arm moves; later ``say`` reports it once.
     """
 
     log: RunLog | None = None

@@ -348,8 +348,7 @@ class ArmSession(ArmDriver):
     def recording(self, name: str = "record") -> Iterator[RunRecorder]:
         """Record in a ``with`` block what the arm does, by any controller or program.
 
-        Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
-        the end if the arm could not be read.
+        Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``.
         """
         self._require_open()
         recorder, over = RunRecorder(self.run, self.observer.message), threading.Event()

@@ -54,7 +54,6 @@ def _extra(need: str) -> str:
 
 
 def _line(what: str, missing: dict[str, str]) -> str:
-    """Name ``missing`` modules with their extras."""
     return (
         f"{what} needs more than the base installation (missing: {', '.join(missing)}); "
         f"add it with: {install_line(missing.values())}"
@@ -67,7 +66,6 @@ def install_line(extras: Iterable[str]) -> str:
 
 
 def _source() -> str:
-    """Return what pip installs this program from: its checkout, or the index."""
     url = json.loads(distribution("rejoint").read_text("direct_url.json") or "{}").get("url", "")
     return url2pathname(urlsplit(url).path) if url.startswith("file:") else f"rejoint @ {url}" if url else "rejoint"
 

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, read with limits on size; TOML of people, and sealed TOML of the program."""
+"""Files: written whole or not at all, read with limits on size; TOML, sealed if the program writes it."""
 
 from __future__ import annotations
 

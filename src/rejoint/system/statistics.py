@@ -1,8 +1,7 @@
 """Numbers with intervals, for few and dependent trials.
 
-Means: bootstrap over whole clusters (Davison and Hinkley, Bootstrap Methods and Their Application, 1997, section 3.8).
-Shares: Wilson's interval (J. Am. Stat. Assoc. 22, 1927) with trials reduced by the design effect (Kish, Survey
-Sampling, 1965, section 8.2).
+Means: bootstrap over clusters (Davison and Hinkley 1997, section 3.8). Shares: Wilson's interval (J. Am. Stat. Assoc.
+22, 1927) with trials reduced by the design effect (Kish, Survey Sampling, 1965, section 8.2).
 """
 
 from __future__ import annotations
@@ -69,7 +68,6 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
 
 
 def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
-    """Finite ``values``, and their sums and counts per cluster; ValueError without any."""
     known = np.isfinite(values)
     if not known.any():
         raise ValueError("a mean needs at least one finite value")

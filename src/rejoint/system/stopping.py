@@ -1,7 +1,7 @@
 """Interruption: a signal handler only sets a flag.
 
-The vendor's client would swallow its exception. So while an arm is driven (`noted`), loop, link and waits look at the
-flag (`check`, `pause`) and raise `Interrupted` where it is safe. The host program's handlers are called too.
+The vendor's client would swallow its exception. While an arm is driven (`noted`), loop, link and waits look at the flag
+(`check`, `pause`) and raise `Interrupted`. The host program's handlers are called too.
 """
 
 from __future__ import annotations
@@ -124,8 +124,7 @@ def ask(by: str) -> None:
 def interrupt(by: str = "the program") -> bool:
     """Bring all arms of this process to a hold, from any thread.
 
-    The calls that drive them raise `Interrupted` with ``by``. Returns whether any arm was driven; a call that begins
-    later is not affected.
+    The calls that drive them raise `Interrupted` with ``by``. Returns whether any arm was driven.
 
     Examples
     --------

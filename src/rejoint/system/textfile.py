@@ -137,8 +137,8 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
 def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
-    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is left out, and damaged rows
-    and cells are empty.
+    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is left out; damaged cells are
+    empty.
     """
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, most, "cut it into several files")

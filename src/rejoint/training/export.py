@@ -97,7 +97,7 @@ def _run(model: onnx.ModelProto, observations: NDArray[np.float32]) -> NDArray[n
 def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:
     """Return the generic network for trainings of ``arm`` by this ``recipe``; None where none suits.
 
-    Arm, observation and control periods must agree, and the law but for stiffness and slow backlash.
+    Arm, observation, control periods and law must agree.
     """
     if recipe.warm is None:
         return None

@@ -118,7 +118,7 @@ class Learner:
     ) -> None:
         """Take one task per worker; ``threads`` run at once, without effect on the result.
 
-        The actor's weights, layer by layer, are those of ``start``, else random.
+        The actor's weights are ``start``, else random.
         """
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads

@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts.
 
-Workers act at the same time, each with its own random numbers; their rollouts go into skrl's memory at once.
+Workers act at the same time, each with its own random numbers.
 """
 
 from __future__ import annotations
@@ -103,11 +103,8 @@ def perceptron(sizes: Sequence[int]) -> nn.Sequential:
 
 
 Rollout = dict[str, Tensor]
-"""T control cycles of N agents by column, (T, N, ...).
-
-``observations``, ``states``, ``actions``, ``log_prob`` and ``values`` of skrl, the fields of a `Transition`, and
-``final_value``: that of the state in which a target timed out, 0 elsewhere
-"""
+"""T control cycles of N agents by column, (T, N, ...): those of skrl, the fields of a `Transition`, and ``final_value``
+of the state in which a target timed out, else 0"""
 
 
 class Ppo(PPO):  # type: ignore[misc]

@@ -58,7 +58,7 @@ class Preset:
 
 
 FADE = 0.0005
-"""[m] distance at which the law's steps have faded to half; chosen: no arm hunts at a period of 50 ms"""
+"""[m] at which the law's steps have faded to half; chosen: no arm hunts at 50 ms"""
 
 LOAD_PENALTY = 3.0
 """Penalty of loaded joints in the law; chosen"""
@@ -71,8 +71,7 @@ WARM = PpoSettings(
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
-"""Training from the generic policy; chosen on arms of family 1 and `make repair`, see `python -m benchmarks warmstart`
-and docs/research.md"""
+"""Training from the generic policy; chosen by `python -m benchmarks warmstart`"""
 
 SCRATCH = Preset(
     name="scratch",

@@ -1,7 +1,7 @@
 """The twins that a policy is trained on: random draws of all differences between arms.
 
-`BroadRanges` is the prior of a worn hobby arm, measured in simulation; `IdentifiedRanges` draws from an identified
-twin. `MixedRanges` takes each episode from one or the other, for robustness.
+`BroadRanges` is the prior of a worn hobby arm, measured in simulation; `IdentifiedRanges` draws from a twin,
+`MixedRanges` from one or the other.
 """
 
 from __future__ import annotations
@@ -22,10 +22,7 @@ TWIN_SHARE = 0.5
 """Fraction of arms drawn around the identified twin; chosen: steadier with backlash than 0.8"""
 
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
-"""[rad] of arms whose motors cross backlash slowly, as an SO-101; chosen: new servos show about a degree.
-
-A policy without such training swings there; elsewhere the training costs accuracy.
-"""
+"""[rad] of arms whose motors cross backlash slowly, as an SO-101; chosen: new servos show about a degree"""
 
 
 class Ranges(Protocol):

@@ -275,7 +275,7 @@ class ReachTask:
     def _draw_postures(self, start: Array, lifts: Array) -> Array:
         """Draw a posture (m, n) [rad] for each arm: of `DRAWN` the first that suits, or the lightest.
 
-        Its motors lift it, and the straight ways from ``start`` (m, n) [rad] and to rest stay above the floor.
+        Its motors lift it, and the straight ways from ``start`` (m, n) [rad] and to rest are above the floor.
         """
         postures, loads = comfortable_postures(self.arm), comfortable_loads(self.arm)
         drawn = self._rng.integers(0, len(postures), (len(lifts), DRAWN))

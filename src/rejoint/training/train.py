@@ -148,8 +148,8 @@ def make_learner(
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     """Set the servos' stiffness in a law with gravity compensation: the twin's, else the prior's.
 
-    With possible backlash, the gains of unloaded joints also decay. An arm longer than a myCobot 280 swings slower, and
-    the same angle moves its tool farther: all gains decrease with its length, and it gets more time for each target.
+    With possible backlash, the gains of unloaded joints also decay. All gains decrease with the length beyond a myCobot
+    280's, and targets last longer.
     """
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:

@@ -1,8 +1,7 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-A joint's own parameters nearly decide its motion, so one simulation perturbs one parameter of every joint.
-Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior; the
-data's weight counts residuals within `MEMORY` as one.
+One simulation perturbs one parameter of every joint. Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber
+loss (Charbonnier et al. 1997), Gaussian prior; the data's weight counts residuals within `MEMORY` as one.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ class Problem:
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
 
-        Instead of the stiffness, torques and inertia move: only gravity and link inertia fix that scale.
+        Instead of the stiffness, torques and inertia move.
         """
         moved = np.tile(vector, (len(PARAMETERS), 1))
         steps = signs * self.steps
@@ -148,10 +147,7 @@ class Problem:
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
-        """Vectors (f, k) with torques and inertia scaled by ``factors``.
-
-        The offset balances gravity; the motor takes the change of inertia.
-        """
+        """Vectors (f, k) with torques and inertia scaled by ``factors``."""
         at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
         for row, factor in zip(scaled, factors, strict=True):
@@ -219,7 +215,7 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    First joints take the best of the ``scales``, along which the loss is flat, as long as that gains.
+    First joints take the best of the ``scales`` as long as that gains.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen

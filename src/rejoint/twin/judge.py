@@ -1,10 +1,10 @@
 """How well twins predict new logs: open loop, motion by motion, free and in contact.
 
-A twin is trusted only where joints moved, readings come often, on the commands' clock, and it is better than the
-commands with any delay.
+A twin is trusted where joints moved, readings come often, on the commands' clock, and it beats the commands with any
+delay.
 
-Candidates may be published parameter sets (docs/published): TOML with stiffness, damping, coulomb and armature, one
-value or one per joint; the rest is optional.
+Candidates may be published parameters (docs/published): TOML with stiffness, damping, coulomb and armature, one value
+or one per joint.
 """
 
 from __future__ import annotations
@@ -201,7 +201,6 @@ COARSEST = 0.1
 
 
 def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
-    """Why no prediction is trusted; empty if one is."""
     found = []
     travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
     if travel < MOVED:

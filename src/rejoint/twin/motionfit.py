@@ -1,7 +1,4 @@
-"""Windows of the free and of the touching motion in several logs, and the motions that are held out.
-
-Held-out motions are drawn among similar ones, by contact and commanded speed.
-"""
+"""Windows of the free and of the touching motion in several logs, and the motions that are held out."""
 
 from __future__ import annotations
 
@@ -67,10 +64,7 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
 
 
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
-    """Keep about ``seconds`` [s] of the windows whose commands accelerate most.
-
-    Not jumps to a constant goal, where a limited acceleration does not show.
-    """
+    """Keep about ``seconds`` [s] of the windows whose commands accelerate most."""
 
     def acceleration(w: Window) -> float:
         time, command = logs[w.log].time[w.first : w.last], logs[w.log].command[w.first : w.last]
@@ -116,8 +110,8 @@ def part(
 ) -> tuple[list[RunLog], list[RunLog]]:
     """Split logs into those to fit and those to judge, by label; drawn by default, of few motions the end of each.
 
-    Motion that repeats held-out commands is not fitted, unless names are given or too little would be left. Without
-    hold-out both are all logs. InputError for duplicate, missing or all labels.
+    Motion that repeats held-out commands is not fitted, unless named or too little is left. Without hold-out both are
+    all logs. InputError for duplicate, missing or all labels.
     """
     ordered = sorted(logs, key=lambda log: log.label)
     names = [log.label for log in ordered]

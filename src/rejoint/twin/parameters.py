@@ -39,8 +39,7 @@ class Parameter:
     wide: Mapping[str, float | bool] = field(default_factory=dict)
     """for an unknown arm"""
     healthy: float = 1.0
-    """of a servo without wear, over the median: chosen from the data sheet, as 35 N m/rad of an STS3215 under load
-    (SO-ARM100, issue 134)"""
+    """of a servo without wear, over the median: chosen, as 35 N m/rad of an STS3215 (SO-ARM100, issue 134)"""
     log: bool = True
     """estimated as its logarithm"""
     difference: float = 0.045
@@ -184,7 +183,7 @@ REFERENCE_SPEED = float(np.radians(150.0))
 """[rad/s] its joint speed"""
 
 NO_LOAD = 2.0
-"""No-load speed of a motor over its joint's largest; chosen: a DC motor gives most power at half its no-load speed"""
+"""No-load speed of a motor over its joint's largest; chosen: the speed of most power"""
 
 STICTION = 2.0
 """Static over kinetic friction; chosen: dry gears"""
@@ -373,7 +372,7 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
 
-    A servo's firmware limits duty, derivative gain included; back-EMF takes torque after that.
+    A servo limits duty, derivative gain included; back-EMF takes torque after that.
     """
     return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
 

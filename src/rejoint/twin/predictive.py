@@ -1,8 +1,8 @@
 """Predictive control: a plan on the arm's own twin for the motion, another controller near the target.
 
-The other one also takes over where twin and arm disagree. Model predictive path integral control (Williams et al., ICRA
-2017): the plan averages simulated candidates, weighted by exp(-cost); some are overdriven. An offset of the commands
-takes up the model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
+Also where twin and arm disagree. The plan averages simulated candidates by exp(-cost) (model predictive path integral
+control: Williams et al., ICRA 2017). An offset of the commands takes up the model's error (Pannocchia and Rawlings,
+AIChE Journal 49(2), 2003).
 """
 
 from __future__ import annotations

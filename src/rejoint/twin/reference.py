@@ -1,7 +1,7 @@
 """The servo's reference: commands that arrive late and are approached at limited speed or acceleration.
 
-Between commands it is a ramp, or the time-optimal motion to rest at the goal (bang-bang; Pontryagin et al. 1962). An
-SO-101 (Feetech STS3215) limits its acceleration to at most 254 x 100 counts/s^2; it follows a repeated goal at once
+Between commands it is a ramp, or the time-optimal motion to rest at the goal (Pontryagin et al. 1962). An SO-101
+(Feetech STS3215) limits its acceleration to at most 254 x 100 counts/s^2, and follows a repeated goal at once
 (measured).
 """
 
@@ -64,10 +64,7 @@ class ServoReference:
         return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s].
-
-        They remove the effect of commands in step with the grid.
-        """
+        """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s]."""
         late = np.append(time - 0.5 * width, time[-1] + 0.5 * width) - delay[:, None]
         row, twin, speed = self._rows(late), self._which[:, None], self._speed[:, None, None]
         position, command = self._position[:-1], self._command[:-1, None]

@@ -1,9 +1,8 @@
 """Open-loop replay: a twin under the commands of a run log.
 
-Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
-declare (`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
-``torque_off``, spans [s] without torque to cut out (``3-7.5 12-14``); else recorded gains tell both. Joints that never
-answer stay at the measured position.
+Windows start from the measured state and run as one batch. The delay contains the age of the reading. A log may declare
+(`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and ``torque_off``, spans
+[s] without torque (``3-7.5 12-14``). Joints that never answer stay at the measured position.
 """
 
 from __future__ import annotations
@@ -83,7 +82,6 @@ class Replay:
 
     @cached_property
     def _shown(self) -> dict[int, RunLog]:
-        """Logs with windows, by number."""
         return {w.log: self.logs[w.log] for w in self.windows}
 
     @cached_property
@@ -100,7 +98,6 @@ class Replay:
 
     @cached_property
     def _even(self) -> set[int]:
-        """Logs with commands in step with the simulation."""
         return {i for i, log in self._shown.items() if _in_step(log.time, self.timestep) > IN_STEP}
 
     @cached_property
@@ -115,7 +112,6 @@ class Replay:
 
     @cached_property
     def _known(self) -> dict[bytes, dict[int, ServoReference]]:
-        """The latest references, by their speeds."""
         return {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
@@ -174,7 +170,7 @@ class Replay:
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
 
-        For commands in step with it, means over the step: else the delay would depend on it.
+        For commands in step with it, means over the step.
         """
         late = np.stack([parameters.delay, self._speed(parameters)])
         (delay, speed), which = np.unique(late, axis=1, return_inverse=True)

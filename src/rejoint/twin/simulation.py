@@ -1,7 +1,6 @@
 """The simulation behind training, tuning and predictive control.
 
-It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings. Each arm
-has its own clock.
+It adds late and limited commands (`rejoint.twin.reference`), backlash and delayed readings. Each arm has its own clock.
 """
 
 from __future__ import annotations

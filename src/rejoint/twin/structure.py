@@ -1,6 +1,6 @@
 """What a twin needs to explain some logs: active limits, and static friction.
 
-Neither has a gradient, so fits to the same windows are compared; complex structures must pay for themselves.
+Neither has a gradient, so fits to the same windows are compared.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LIMIT_GAIN = 0.15
 """Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
 EITHER, ABSENT = 2.0, 1e-3
-"""Sigma of Coulomb friction beside load friction over that without, and of load friction where it is none; chosen"""
+"""Sigma of Coulomb friction beside load friction over that without, and of no load friction; chosen"""
 LEAST_FED = 0.05
 """Least share of gravity fed forward where a sag tells no stiffness; chosen"""
 
@@ -101,8 +101,7 @@ def given(belief: Prior, row: Array, value: float, error: float) -> Prior:
 def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
     """Take over the stiffness that torque or sag tells, and what it tells of equal servos, but for hobby servos.
 
-    Gravity that does not show in the sag is fed forward, or the model is too heavy. The sigma of ``compensation`` is
-    that of the scale.
+    Gravity that does not show in the sag is fed forward, or the model is too heavy.
     """
     if is_hobby(arm):
         return belief

@@ -51,10 +51,7 @@ class TableBatch:
         gravity_scale: float | Array = 1.0,
         stiction: float = 1.0,
     ) -> None:
-        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,).
-
-        ``stiction`` is the friction at rest over that in motion.
-        """
+        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
         count = twins.shape[0]
         plain = stiction == 1.0 and not twins.load_friction.any()
         self._terms = None if plain else friction_terms(twins, stiction)

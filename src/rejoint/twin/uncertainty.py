@@ -51,10 +51,7 @@ def _scale(problem: Problem, x: Array) -> Array:
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
-    """Covariance (k, k) of a posterior from the curvatures (g, k, k) and scores (g, k) of g clusters.
-
-    Leave-one-out spread plus the inverse curvature, by Student's width.
-    """
+    """Covariance (k, k) of a posterior from the curvatures (g, k, k) and scores (g, k) of g clusters."""
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
     without = np.linalg.solve(whole - curvatures + precision, scores[..., None])[..., 0]
@@ -77,10 +74,7 @@ def _by_cluster(
 
 
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
-    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound.
-
-    The torque limit's is upward: a limit never reached has only a lower bound.
-    """
+    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound."""
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)
     residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up), problem.perturbations(x, down)]))

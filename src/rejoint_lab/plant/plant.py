@@ -1,6 +1,6 @@
 """A batch of simulated worn arms.
 
-The MuJoCo model has two hinges per axis: the servo output, and play and flex behind it. All else are applied torques.
+The MuJoCo model has two hinges per axis: servo output, and play and flex behind it.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class _State:
 class Plant:
     """B simulated arms in steps of a millisecond.
 
-    Arm i takes noise from the stream ``first + i`` of ``seed`` and moves bit for bit as alone.
+    Arm i moves bit for bit as alone, by the stream ``first + i`` of ``seed``.
     """
 
     def __init__(

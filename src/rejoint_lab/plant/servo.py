@@ -1,8 +1,8 @@
 """One servo, its gear and its link, per millisecond; and the channel.
 
-Sources: position loop by Feetech's STS register table; LuGre friction (Canudas de Wit et al. 1995), Stribeck curve,
-elasto-plastic (Dupont et al. 2002), load-dependent (Linderoth et al. 2013); play as a dead-band spring (Nordin and
-Gutman 2002). Random streams: SplitMix64 (Steele, Lea, Flood 2014).
+Sources: Feetech's STS register table; friction: LuGre (Canudas de Wit et al. 1995), elasto-plastic (Dupont et al.
+2002), load-dependent (Linderoth et al. 2013); play as a dead-band spring (Nordin and Gutman 2002). Random streams:
+SplitMix64 (Steele, Lea, Flood 2014).
 """
 
 from __future__ import annotations

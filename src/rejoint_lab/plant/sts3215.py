@@ -1,7 +1,6 @@
 """The position loop of an STS3215 in counts and per mille of PWM, per millisecond.
 
-Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, Feetech's identification, a measured sag (lerobot, PR
-4310), Feetech's memory table.
+Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, a measured sag (lerobot, PR 4310), Feetech's memory table.
 """
 
 from __future__ import annotations

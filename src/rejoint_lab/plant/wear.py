@@ -307,8 +307,6 @@ def _fitted(base: str, arm: Arm) -> Wear:
 
 
 class _Options(msgspec.Struct, forbid_unknown_fields=True):
-    """What may stand behind the name of a profile."""
-
     seed: Annotated[int, msgspec.Meta(ge=0)] | None = None
     hours: Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)] | None = None
     ambient: Annotated[float, msgspec.Meta(ge=-10.0, le=50.0)] | None = None
@@ -394,7 +392,6 @@ class _WearFile(Table):
 
 
 def _profile(base: str) -> _WearFile:
-    """Return the profile of a name or a TOML file; ProfileError, FileError."""
     known = f"known profiles: {', '.join(wear_names())} and {NEW}, each also with ?seed=N or ?hours=H, or a .toml file"
     if base not in wear_names() and not base.endswith(".toml"):
         raise ProfileError(f"no wear profile is called {base!r}; {known}")

@@ -153,7 +153,6 @@ Seen = dict[str, Tensor]
 
 
 def _interact(agent: SAC, task: ReachTask, settings: OffPolicySettings, cycle: int, before: Seen) -> Seen:
-    """Act, record and learn for one control cycle."""
     clock = {"timestep": cycle, "timesteps": settings.cycles}
     with torch.no_grad():
         action, _ = agent.act(before["observation"], before["privileged"], **clock)
@@ -177,7 +176,6 @@ def _interact(agent: SAC, task: ReachTask, settings: OffPolicySettings, cycle: i
 def _point(
     agent: SAC, settings: OffPolicySettings, cycle: int, done: list[Seen], last: CurvePoint | None, wall_s: float
 ) -> CurvePoint:
-    """Sum up the control cycles ``done`` since the ``last`` point."""
     distance = torch.cat([one["distance"][one["truncated"] | one["terminated"]] for one in done]).numpy()
     losses = {key: float(np.mean(values)) for key, values in agent.tracking_data.items() if values}
     agent.tracking_data.clear()

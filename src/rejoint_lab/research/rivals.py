@@ -6,13 +6,12 @@ dt``.
 Gain-scheduled integral control with gravity feed-forward: a rate by distance (Rugh and Shamma, Automatica 36,
 2000), and conditional integration (Astrom and Rundqwist, ACC 1989).
 
-Adaptive regulation of an arm with unknown servos and load: Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD
-plus gravity compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the
-command gets ``load / k + mass * lever / k + offset``. Dead zone: Peterson and Narendra, IEEE Trans. Automatic Control
-27(3), 1982.
+Adaptive regulation: Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity compensation Y(q) p with
+``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law: the command gets ``load / k + mass * lever / k +
+offset``. Dead zone: Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982.
 
-Gains (``rivals.toml``) are numbers or (B, 1). CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches
-their logarithms on randomised twins. The cost is the time to stay within 2 mm plus the settled error.
+Gains (``rivals.toml``) are numbers or (B, 1). CMA-ES (Hansen, arXiv:1604.00772) searches their logarithms on randomised
+twins, by the time to stay within 2 mm plus the settled error.
 """
 
 from __future__ import annotations

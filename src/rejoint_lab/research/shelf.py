@@ -3,8 +3,8 @@
     python -m rejoint_lab.research.shelf mycobot280
     python -m rejoint_lab.research.shelf so101
 
-write `rejoint.control.controllers.catalogue.shelf_path` again: first with targets in the target region, then anywhere.
-Other processors give other files; compare by `python -m benchmarks shelf`.
+write `rejoint.control.controllers.catalogue.shelf_path` again, with targets in the target region, then anywhere. Other
+processors give other files; compare by `python -m benchmarks shelf`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Try every controller on one arm, with the same targets and start.
 
-Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order: drift
-favours none. There, controllers that fail or are significantly worse leave: after three misses in a row, or by a paired
-t-test on logarithms of settled errors after each block (Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's
-level).
+Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order. There,
+controllers leave after three misses in a row, or by a paired t-test on logarithms of settled errors after each block
+(Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's level).
 """
 
 from __future__ import annotations
@@ -127,8 +126,7 @@ class Settings:
 class TrialRunner:
     """Compares controllers.
 
-    A guard trip fails a trial of a batch. On one arm it ends the comparison, as a robot's error does. A command that is
-    not a number fails the trial.
+    A guard trip fails a trial of a batch. On one arm it ends the comparison, as a robot's error does.
     """
 
     open_robot: OpenRobot

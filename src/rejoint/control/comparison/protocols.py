@@ -79,7 +79,7 @@ def metrics_of(
 
     ``models`` of each arm estimate true errors that are not known.
 
-    A trip leaves NaN for the hold that it ended and all later targets. A crossing that it ended counts as missed.
+    After a trip holds are NaN, and its crossing is missed.
     """
     shape = targets.shape[:2]
     names = (*(CROSSING if "crossing" in kinds else ()), *((*HOLDING, *protocol.stay_names) if "hold" in kinds else ()))
@@ -141,7 +141,6 @@ def _last(visit: _TargetVisit, protocol: Protocol) -> NDArray[np.bool_]:
 
 
 def _visits(arm: Arm, recording: Recording, count: int) -> Iterator[tuple[int, int, _TargetVisit]]:
-    """Arms, targets of ``count``, and what was seen there."""
     for b in range(recording.active.shape[1]):
         rows = np.flatnonzero(recording.active[:, b])
         edges = np.searchsorted(recording.target_index[rows, b], np.arange(count + 1)).tolist()

@@ -168,7 +168,6 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
 
 
 def _by_complexity(row: ControllerRow) -> tuple[float, str]:
-    """Rank: the simplest first, unknown ones last."""
     name = inner_name(row.controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
     return known + 0.5 * (name != row.controller), row.controller

@@ -1,8 +1,7 @@
 """Parts of control laws, and two classical controllers: integrator, and the arm's default (open loop).
 
 Base law: Park et al. 2024, equation 17, with theta_t read as the last command: ``c_t = c_{t-1} + GAIN * step``, then
-`limit_lead` and joint limits. A measured theta_t would lose the following error that a soft servo needs. Default: one
-posture per target (section IV-F).
+`limit_lead` and joint limits. Default: one posture per target (section IV-F).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The contract of a policy file, checked before the arm moves.
 
-JSON in the metadata of the ONNX file. The file is checked before ONNX Runtime reads it: a bounded chain of known layers
-with weights inside. Fields: ``onnx.proto`` of ONNX 1.17.
+JSON in the metadata of the ONNX file, which must be a bounded chain of known layers. Fields: ``onnx.proto`` of ONNX
+1.17.
 """
 
 from __future__ import annotations

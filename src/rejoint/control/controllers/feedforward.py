@@ -1,9 +1,8 @@
 """Model-based control: inverse kinematics, gravity feed-forward, and an integrator.
 
-The command is raised by the servo's sag: gravity torque over stiffness. The integrator corrects slow joints; its
-correction carries over to the next target. A stuck joint is pushed harder until its reading changes; then most of that
-push is removed. Sources of such laws: i2rt, pull request 37; almond-bot/axol, pull request 317. Constants without a
-source are chosen.
+The command is raised by the servo's sag: gravity torque over stiffness. The integrator corrects slow joints, also for
+the next target. A stuck joint is pushed harder until its reading changes; then most of that push is removed. Constants
+without a source are chosen.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ NOMINAL_STIFFNESS = 6.0
 """[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
 
 LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
-"""[rad/s] fastest push of a stationary joint; removed share of it; remaining share each time a joint breaks loose the
-other way; [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
+"""[rad/s] fastest push of a stationary joint; removed share; remaining share when a joint breaks loose the other way;
+[m] of a myCobot 280 without a push (chosen on family 1)"""
 
 GENTLE, EARLY, LEAST_PUSH = 2e-3, 6.0, 0.5
 """Pushes are slower by the error over the [m] of a myCobot 280 and the time over the [s], and their least share (chosen
-by `python -m benchmarks postures`: a joint that breaks loose near its target leaves it by less)"""
+by `python -m benchmarks postures`)"""
 
 HELD_BACK = float(np.radians(3.0))
 """[rad] excess over the last command that stops the integrator"""
@@ -161,7 +160,7 @@ class FeedforwardController:
     def correct(self, inputs: ControlInput, step: Array, extra: Array, distance: Array) -> Array:
         """Integrate ``step`` (B, n) [rad] of slow joints and add ``extra`` (B, n) [rad]; returns the commands.
 
-        Call this or `command` once per cycle. ``distance`` as in `loosening`.
+        ``distance`` as in `loosening`.
         """
         position = inputs.state.position
         moved = self.on_the_way(inputs)

@@ -1,8 +1,8 @@
 """The observation of a policy, from joint readings alone.
 
 ``residual`` (11n + 9): following errors, the damped least-squares step at three scales, velocities and actions of three
-cycles. ``equation-16`` (3n + 10): the state of Park et al. 2024 without theta_target; Delta theta is command minus
-position, in ``equation-16-action`` the last action.
+cycles. ``equation-16`` (3n + 10): Park et al. 2024 without theta_target; Delta theta is command minus position, in
+``equation-16-action`` the last action.
 """
 
 from __future__ import annotations
@@ -86,7 +86,6 @@ def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
 
 
 def _rows(layout: Layout, n: int) -> tuple[tuple[str, int, float, str], ...]:
-    """Names, sizes, factors and formulas in order."""
     if layout == "residual":
         return (
             ("drive", n, 4.0, "4 (s - x) [1/rad]"),
@@ -185,7 +184,6 @@ class Observer:
         return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
 
     def _parts(self, inputs: ControlInput, rows: Rows, position: Array, view: View) -> list[Array]:
-        """Slots before their factors."""
         waited, drive = np.minimum(inputs.since_target[rows], LONGEST_WAIT), inputs.sent[rows] - position
         velocity, action, distance = self._velocity[rows], self._action[rows], view.distance[:, None]
         if self.layout == "residual":

@@ -82,8 +82,6 @@ class PolicyController(Commander):
 class Policy(Readable):
     """A trained policy: an ONNX file and its contract.
 
-    The file is checked before ONNX Runtime reads it.
-
     Examples
     --------
     >>> policy = rejoint.Policy.load("runs/mine/policy.onnx")

@@ -1,7 +1,6 @@
 """Brings a worn arm to joint positions, its tool first.
 
-The law is that of the feed-forward controller, with joint errors as steps. A joint without torque keeps its following
-error; others make up for the tool.
+The law of the feed-forward controller, with joint errors as steps. Other joints make up for one without torque.
 """
 
 from __future__ import annotations

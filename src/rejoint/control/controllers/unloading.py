@@ -1,7 +1,6 @@
 """Brings stuck joints to their goals.
 
-A worn motor may hold a joint and not start it under the same load. Then the joint moves where its load helps it
-(`unloaded_way`).
+A worn motor may hold a joint and not start it. Then the joint moves where its load helps (`unloaded_way`).
 """
 
 from __future__ import annotations
@@ -124,7 +123,6 @@ class Unloading:
         return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
 
     def _off(self, position: Array, goal: Array) -> int | None:
-        """Joint farthest off its goal, or None."""
         away = np.abs(goal - position)
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
@@ -143,8 +141,8 @@ def unloaded_way(
 ) -> tuple[JointTrajectory, ...]:
     """Plan a way from ``position`` to ``goal`` (n,) [rad] on which its load helps ``joint``.
 
-    Its motor lifts at most a ``share`` of its torque, if possible. Three trajectories: the others move, the joint
-    moves, the others go to the goal. One if the straight way was blocked; none if no way is clear.
+    Its motor lifts at most a ``share`` of its torque, if possible. Three trajectories (the others, the joint, the
+    others), one if the straight way was blocked, or none.
     """
     pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
     load = sense * gravity_torque(arm, position)[joint]

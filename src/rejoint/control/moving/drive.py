@@ -1,6 +1,6 @@
 """Driving an arm behind a moving target, its errors, and learning from repetition.
 
-Repetition adds the error to the corrected path, per frequency the share that repeats (Wiener's filter), without delay.
+Repetition adds the share of the error that repeats to the path (Wiener's filter).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Postures on a path, the arm's home, and commands of a motion by the twin.
 
-The posture nearest to home depends on the place alone, so nothing drifts. Lightly loaded joints are spared: they stick.
+The posture nearest to home depends on the place alone, so nothing drifts.
 """
 
 from __future__ import annotations

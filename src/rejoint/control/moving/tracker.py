@@ -1,8 +1,7 @@
 """The tracker: the twin's inverse ahead of time, and an observer of disturbances.
 
-Deviation x of a joint: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago; d is the
-disturbance. A stationary Kalman filter per joint estimates x, x' and d. The command subtracts d, and adds stiffness and
-damping.
+Deviation x of a joint: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago. A stationary
+Kalman filter estimates x, x' and the disturbance d. The command subtracts d, and adds stiffness and damping.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ class Calibration(Readable):
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad]: posture that the arm comes from. Without a correction return the target.
+        ``start`` (..., n) [rad]: where the arm comes from.
         """
         target = np.array(target, dtype=float)
         if not self.used:

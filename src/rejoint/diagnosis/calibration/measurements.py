@@ -2,7 +2,7 @@
 
 Rows of one ``posture`` approach it from different sides, which shows play. Columns of a CSV: ``position.JOINT``;
 optional ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``. Each name ends with its unit
-(``position.joint1_deg``, ``X [mm]``). Empty cells and other columns are allowed.
+(``position.joint1_deg``, ``X [mm]``).
 """
 
 from __future__ import annotations

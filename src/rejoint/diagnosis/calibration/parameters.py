@@ -2,8 +2,7 @@
 
 Torques and compliances scale with the arm's size, lengths with its reach (`rejoint.arms.workspace`).
 
-Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is anisotropic scatter, not
-a shift.
+The play of an unloaded joint is scatter, not a shift.
 """
 
 from __future__ import annotations

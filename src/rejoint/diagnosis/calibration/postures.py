@@ -1,7 +1,7 @@
 """Postures to measure at, the most informative first.
 
-One by one, each lessens the tool's variance most, in the region of targets and elsewhere (I-optimal design; Atkinson
-and Donev, Optimum Experimental Designs, 1992, chapter 10). Joints approach alternately from below and above.
+Each lessens the tool's variance most (I-optimal design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter
+10). Joints approach alternately from below and above.
 """
 
 from __future__ import annotations
@@ -106,10 +106,7 @@ def suggest(
 
 
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
-    """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides.
-
-    Elsewhere joints carry no more than there, on the approach as well.
-    """
+    """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides."""
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
@@ -121,10 +118,7 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
-    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
-
-    If the load changes its sign within the play, no model tells the flank.
-    """
+    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank."""
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
     either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)

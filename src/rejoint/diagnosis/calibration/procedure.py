@@ -308,7 +308,6 @@ class StandingDrive:
             self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
-        """Go around obstacles; return the last recording."""
         if self._sent is None:
             with noted():
                 self._sent = begin(self.robot, self._limits, self._stance).command[-1]
@@ -327,7 +326,6 @@ class StandingDrive:
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> Measurements | None:
-    """Return one measurement; None: left out or unreachable."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:

@@ -1,6 +1,6 @@
 """Maximum a posteriori parameters by bounded least squares: of an arm, and of whatever measures it.
 
-The noise is that of measuring, model and floating joints; the loss is Huber's (1964).
+Noise of measuring, model and floating joints; Huber's loss (1964).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ ROWS = ("seen", "by_lens", "known", "spread", "position", "posture")
 class ToolProblem:
     """What a device saw of the tool in R postures, and a prior.
 
-    Unknown outside the arm, as far as the prior has them: `frame`, then `mounted` (6 each: shift, turn), then a lens.
+    Unknown outside the arm: `frame`, then `mounted` (6 each: shift, turn), then a lens.
     """
 
     arm: Arm

@@ -95,10 +95,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
-    """Mean of the first ``count`` checks, temperature effect on the last, and sigma.
-
-    Sigma is from neighbours, the effect from regression with a prior and a linear trend.
-    """
+    """Mean of the first ``count`` checks, temperature effect on the last, and sigma."""
     known, middle = warm[:count].mean(), float(value[:count].mean())
     variance, slope, doubt = scatter**2, 0.0, 0.0
     for _ in range(3):  # slope and scatter depend on each other a little
@@ -136,8 +133,7 @@ def find_jump(
 ) -> tuple[int, float] | None:
     """Find the first check after the last jump of a joint's zero, if any, and its way [mm].
 
-    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` and
-    ``per_degree`` as in `chart`.
+    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear.
     """
     for at in range(len(deviation) - 1, 0, -1):
         way = float(deviation[at] - deviation[at - 1])
@@ -170,8 +166,7 @@ def remaining(
 ) -> Array | None:
     """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm]: its quantiles `SHARES`.
 
-    ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as in `chart`. None for too few
-    checks or no wear.
+    ``use`` (T,) grows; ``warm`` (T,) [K] is relative. None for too few checks or no wear.
     """
     use, error, warm = use[-_POINTS:], error[-_POINTS:], warm[-_POINTS:]
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:

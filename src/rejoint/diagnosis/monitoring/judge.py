@@ -270,7 +270,6 @@ def say(found: Outlook, robot: str, described: str = "") -> str:
 
 
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:
-    """Name what changed, and what to do."""
     worst, since = found.changes[0], _day(found.since)
     if found.moved:
         worn = {one.joint for one in found.changes if one.state == "alarm" and one.quantity != "deviation"} - {""}

@@ -1,7 +1,4 @@
-"""The page itself, made by viser: a scene and a panel. The only module that knows it.
-
-Drawn of an arm: what was seen of it, its ghost, trails and texts.
-"""
+"""The page itself, made by viser: a scene and a panel. The only module that knows it."""
 
 from __future__ import annotations
 
@@ -163,7 +160,7 @@ class WebPage:
         return bool(self.server.get_clients())
 
     def rest(self) -> None:
-        """Do what is to be done while nobody looks."""
+        """Act while no browser is connected."""
         self.shown = None
 
     def show(self, shown: Shown) -> None:
@@ -340,7 +337,7 @@ class Trail:
         self.points = deque[Array](maxlen=TRAIL_POINTS)
 
     def extend(self, point: Array) -> None:
-        """Add a ``point`` (3,) [m]; a jump begins anew."""
+        """Add a ``point`` (3,) [m]; after a jump the trail starts again."""
         if not np.isfinite(point).all():
             return
         way = np.inf if not self.points else float(np.linalg.norm(point - self.points[-1]))

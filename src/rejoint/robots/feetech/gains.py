@@ -1,6 +1,6 @@
 """An STS3215's registers and position loop.
 
-It gives P / 4 per mille of duty per count of error beyond its dead zone, plus its startup force.
+Duty: P / 4 per mille per count beyond the dead zone, plus the startup force.
 """
 
 from __future__ import annotations

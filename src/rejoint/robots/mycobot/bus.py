@@ -1,7 +1,7 @@
 """A myCobot 280, real or emulated, through the vendor's client.
 
-Over TCP pymycobot never resynchronises: after a late answer every call returns the previous answer. So no question is
-asked while bytes wait, and failures resynchronise both sides. The emulator's codec is not used: the client tests it.
+Over TCP pymycobot never resynchronises: after a late answer every call returns the previous one. So no question is
+asked while bytes wait, and failures resynchronise both sides.
 """
 
 from __future__ import annotations

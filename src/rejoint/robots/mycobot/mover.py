@@ -201,7 +201,6 @@ class Mover(ABC):
         """Note a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
 
     def _reach(self, path: TimedPath) -> int:
-        """Return the number of points before the first one beyond a limit."""
         inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
         return int(np.argmin(np.append(inside, False)))
 

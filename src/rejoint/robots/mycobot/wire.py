@@ -1,8 +1,8 @@
 """The myCobot's wire: frames, numbers (big-endian signed 16-bit, truncated), and answers to requests.
 
 A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [deg], positions x10 [mm], joint limits x10
-[deg]. One byte acknowledges an order; unknown or malformed requests get no answer. Source:
-elephantrobotics/mycobot_docs, 18-communication, and pymycobot 4.0.7.
+[deg]. One byte acknowledges an order; malformed requests get no answer. Source: elephantrobotics/mycobot_docs,
+18-communication, and pymycobot 4.0.7.
 """
 
 from __future__ import annotations
@@ -136,9 +136,6 @@ FIELDS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
     "P": (12, lambda _, data: to_pose(unpack_coords(data))),
 }
 """Parts of a payload: length [bytes], and how it is read.
-
-Byte, speed (share), joint (None: another servo), word, angle [rad], encoder count [rad]; six as they are, as angles,
-as counts, as a pose (4, 4).
 """
 
 
@@ -190,7 +187,6 @@ def _set_limit(computer: Mover, joint: int, word: float, *, upper: bool) -> bool
 
 
 def _switch(computer: Mover, identity: int, _: int = 0, *, on: bool) -> bool:
-    """Hold with one servo, or release it; 0: all."""
     joint = joint_index(computer, identity)
     if (joint is None and identity != 0) or (on and not computer.powered):
         return False

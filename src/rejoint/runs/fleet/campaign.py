@@ -238,7 +238,6 @@ class Campaign:
                 raise
 
     def _turn(self) -> bool:
-        """Begin and hold what the time asks for; returns whether anything is running."""
         check()
         for one in self.arms:
             if one.end is None and one.running is None:
@@ -249,7 +248,6 @@ class Campaign:
         return any(one.running for one in self.arms)
 
     def _hold_all(self) -> None:
-        """Bring real arms to a hold."""
         for one in self.arms:
             self._hold(one)
         until = time.monotonic() + HOLDING
@@ -262,7 +260,6 @@ class Campaign:
             self._executor.hold(one.running)
 
     def _begin(self, one: ArmProgress) -> None:
-        """Begin the next step of an arm, if it may begin."""
         if not one.left:
             one.end = "done"
             return
@@ -293,7 +290,6 @@ class Campaign:
             self._tell(f"{one.arm.name}: {work.step} {kind}{one.why and f': {one.why}'}")
 
     def _end(self, one: ArmProgress, work: Work, outcome: WorkOutcome) -> None:
-        """Note how a step of an arm ended."""
         step, problem = work.step, outcome.problem
         if one.held and problem == HELD:
             one.end, one.why = "left", f"held during {step}; {self._begins(one.arm)}"
@@ -311,7 +307,6 @@ class Campaign:
         one.end = "failed"
 
     def _refused(self, work: Work) -> str:
-        """Say why an arm may not move now, or return an empty text."""
         arm, now = work.arm, self.rules.now()
         if not arm.may_move:
             return "may_move is not true in the file"
@@ -327,7 +322,6 @@ class Campaign:
 
 
 def _summary(path: Path) -> HistoryRow | None:
-    """Row of a whole arm; None from a missing or damaged file."""
     with suppress(FileError, FileNotFoundError):
         return next((row for row in read_rows(path) if not row.joint), None)
     return None

@@ -46,7 +46,6 @@ class Hours:
     """first and last minute without motion, from `_MONDAY`"""
 
     def _open(self, now: datetime, minutes: int) -> NDArray[np.bool_]:
-        """Whether the arm may move, for some ``minutes`` from that of ``now``."""
         minute = (now - _MONDAY) // _MINUTE + np.arange(minutes)
         found = np.full(minutes, not self.spans)
         for first, length in self.spans:
@@ -210,7 +209,6 @@ def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
 
 
 def _place(home: Path, text: str) -> Path:
-    """Path relative to the file's folder; ``~`` is the home folder."""
     return home / os.path.expanduser(text)  # noqa: PTH111 - that of Path fails where there is no home folder
 
 

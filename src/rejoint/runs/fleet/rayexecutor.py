@@ -29,7 +29,6 @@ PULSE, SILENCE = 0.5, 10.0
 
 
 def _drive(work: Work) -> WorkOutcome:
-    """Do a task; `ray.cancel`, SIGTERM and a silent cluster bring its arm to a hold."""
     install()
     over = threading.Event()
     if work.held:

@@ -58,7 +58,6 @@ def _measured(
     *,
     fresh: bool,
 ) -> tuple[Measurements, Calibration | None]:
-    """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
     run, begun = session.run, None
     file = None if run is None else run.folder.measurements
     if run is not None and file is not None and file.exists() and not fresh:

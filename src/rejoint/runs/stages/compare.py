@@ -1,7 +1,4 @@
-"""Comparison: every controller on the same arm, with the same targets.
-
-Trials are stored one by one. The diagnosis counts as trials of ``default``.
-"""
+"""Comparison: every controller on the same arm, with the same targets."""
 
 from __future__ import annotations
 

@@ -136,7 +136,6 @@ def _learn(
     options: dict[str, Any],
     on_progress: Progress,
 ) -> TrainedPolicy:
-    """Train, and load the policy from the folder."""
     if how.trainer is None:
         from rejoint.training.train import TrainingOptions
         from rejoint.training.train import train as learn

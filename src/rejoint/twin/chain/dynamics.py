@@ -98,7 +98,6 @@ def _combined(x, y, z, a):
 
 @njit(**INLINE)
 def _spun(row, l, a):
-    """Multiply a vector by the inertia in a row."""
     (xx, yy, zz), (xy, xz, yz) = _load(row, SPREAD, l), _load(row, SPREAD + 3 * LANES, l)
     return _combined((xx, xy, xz), (xy, yy, yz), (xz, yz, zz), a)
 

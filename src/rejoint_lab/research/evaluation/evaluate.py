@@ -1,6 +1,6 @@
 """Controllers that take part in an evaluation, their trials on many arms, and what is concluded from them.
 
-Intervals resample whole arms. Calibrations take part like controllers: each arm is measured and calibrated first.
+Intervals resample whole arms. Calibrations take part like controllers.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate on all variants and write the JSON ``file``, with outcomes as Parquet, and twins, beside it.
 
-    An outcome of the same contestant and family is taken over. InputError for two contestants of one name.
+    Existing outcomes are taken over. InputError for two contestants of one name.
     """
     names = [one.name for one in contestants]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -372,10 +372,7 @@ def evaluate_calibrations(
     file: Path,
     on_progress: Progress,
 ) -> Evaluation:
-    """Try calibrations of the first 1, 3, ... measurements in the target region, and wherever the arms reach and hold.
-
-    Otherwise as `evaluate`.
-    """
+    """Try calibrations of the first 1, 3, ... measurements in the target region, and anywhere."""
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
 
     measured = cache(lambda arms: measure(open_family(arm, arms, family), suggestion, family.seed))

@@ -1,4 +1,4 @@
-"""Arms on which nothing was chosen: a hundred worn ones, and the same under conditions that make control hard.
+"""Arms on which nothing was chosen: a hundred worn ones, also under hard conditions.
 
 Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i. Family 0 is reported; recipes
 and gains are chosen on others.

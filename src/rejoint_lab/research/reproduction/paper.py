@@ -26,7 +26,7 @@ HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
 class PaperRanges:
     """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
 
-    With 0.06 P N m/rad and 0.012 D N m s/rad their Fig. 10 holds (measured).
+    0.06 P N m/rad and 0.012 D N m s/rad give their Fig. 10 (measured).
     """
 
     arm: Arm
