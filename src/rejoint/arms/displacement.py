@@ -64,7 +64,7 @@ class Displacement:
         torque = self.torque(arm, position)
         side = np.tanh(torque / FLOATING)
         side = side - self.carry * (1.0 - side**2) * direction(position, approach)
-        return np.asarray(position + self.offset - self.compliance * torque - 0.5 * self.play * side)
+        return position + self.offset - self.compliance * torque - 0.5 * self.play * side
 
     def rigid(self, arm: Arm, position: Array) -> Displacement:
         """Without play and flex: their mean over ``position`` (M, n) goes to `offset`."""

@@ -217,7 +217,7 @@ class _Field:
             if load[k] > LIGHTER * straight:
                 break
             if self.passes(ends[0], over[k], leaving=True)[0] == 1.0 == self.passes(over[k], ends[1])[0]:
-                return np.asarray(ways[k])
+                return ways[k]
         return way
 
     def _left(self, start: Array, rng: np.random.Generator) -> Array | None:

@@ -212,7 +212,7 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
     def worth(rows: NDArray[np.intp]) -> Array:
         travel = (((pool.posture[rows] - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
         heavy = np.minimum((np.abs(pool.torque[rows]) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
-        return np.asarray(away[rows] + 0.3 * (pool.bare[rows] + redundancy.TRAVEL * travel) + 0.15 * heavy)
+        return away[rows] + 0.3 * (pool.bare[rows] + redundancy.TRAVEL * travel) + 0.15 * heavy
 
     count = min(count, len(away))
     nearest = np.argpartition(away, count - 1)[:count]

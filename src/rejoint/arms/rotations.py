@@ -22,7 +22,7 @@ from rejoint.arms.kinematics import frames, position_kinematics
 def turned(vector: Array) -> Array:
     """Rotations (..., 3, 3) by rotation vectors (..., 3) [rad]."""
     flat = np.array(vector, dtype=float).reshape(-1, 3)  # a copy: scipy takes no read-only array
-    return np.asarray(Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3))
+    return Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3)
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
@@ -56,13 +56,13 @@ def between_directions(current: Array, wanted: Array) -> Array:
 def rotation_of(quaternion: Array) -> Array:
     """Rotations (..., 3, 3) of quaternions (..., 4) of any length."""
     flat = Rotation.from_quat(np.reshape(quaternion, (-1, 4)), scalar_first=True)
-    return np.asarray(flat.as_matrix().reshape(*np.shape(quaternion)[:-1], 3, 3))
+    return flat.as_matrix().reshape(*np.shape(quaternion)[:-1], 3, 3)
 
 
 def quaternion_of(rotation: Array) -> Array:
     """Return unit quaternions (..., 4) of rotations (..., 3, 3)."""
     flat = Rotation.from_matrix(np.reshape(rotation, (-1, 3, 3)))
-    return np.asarray(flat.as_quat(scalar_first=True).reshape(*np.shape(rotation)[:-2], 4))
+    return flat.as_quat(scalar_first=True).reshape(*np.shape(rotation)[:-2], 4)
 
 
 def same_side(quaternions: Array) -> Array:
@@ -129,7 +129,7 @@ class Orientation:
     @property
     def counts(self) -> NDArray[np.bool_]:
         """(...) where an orientation is wanted."""
-        return np.asarray(self.weight > 0.0)
+        return self.weight > 0.0
 
     def error(self, rotation: Array) -> Array:
         """Rotation vectors (..., 3) [rad] from ``rotation`` (..., 3, 3) to the wanted one."""

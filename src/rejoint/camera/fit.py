@@ -148,7 +148,7 @@ def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array
 
 def with_lens(precision: Array) -> Array:
     """Precision (19, 19) of all outside the arm, for that of a lens (7, 7)."""
-    return np.asarray(block_diag(ANYWHERE**-2.0 * np.eye(POSES), precision))
+    return block_diag(ANYWHERE**-2.0 * np.eye(POSES), precision)
 
 
 def rig_of(problem: ToolProblem, rig: Rig, vector: Array) -> Rig:

@@ -150,14 +150,14 @@ class Rig:
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
         between = board if self.carried == "board" else inverse(board)
-        return np.asarray(self.standing @ between @ inverse(self.mounted))
+        return self.standing @ between @ inverse(self.mounted)
 
     def spread(self, board: Array, covariance: Array) -> Array:
         """Covariance (V, 6, 6) of the tool's pose, base axes, from that of ``board`` (V, 4, 4), camera axes."""
         base = self.tool(board)
         rows = [difference(self.tool(moved(board, _STEP * row)), base) / _STEP for row in np.eye(6)]
         slope = np.stack(rows, axis=-1)
-        return np.asarray(slope @ covariance @ np.swapaxes(slope, -1, -2))
+        return slope @ covariance @ np.swapaxes(slope, -1, -2)
 
     def sight(self, tool: Array) -> Array:
         """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
@@ -175,12 +175,12 @@ class Rig:
         facing = (pose[..., :3, 2] * middle).sum(axis=-1) / np.linalg.norm(middle, axis=-1)
         ahead = (outline[..., 2] > 0.05).all(axis=-1)
         pixel = self.lens.project(np.where(ahead[..., None, None], outline, [0.0, 0.0, 1.0]))
-        return np.asarray(ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1))
+        return ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1)
 
 
 def point_sigma(spread: Array) -> Array:
     """Sigma (...) [m] of a coordinate, for covariances (..., 6, 6) of poses."""
-    return np.asarray(np.sqrt(np.trace(spread[..., :3, :3], axis1=-2, axis2=-1) / 3.0))
+    return np.sqrt(np.trace(spread[..., :3, :3], axis1=-2, axis2=-1) / 3.0)
 
 
 FORMAT = 2

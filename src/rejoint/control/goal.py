@@ -88,7 +88,7 @@ def lead(arm: Arm, way: JointTrajectory, since: float, pace: float) -> Array:
     speed, acceleration = pace * way.at(late, 1), pace**2 * way.at(late, 2)
     mass = motors.armature + link_inertia(arm, here)
     torque = SHARE * motors.coulomb * np.tanh(speed / TURNING) + mass * acceleration + motors.damping * speed
-    return np.asarray(way.at(late) - here + torque / motors.stiffness)
+    return way.at(late) - here + torque / motors.stiffness
 
 
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:
@@ -136,7 +136,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
 @lru_cache(maxsize=32)
 def _roomy(arm: Arm) -> Array:
     """Distances (c,) [m] with enough room: `ROOM`, or the usual distance of near bodies."""
-    return np.asarray(np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm)))
+    return np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm))
 
 
 def nearest_postures(

@@ -335,7 +335,7 @@ def _lifted(log: RunLog, balance: Array) -> Array:
     span = max(1, round(SPAN / float(np.median(np.diff(log.time)))))
     way = log.position[span:] - log.position[:-span]
     against = np.where(np.abs(way) > LIFTED, np.sign(way) * balance[span // 2 :][: len(way)], 0.0)
-    return np.asarray(against.max(axis=0, initial=0.0))
+    return against.max(axis=0, initial=0.0)
 
 
 def _narrowest(arm: Arm, logs: Sequence[RunLog], balances: Sequence[Array]) -> tuple[Array, Array]:
@@ -353,7 +353,7 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], balances: Sequence[Array]) -> t
 def _push(lead: Array, balance: Array, reach: float) -> Array:
     """Least pushes (T, n) [rad] away from the ``balance`` (T, n) of a lowest and highest ``lead`` (2, T, n)."""
     least, most = np.clip(lead, -reach, reach) - balance
-    return np.asarray(np.maximum(least, 0.0) + np.minimum(most, 0.0))
+    return np.maximum(least, 0.0) + np.minimum(most, 0.0)
 
 
 def _held(log: RunLog, push: Array) -> Array:
@@ -361,4 +361,4 @@ def _held(log: RunLog, push: Array) -> Array:
     readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time)))))
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
-    return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))
+    return np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0)

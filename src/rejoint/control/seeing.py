@@ -133,7 +133,7 @@ class Seen(Modelled):
         position, now = inputs.state.position[0], float(inputs.state.time[0])
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
-        return np.asarray(self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra)
+        return self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra
 
     def shifted(self) -> float | None:
         """Return common offset [m] from the model, or None."""

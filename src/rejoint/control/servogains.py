@@ -162,7 +162,7 @@ def stiffness_under(stiffness: Array, before: ServoGains | None, now: ServoGains
     """Stiffness (n,) [N m/rad] under the gains ``now``: proportional to P."""
     if before is None or now is None or "p" not in before or "p" not in now:
         return stiffness
-    return np.asarray(stiffness * np.array(now["p"]) / np.maximum(before["p"], 1))
+    return stiffness * np.array(now["p"]) / np.maximum(before["p"], 1)
 
 
 def in_words(gains: ServoGains) -> str:

@@ -141,7 +141,7 @@ def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
     """Whether ``readings`` (T,) [s] are near each ``time`` (K,) [s]."""
     apart = np.diff(readings)
     before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
-    return np.asarray(apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart))))
+    return apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart)))
 
 
 def _window(count: int) -> tuple[Array, Array, Array]:
@@ -264,7 +264,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
 
     def left(design: Array, rows: NDArray[np.bool_], values: Array = error) -> Array:
-        return np.asarray(values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0])
+        return values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0]
 
     rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
     kept = rest <= 5 * 1.48 * float(np.median(rest))

@@ -152,7 +152,7 @@ def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
     f = frames(arm, position)
 
     def rate(values: Array) -> Array:
-        return np.asarray(np.gradient(values, time, axis=0))
+        return np.gradient(values, time, axis=0)
 
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     spin = np.cumsum(rate(position)[..., None] * f.axis, axis=1)
@@ -160,7 +160,7 @@ def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
     force = arm.mass[:, None] * rate(rate(com))
     moment = np.cross(com, force) + rate(np.einsum("...ij,...j->...i", inertia, spin))
     force, moment = (np.cumsum(one[:, ::-1], axis=1)[:, ::-1] for one in (force, moment))  # of all behind each joint
-    return np.asarray((f.axis * (moment - np.cross(f.position, force))).sum(axis=-1))
+    return (f.axis * (moment - np.cross(f.position, force))).sum(axis=-1)
 
 
 def _ramp(arm: Arm, log: RunLog) -> Array:

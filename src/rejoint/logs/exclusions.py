@@ -181,7 +181,7 @@ def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:
     least = np.maximum(STOP_ERROR, USUAL * usual)
     low = (log.position < ends[0] + STOP_BAND) & (error < -least)
     high = (log.position > ends[1] - STOP_BAND) & (error > least)
-    return np.asarray(_lasting((low | high).any(axis=1), log.time, STOP_TIME))
+    return _lasting((low | high).any(axis=1), log.time, STOP_TIME)
 
 
 def _stale(log: RunLog, usual: Array) -> Rows:
@@ -204,7 +204,7 @@ def _lasting(rows: Rows, time: Array, seconds: float) -> Rows:
 
 def _recovering(time: Array, rows: Rows) -> Rows:
     latest = np.maximum.accumulate(np.where(rows, time, -np.inf))
-    return np.asarray(time - latest <= RECOVERY)
+    return time - latest <= RECOVERY
 
 
 def joint_speed(time: Array, q: Array) -> Array:

@@ -98,7 +98,7 @@ def lifted(draw: Draw) -> Array:
     """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.context.believed_motors`."""
     limit = draw.twin.torque_limit
     usable = 0.9 * limit - 2.0 * draw.twin.coulomb
-    return np.asarray(np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None])
+    return np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None]
 
 
 @lru_cache(maxsize=4)
@@ -287,7 +287,7 @@ class ReachTask:
         for end in (start[:, None], self.arm.rest):
             room = heights(self.arm, end + share * (goal - end))[..., 1:] - self._limits.floors
             excess += np.where((room < self.arm.floor).any(axis=(0, -1)), 100.0, 0.0)
-        return np.asarray(goal[np.arange(len(lifts)), excess.argmin(axis=1)])
+        return goal[np.arange(len(lifts)), excess.argmin(axis=1)]
 
     def _new_arms(self, where: Mask) -> None:
         """Draw arms around rest, inside the guard's limits and above the floor; commands lead by part of the sag."""

@@ -117,7 +117,7 @@ class Problem:
         for _ in range(ROUNDS):
             scale = (share * by_window * count[:, None]).sum(axis=0) / count.sum()
             share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
-        return np.asarray(share[self.window])
+        return share[self.window]
 
     def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
         """Costs (m, n) of each joint alone, (m, n) of its group, and (m,) of all."""
@@ -131,7 +131,7 @@ class Problem:
 
     def _by_joint(self, values: Array) -> Array:
         """Sum (m, n) of values (m, k) over each joint's parameters."""
-        return np.asarray(values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1))
+        return values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1)
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
@@ -163,7 +163,7 @@ class Problem:
     def gravity(self) -> Array:
         """(n,) [N m] torque against gravity, mean over the motion."""
         rows = np.linspace(0, len(self.measured) - 1, min(len(self.measured), POSTURES)).astype(int)
-        return np.asarray(gravity_torque(self.replay.arm, self.measured[rows]).mean(axis=0))
+        return gravity_torque(self.replay.arm, self.measured[rows]).mean(axis=0)
 
     @cached_property
     def link_inertia(self) -> Array:

@@ -261,7 +261,7 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
     """(n,) [N m] largest gravity torque held, less friction."""
     speed = np.concatenate([measured_velocity(log) for log in logs])
     load = np.abs(gravity_torque(arm, np.concatenate([log.position for log in logs]))) - coulomb
-    return np.asarray(np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0))
+    return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
 def _notes(twin: Twin, found: Fit) -> list[str]:

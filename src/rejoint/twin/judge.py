@@ -231,9 +231,7 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
 
 def _delayed(log: RunLog, lag: float) -> Array:
     """Commands (T, n) [rad] in force ``lag`` [s] before each reading."""
-    return np.asarray(
-        log.command[np.clip(np.searchsorted(log.time, log.time - lag, side="right") - 1, 0, len(log) - 1)]
-    )
+    return log.command[np.clip(np.searchsorted(log.time, log.time - lag, side="right") - 1, 0, len(log) - 1)]
 
 
 Values = Positive | list[Positive]

@@ -315,7 +315,7 @@ class Prior:
     def precision(self) -> Array:
         """(k, k) inverse covariance."""
         correlation = np.eye(len(self.mean)) if self.correlation is None else self.correlation
-        return np.asarray(np.linalg.inv(correlation) / np.outer(self.sigma, self.sigma))
+        return np.linalg.inv(correlation) / np.outer(self.sigma, self.sigma)
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
@@ -405,7 +405,7 @@ def _wrist(arm: Arm) -> NDArray[np.bool_]:
     passed = np.cumsum(np.linalg.norm(arm.offset[:, :3, 3], axis=1))
     reach = passed - passed[:, None] + np.linalg.norm(arm.com, axis=1)  # at most, with the chain stretched out
     inertia = np.triu(arm.mass * reach**2).sum(axis=1)
-    return np.asarray(inertia < WRIST_INERTIA * inertia.max())
+    return inertia < WRIST_INERTIA * inertia.max()
 
 
 UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]

@@ -72,7 +72,7 @@ class ServoReference:
         before = np.concatenate([np.zeros_like(self._position[:1]), np.cumsum(areas, axis=0)])
         since = (late - self._time[row])[..., None]
         area = before[row, twin] + _area(self._position[row, twin], self._command[row], speed, since)
-        return np.asarray(np.diff(area, axis=1) / width)
+        return np.diff(area, axis=1) / width
 
     def _rows(self, late: Array) -> NDArray[np.integer]:
         return np.clip(np.searchsorted(self._time, late, side="right") - 1, 0, len(self._time) - 1)
@@ -151,7 +151,7 @@ class LiveReference:
         """Later references (m, s, n) [rad] of arms ``which`` (m,)."""
         again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
-        return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
+        return follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0]
 
 
 @njit(cache=True, nogil=True, boundscheck=True)

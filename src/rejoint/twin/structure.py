@@ -289,7 +289,7 @@ def without(belief: Prior, names: Sequence[str]) -> Prior:
 
 
 def _losses(problem: Problem, x: Array) -> Array:
-    return np.asarray(loss(problem.residuals(x[None])[0]).sum(axis=0))
+    return loss(problem.residuals(x[None])[0]).sum(axis=0)
 
 
 def _ratio(losses: Array, reference: Array) -> float:

@@ -39,7 +39,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Ar
     curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += fixed_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
-    return np.asarray(0.5 * (covariance + covariance.T))
+    return 0.5 * (covariance + covariance.T)
 
 
 def _scale(problem: Problem, x: Array) -> Array:
@@ -47,7 +47,7 @@ def _scale(problem: Problem, x: Array) -> Array:
     owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
     up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
     steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0)])
-    return np.asarray(steps.T @ steps * (owner[:, None] == owner))
+    return steps.T @ steps * (owner[:, None] == owner)
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
@@ -57,7 +57,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     without = np.linalg.solve(whole - curvatures + precision, scores[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
     factor = (student95(max(count - 1, 1)) / NORMAL95) ** 2
-    return np.asarray(
+    return (
         factor * (count - 1) / count * without.T @ without
         + factor * inverse @ whole @ inverse
         + inverse @ precision @ inverse
@@ -108,7 +108,7 @@ def fixed_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Arra
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | fit.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
-    return np.asarray(by @ by.T)
+    return by @ by.T
 
 
 def others(replay: Replay) -> Iterator[tuple[Replay, float]]:

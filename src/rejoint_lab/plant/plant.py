@@ -255,7 +255,7 @@ class Plant:
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
-        return np.asarray(position + torque / self.joints["position_gain"] - self.joints["offset"])
+        return position + torque / self.joints["position_gain"] - self.joints["offset"]
 
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
@@ -389,7 +389,7 @@ class StsPlant(ServoPlant):
         output = sts3215.PWM_FULL * (torque - setting["bias"]) / setting["stall"]
         size = np.maximum(np.abs(output) - setting["startup"], 0.0) * 4 / np.maximum(setting["p"], 1)
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
-        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+        return position + np.rint(lead) * self.arm.encoder_step
 
     def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
         for name, value in {"goal": goal, "reference": goal, "filtered": here, "position": here}.items():
@@ -431,7 +431,7 @@ class XPlant(ServoPlant):
         first = self.settings[..., 0]
         share = (torque - first["bias"]) / self.settings["stall"].sum(axis=-1)
         lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
-        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+        return position + np.rint(lead) * self.arm.encoder_step
 
     def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
         for name, value in {

@@ -142,7 +142,7 @@ def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
         ]
     )
     passed = draws[..., :-1].sum(axis=-1) + draws[..., -1] * (hours / _BLOCK - (blocks - 1))
-    return np.asarray(pace * severity(young, arm) * passed * _BLOCK / LIFE)
+    return pace * severity(young, arm) * passed * _BLOCK / LIFE
 
 
 def severity(young: Wear, arm: Arm) -> Array:

@@ -137,7 +137,7 @@ def _held(visit: _TargetVisit, protocol: Protocol) -> dict[str, float]:
 
 
 def _last(visit: _TargetVisit, protocol: Protocol) -> NDArray[np.bool_]:
-    return np.asarray(visit.since > visit.since[-1] - protocol.window)
+    return visit.since > visit.since[-1] - protocol.window
 
 
 def _visits(arm: Arm, recording: Recording, count: int) -> Iterator[tuple[int, int, _TargetVisit]]:
@@ -221,9 +221,9 @@ RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, 
 def iso_poses(arm: Arm, size: float = 1.0) -> Array:
     """P1 to P5 (5, 3) [m] of ISO 9283 in a diagonal plane of the region."""
     low, high = arm.targets.lower, arm.targets.upper
-    return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * RISING_LEFT)
+    return 0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * RISING_LEFT
 
 
 def reversal(forwards: Array, backwards: Array) -> Array:
     """B (...) [m]: distance between the means of (..., R, 3) from the two sides."""
-    return np.asarray(np.linalg.norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1))
+    return np.linalg.norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1)

@@ -316,7 +316,7 @@ def cycle_times(found: Columns) -> Array:
     """Time (S, R) [s] for all targets, extrapolated from those driven; NaN where a trip ended the trial."""
     driven = np.isfinite(found["crossed"])
     time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
-    return np.asarray(driven.shape[-1] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan))
+    return driven.shape[-1] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan)
 
 
 def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Protocol) -> Columns:
@@ -359,7 +359,7 @@ def position_repeatability(places: Array) -> Array:
     if places.shape[-2] < 2:
         return np.full(places.shape[:-2], np.nan)
     distance = np.linalg.norm(places - places.mean(axis=-2, keepdims=True), axis=-1)
-    return np.asarray(distance.mean(axis=-1) + 3.0 * distance.std(axis=-1, ddof=1))
+    return distance.mean(axis=-1) + 3.0 * distance.std(axis=-1, ddof=1)
 
 
 def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) -> Comparison:  # noqa: ANN401

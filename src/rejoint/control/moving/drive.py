@@ -187,9 +187,9 @@ class Repetition:
         differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
         power = np.maximum(_smooth((mean**2).sum(axis=-1), width), np.finfo(float).tiny)
         share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
-        return np.asarray(idct(mean * share[:, None], axis=0))
+        return idct(mean * share[:, None], axis=0)
 
 
 def _smooth(values: Array, width: float) -> Array:
     """Average ``values`` (F,) over about ``width``."""
-    return np.asarray(gaussian_filter1d(values, width, radius=int(np.ceil(3.0 * width))))
+    return gaussian_filter1d(values, width, radius=int(np.ceil(3.0 * width)))

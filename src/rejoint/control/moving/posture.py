@@ -95,7 +95,7 @@ def home_of(arm: Arm, servos: Servos) -> Array:
 
     def share(postures: Array) -> Array:  # (B,) of its room, of the joint that is loaded most
         load = np.median(np.abs(gravity_torque(arm, postures)), axis=0)
-        return np.asarray((load / room)[:, ~light].max(axis=-1))
+        return (load / room)[:, ~light].max(axis=-1)
 
     at_rest = PathPostures(arm, places).last
     least, touching = share(at_rest), collides(arm, at_rest)

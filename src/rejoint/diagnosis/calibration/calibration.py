@@ -96,7 +96,7 @@ class Calibration(Readable):
             away.append(one.tool(self.arm, position) - self.tool(position))
             play += scatter(self.arm, one, position)[..., :3, :3] / len(drawn)
         known = np.einsum("d...i,d...j->...ij", away, away) / len(drawn)
-        return np.asarray(known + play + self.floor**2 * np.eye(3))
+        return known + play + self.floor**2 * np.eye(3)
 
     def distance(self, position: Array, target: Array | None = None) -> Array:
         """Mean and 95 % interval (3, ...) [m] of the distance between tool and ``target`` (..., 3) [m].

@@ -210,7 +210,7 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float 
     """
     lever, free = jacobian(arm, position), 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
     variance = SCATTER * (0.5 * displacement.play) ** 2 * free + joint**2
-    return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+    return (lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2)
 
 
 def floor_of(arm: Arm) -> float:

@@ -122,7 +122,7 @@ def _approachable(arm: Arm, q: Array) -> Array:
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
     either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)
-    return np.asarray(q[np.logical_and.reduce(free) & ~either.any(axis=1)])
+    return q[np.logical_and.reduce(free) & ~either.any(axis=1)]
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
@@ -131,7 +131,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
     inside = ((q > arm.lower + room) & (q < arm.upper - room)).all(axis=1)
     moving = np.append(rising_frames(arm), True)
     above = (heights(arm, q)[:, moving] > arm.floor + CLEARANCE * length_size(arm)).all(axis=1)
-    return np.asarray(inside & above & ~collides(arm, q))
+    return inside & above & ~collides(arm, q)
 
 
 def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:

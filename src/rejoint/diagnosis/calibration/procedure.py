@@ -109,7 +109,7 @@ class EmulatedGauge:
             raise InputError(
                 "calibration: this arm does not tell where its tool is; measure it with touch or a tracker"
             )
-        return np.asarray(place + self._rng.normal(0.0, self.sigma, 3))
+        return place + self._rng.normal(0.0, self.sigma, 3)
 
 
 @dataclass(kw_only=True)
@@ -191,7 +191,7 @@ class TrackerGauge:
             rows = self._newest()
             fresh = rows[rows[:, 0] > before]
             if len(fresh) and fresh[-1, 0] - before >= 0.8 * SPAN:
-                return np.asarray(_UNITS[self.unit] * fresh[:, 1:].mean(axis=0))
+                return _UNITS[self.unit] * fresh[:, 1:].mean(axis=0)
         raise FileError(
             self.path, f"no new rows for {waited:.1f} s", "start the tracker, or look whether it sees the tool"
         )

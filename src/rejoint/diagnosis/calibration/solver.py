@@ -108,7 +108,7 @@ class ToolProblem:
         _, mounted, lens = self.outside(vector)
         seen = inverse(self.seen) if self.inverted else self.seen
         seen = moved(seen, self.by_lens @ lens)
-        return np.asarray((inverse(seen) if self.inverted else seen) @ inverse(mounted))
+        return (inverse(seen) if self.inverted else seen) @ inverse(mounted)
 
     def misfit(self, vector: Array) -> Array:
         """Predicted less measured shift [m] and turn [rad] (R, 6), axes of the measuring frame; 0: not measured."""

@@ -193,4 +193,4 @@ def remaining(
     far = np.where(passes, way, 1.0)
     times = rng.wald(far / np.maximum(np.abs(drift), 1e-9 * diffusion), far**2 / diffusion**2)
     times = np.where(passes, times, np.where(way <= 0.0, 0.0, np.inf))
-    return np.asarray(span * np.quantile(times, SHARES, method="higher"))
+    return span * np.quantile(times, SHARES, method="higher")
