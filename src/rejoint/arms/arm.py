@@ -90,7 +90,7 @@ class Arm(Readable):
     def __post_init__(self) -> None:
         _freeze(self)
         n = len(self.joint_names)
-        shapes: dict[str, tuple[int, ...]] = {
+        shapes = {
             "offset": (n, 4, 4),
             "axis": (n, 3),
             "tip": (4, 4),

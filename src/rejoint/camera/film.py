@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -115,7 +115,7 @@ def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
     """Write ``postures.csv``."""
-    columns: dict[str, Any] = {
+    columns = {
         "picture": [shot.name for shot in film.shots],
         "posture": [shot.posture for shot in film.shots],
     }

@@ -81,7 +81,7 @@ class Recording(Cycle):
 
     def of(self, arms: slice) -> Recording:
         """Select arms."""
-        parts: dict[str, Any] = {item.name: getattr(self, item.name)[:, arms] for item in fields(Cycle)}
+        parts = {item.name: getattr(self, item.name)[:, arms] for item in fields(Cycle)}
         return replace(self, **parts, tripped=self.tripped[arms])
 
     def usual_period(self) -> float:
@@ -132,9 +132,7 @@ class Recording(Cycle):
 
 def recorded(robot: Robot, controller: str, cycles: list[Cycle], tripped: Reasons) -> Recording:
     """Make a recording of ``cycles``, at least one; ``tripped`` (B,)."""
-    columns: dict[str, Any] = {
-        item.name: np.stack([getattr(cycle, item.name) for cycle in cycles]) for item in fields(Cycle)
-    }
+    columns = {item.name: np.stack([getattr(cycle, item.name) for cycle in cycles]) for item in fields(Cycle)}
     return Recording(
         arm=robot.arm.name,
         joint_names=robot.arm.joint_names,

@@ -183,7 +183,7 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
 
 def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
     allowed = {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
-    ranges: dict[str, Estimate] = {}
+    ranges = {}
     for name in (*POSITIVE, *allowed):
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:

@@ -157,7 +157,7 @@ def find(
     levers = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2)
     loads, errors = np.abs(gravity_torque(arm, position)), np.abs(command - position)
     common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
-    found: list[Finding] = []
+    found = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
             row=row,

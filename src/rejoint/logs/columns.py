@@ -459,7 +459,7 @@ class _GroupedColumns:
     def measured(self) -> tuple[dict[str, Array], dict[str, str]]:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""
         found: dict[str, Array] = {}
-        units: dict[str, str] = {}
+        units = {}
         for group in [group for group in _TITLES if group not in ("time", *MOTION) and self.of(group)]:
             try:
                 values, columns, named = self.values(group)

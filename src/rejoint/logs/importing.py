@@ -197,9 +197,9 @@ def import_logs(
     paths = READERS[chosen].found(source) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
-    logs: dict[str, RunLog] = {}
+    logs = {}
     notes: dict[str, list[str]] = {}
-    refused: list[tuple[str, FileError]] = []
+    refused = []
 
     @contextmanager
     def refusing(name: str) -> Iterator[None]:

@@ -247,7 +247,7 @@ def read_log(path: Path) -> RunLog:
         for column in table.column_names:
             groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
         (time,) = groups.pop("time")
-        arrays: dict[str, Any] = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
+        arrays = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
         log = RunLog(
             arm=header["arm"],
             joint_names=tuple(header["joints"]),

@@ -62,7 +62,7 @@ class Finder(Generic[R]):
 
     def expire(self) -> list[R]:
         """Drop a half frame; return the frames behind its header."""
-        frames: list[R] = []
+        frames = []
         while self.rest:
             held, self.rest = self.rest, b""
             frames += self.feed(held[1:])

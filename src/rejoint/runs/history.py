@@ -121,7 +121,7 @@ def summarise(run: Run) -> None:
         model=run.arm.name,
         setup=setup_of(run.arm),
     )
-    joints: list[HistoryRow] = []
+    joints = []
     if diagnosis is not None:
         for row in diagnosis.measurement.joints:
             found = {name: getattr(row, name) for name in _DIAGNOSED}
@@ -146,7 +146,7 @@ _STATES = ("alarm", "drifting", "learning", "steady")
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     """Check as Prometheus text."""
     ends, epoch = {} if seen.due is None else asdict(seen.due), datetime(1970, 1, 1)
-    samples: list[tuple[str, float | None, dict[str, str]]] = [
+    samples = [
         *(("state", seen.state == state, {"state": state}) for state in _STATES),
         ("error_mm", seen.error_mm, {"by": "tool" if seen.error_known else "encoders"}),
         ("controlled_error_mm", seen.controlled_mm, {}),

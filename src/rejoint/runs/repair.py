@@ -86,7 +86,7 @@ def stages_of(
 ) -> dict[StageName, Path]:
     """Name the stages of a repair in order, each with its file."""
     what = plan or RepairPlan()
-    found: dict[StageName, Path] = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
+    found = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
     if what.gauge == NO_GAUGE or (what.gauge is None and not is_batchable(robot)):
         del found["calibrate"]
     rivals = not what.controllers and not quick

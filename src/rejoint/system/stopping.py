@@ -231,7 +231,7 @@ class _Hosts:
 def _set_handlers() -> dict[int, Handler]:
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before: dict[int, Handler] = {}
+    before = {}
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
         if handler in (signal.SIG_DFL, signal.default_int_handler) or _cancels(handler):

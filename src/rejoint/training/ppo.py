@@ -96,7 +96,7 @@ class Critic(DeterministicMixin, Model):  # type: ignore[misc]
 
 def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with in-place ELU between them."""
-    layers: list[nn.Module] = []
+    layers = []
     for before, after in itertools.pairwise(sizes):
         layers += [nn.Linear(before, after), nn.ELU(inplace=True)]
     return nn.Sequential(*layers[:-1])

@@ -28,7 +28,7 @@ LEAD = 1.0
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut free motion into windows of at most about ``length`` [s]."""
-    windows: list[Window] = []
+    windows = []
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for run in free_runs(rows.free, log.time, SHORTEST_STRETCH):
             windows += _pieces(index, log, run, length)
@@ -37,7 +37,7 @@ def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length:
 
 def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut the surroundings of contacts into windows of about ``length`` [s]."""
-    windows: list[Window] = []
+    windows = []
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for first, last in free_runs(rows.contact & rows.readable, log.time, SHORTEST_STRETCH):
             early = int(np.searchsorted(log.time, log.time[first] - LEAD))

@@ -324,7 +324,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
     speed = float(arm.max_speed.min()) / REFERENCE_SPEED
     wrist = _wrist(arm)
-    rows: list[tuple[float, float, float, float]] = []
+    rows = []
     for p in table:
         scale = (load if p.by_load else 1.0) * time**p.by_time * (speed if p.by_speed else 1.0)
         for is_wrist in wrist if p.per_joint else [False]:

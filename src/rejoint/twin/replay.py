@@ -43,7 +43,7 @@ class Window:
 
 def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
     """Cut logs into windows of about ``length`` [s]."""
-    windows: list[Window] = []
+    windows = []
     for index, log in enumerate(logs):
         duration = float(log.time[-1] - log.time[0])
         count = max(1, round(duration / length))
@@ -55,7 +55,7 @@ def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
 
 def divide(windows: Sequence[Window], rows: int) -> list[Window]:
     """Divide windows into pieces of about ``rows``."""
-    pieces: list[Window] = []
+    pieces = []
     for w in windows:
         edges = np.linspace(w.first, w.last, max(1, round((w.last - w.first) / rows)) + 1).astype(int).tolist()
         pieces += [Window(log=w.log, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]

@@ -328,7 +328,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     document = tomlkit.document()
     document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
     errors = {name: error for name in ERRORS if (error := getattr(twin.held_out, name)) is not None}
-    told: dict[str, Any] = {
+    told = {
         "format": FORMAT,
         "arm": twin.arm,
         "joints": twin.joint_names,

@@ -190,7 +190,7 @@ class Plant:
         self.qvel[ids], self._applied[ids] = 0.0, 0.0
         torque = np.clip(load, -self.joints["torque_limit"], self.joints["torque_limit"])
         step = self.arm.encoder_step
-        fresh: dict[str, Array | float] = {
+        fresh = {
             "measured": np.rint(position / step) * step,
             "measured_speed": 0.0,
             "bristle": 0.0,

@@ -325,7 +325,7 @@ def _options(name: str) -> tuple[str, _Options]:
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
     """Scale a myCobot 280's profile to ``arm``."""
     scale = scale_of(arm)
-    values: dict[str, Any] = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
+    values = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
         values[name] = values[name] * scale.torque
     values["damping_gain"] = values["damping_gain"] * (scale.torque * scale.time)
@@ -339,7 +339,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
     """Draw a neighbour within +-30 % that lifts the arm."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
-    drawn: dict[str, Any] = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
+    drawn = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
     over = (wear.stiction - wear.coulomb) * factor["stiction"]
     drawn["stiction"] = drawn["coulomb"] + over
     neighbour = replace(wear, name=f"{wear.name}?seed={seed}", **drawn)

@@ -193,7 +193,7 @@ def _point(
 
 def _make_agent(task: ReachTask, settings: OffPolicySettings) -> SAC:
     n, size, privileged, ppo = task.arm.joints, task.observer.size, task.privileged_size, settings.preset.ppo
-    models: dict[str, Model] = {"policy": SquashedActor(size, n, ppo.actor_layers)}
+    models = {"policy": SquashedActor(size, n, ppo.actor_layers)}
     for role in ("critic_1", "target_critic_1", "critic_2", "target_critic_2"):
         models[role] = ActionCritic(size, privileged, n, ppo.critic_layers)
     agent = SAC(

@@ -90,7 +90,7 @@ def probe_observations(size: int) -> Array:
 
 def law_digests(arm: Arm) -> dict[str, str]:
     """Digests of arm fields for laws, rounded to 1e-9."""
-    read: dict[str, Array] = {
+    read = {
         "offset": arm.offset,
         "axis": arm.axis,
         "tip": arm.tip[:3, 3],
@@ -136,7 +136,7 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
     """Raise ContractError unless the policy suits this arm; payload and tool do not count."""
     arm = bare(arm)
     remedy = "train a policy for this arm"
-    expected: dict[str, tuple[object, object]] = {
+    expected = {
         "arm": (contract.arm, arm.name),
         "joint order": (contract.joint_names, arm.joint_names),
         "observation layout": (_parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),

@@ -112,7 +112,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     links = np.inf if case.twist else 0.0
-    rows: dict[str, tuple[float, float | Array, float, float]] = {
+    rows = {
         "offset": (0.0, OFFSET, -np.radians(6.0), np.radians(6.0)),
         "compliance": (soft, soft, 0.0, 0.3 / stiff),
         "play": (case.play, case.play_sigma, 0.0, np.radians(8.0)),

@@ -180,7 +180,7 @@ def _quantities(visits: Sequence[PastCheck]) -> Iterator[tuple[str, str, Array, 
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
+    order = ("alarm", "drifting", "steady", "learning")
 
     def rank(one: Change) -> tuple[object, ...]:
         most = max(abs(other.away) for other in drawn if (other.state, other.joint) == (one.state, one.joint))

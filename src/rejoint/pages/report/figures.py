@@ -287,9 +287,9 @@ def in_base(found: Calibration, measured: Measurements) -> Array:
 
 def arrows(seen: Array, way: Array, wrong: NDArray[np.bool_]) -> Figure:
     """Draw lines ``way`` from encoder TCP ``seen``, (M, 3) [m]; ``wrong`` (M,) ones grey."""
-    point: dict[str, Any] = {"linestyle": "", "markersize": 4}
+    point = {"linestyle": "", "markersize": 4}
     hollow = point | {"marker": "o", "color": INK, "markerfacecolor": "none"}
-    strokes: list[Stroke] = [(seen, hollow | {"label": "where the encoders saw the tool"})]
+    strokes = [(seen, hollow | {"label": "where the encoders saw the tool"})]
     for label, rows, look in (("measured point", ~wrong, ORANGE), ("does not fit to the others", wrong, GREY)):
         if rows.any():
             ends = seen[rows] + way[rows]
@@ -308,7 +308,7 @@ def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
     """Draw the first and last repetition of a path as ``figures/follow-NAME.png``; returns its path."""
     logs = [one.log for one in done.passes if one.log is not None]
     figure, ((*planes, errors),) = canvas((WIDE, 3.6), 1, 3, width_ratios=(1.0, 1.0, 1.6))
-    strokes: list[Stroke] = [(aims(logs[-1]), {"color": INK, "linewidth": 2.2, "alpha": 0.35})]
+    strokes = [(aims(logs[-1]), {"color": INK, "linewidth": 2.2, "alpha": 0.35})]
     for label, log, look in [("first", logs[0], RED), ("last", logs[-1], BLUE)][-len(logs) :]:
         tool, time, line = tcp_position(arm, log.position), log.time - log.time[0] - LEAD_IN, {"color": look.colour}
         strokes.append((tool, line | {"linewidth": 1.0}))

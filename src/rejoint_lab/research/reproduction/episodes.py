@@ -110,7 +110,7 @@ def measure_course(bench: Bench) -> Found:
     below = np.flatnonzero(found[own, "reward"].mean(axis=0) <= CONVERGED)
     first = int(below[-1]) + 1 if len(below) else 0
     better = ends[own, "reward"].min() > ends[other, "reward"].max()
-    told: Found = {
+    told = {
         f"{label}_{key}": _range(factor * ends[name, key])
         for label, name in (("own", own), ("other", other), ("home", home))
         for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
