@@ -134,7 +134,7 @@ def import_(
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
     for note in (*imported.notes, *imported.skipped):
         call.say(note)
-    seconds, count = sum(float(log.time[-1] - log.time[0]) for log in imported.logs), len(imported.logs)
+    seconds, count = sum(log.duration for log in imported.logs), len(imported.logs)
     skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
     call.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
     return {"out": out, "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}

@@ -46,9 +46,7 @@ Ways = Sequence[Sequence[JointTrajectory]]
 """B rows of K ways"""
 
 
-def with_ways(
-    arm: Arm, posture: Array, start: Array, *, motors: Motors | None = None, speed: float = 1.0
-) -> tuple[JointTrajectory, ...]:
+def with_ways(arm: Arm, posture: Array, start: Array, *, motors: Motors | None = None) -> tuple[JointTrajectory, ...]:
     """Plan the ways of one arm from ``start`` (n,) through ``posture`` (K, n) [rad].
 
     The ``motors`` lift the arm. Where no way is clear, a joint goes a turn farther or less, else InputError.
@@ -56,20 +54,20 @@ def with_ways(
     ways: list[JointTrajectory] = []
     for goal in posture:
         before = ways[-1].goal if ways else start
-        ways.append(_clear_way(arm, before, goal, motors, speed))
+        ways.append(_clear_way(arm, before, goal, motors))
     return tuple(ways)
 
 
-def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed: float) -> JointTrajectory:
+def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None) -> JointTrajectory:
     """Way to ``goal`` (n,) [rad], or to one with a joint a turn away."""
     turned = goal + 2.0 * np.pi * np.vstack([np.eye(arm.joints), -np.eye(arm.joints)])
     turned = turned[((turned >= arm.lower) & (turned <= arm.upper)).all(axis=-1)]
     try:
-        return plan(arm, start, goal, motors=motors, speed=speed)
+        return plan(arm, start, goal, motors=motors)
     except PlanningError:
         for other in turned[np.argsort(np.abs(turned - start).max(axis=-1))]:
             with suppress(PlanningError):
-                return plan(arm, start, other, motors=motors, speed=speed)
+                return plan(arm, start, other, motors=motors)
         raise
 
 

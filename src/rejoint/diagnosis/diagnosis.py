@@ -269,7 +269,7 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 
     return Evidence(
         motions=len(logs),
-        seconds=sum(float(log.time[-1] - log.time[0]) for log in logs),
+        seconds=sum(log.duration for log in logs),
         free_seconds=seconds("free"),
         contact_seconds=seconds("contact"),
         stop_seconds=seconds("stop"),

@@ -169,14 +169,14 @@ _REMEDY = (
 )
 
 
-def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None) -> Excitation:
-    """Plan the excitation of an arm at ``start`` (n,) [rad] (default: rest).
+def plan_excitation(arm: Arm, *, seed: int) -> Excitation:
+    """Plan the excitation of an arm at rest.
 
     Slows and shrinks motion; InputError if that does not suffice.
     """
 
     def build(plan: Plan) -> Excitation:
-        rng, path = np.random.default_rng(seed), Excitation(arm, arm.rest if start is None else start)
+        rng, path = np.random.default_rng(seed), Excitation(arm, arm.rest)
         with path.segment("approach", "approach"):
             path.travel(arm.rest, plan.travel_speed / 2)
             path.wait(0.5)

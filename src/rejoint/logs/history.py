@@ -14,12 +14,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
-from rejoint.logs.runlog import read_parquet
+from rejoint.logs.runlog import read_parquet, write_parquet
 from rejoint.system.errors import FileError
-from rejoint.system.files import reading, write_whole
+from rejoint.system.files import reading
 from rejoint.system.shell import __version__
 
 _PASSING = re.compile(r"[?&](hours|ambient)=[^&]*")
@@ -163,7 +162,7 @@ def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
     """Write summary rows, whole or not at all; FileError."""
     schema = SCHEMA.with_metadata({_FORMAT_KEY: str(FORMAT).encode()})
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+    write_parquet(path, table)
 
 
 def read_rows(path: Path) -> list[HistoryRow]:

@@ -94,8 +94,12 @@ class RunLog:
     """seed, profile, software version and others"""
 
     def __repr__(self) -> str:
-        last = self.time[-1] - self.time[0] if len(self.time) else 0.0
-        return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {last:.1f} s)"
+        return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {self.duration:.1f} s)"
+
+    @property
+    def duration(self) -> float:
+        """[s] from the first to the last row."""
+        return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
 
     def __post_init__(self) -> None:
         rows = np.size(self.time)
@@ -229,7 +233,7 @@ def write_log(path: Path, log: RunLog) -> None:
         columns |= {f"{group}.{name}": values for name, values in named}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
+    write_parquet(path, table)
 
 
 def read_log(path: Path) -> RunLog:
@@ -261,6 +265,11 @@ def read_log(path: Path) -> RunLog:
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
         return log
+
+
+def write_parquet(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file with checksums, whole or not at all; FileError."""
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
 
 
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:

@@ -69,16 +69,12 @@ def ports() -> dict[str, str]:
     return {one.device: one.description for one in sorted(comports()) if one.vid is not None or "AMA" in one.device}
 
 
-def ports_line() -> str:
-    """Name the ports in one line."""
-    return f"ports of this computer: {', '.join(ports()) or 'none; is the cable in, and the arm switched on?'}"
-
-
 def why_closed(error: BaseException, device: str) -> str | None:
     """Say why a ``device`` cannot be opened and what to do, where its number tells."""
     match getattr(error, "errno", None):
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
-            return f"there is no port {device}; {ports_line()}"
+            found = ", ".join(ports()) or "none; is the cable in, and the arm switched on?"
+            return f"there is no port {device}; ports of this computer: {found}"
         case errno.EACCES | errno.EPERM:
             group = "dialout"
             with suppress(OSError, KeyError):

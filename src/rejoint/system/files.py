@@ -127,14 +127,14 @@ def begins_with(path: Path, first: bytes) -> bool:
         return False
 
 
-def require_space(folder: Path, needed: int = SPACE) -> None:
-    """Raise FileError unless ``needed`` bytes are free at ``folder``."""
+def require_space(folder: Path) -> None:
+    """Raise FileError unless `SPACE` is free at ``folder``."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise unwritable(folder, error) from error
-    if free < needed:
-        raise FileError(folder, f"{_size(free)} free on that disk, {_size(needed)} needed", UNWRITABLE)
+    if free < SPACE:
+        raise FileError(folder, f"{_size(free)} free on that disk, {_size(SPACE)} needed", UNWRITABLE)
 
 
 def write_json(path: Path, value: object) -> None:

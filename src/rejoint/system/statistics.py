@@ -127,7 +127,7 @@ def clustered_share(hits: Array, labels: Labels) -> Estimate:
     return wilson(float(share) * trials / effect, trials / effect)
 
 
-def paired_difference(first: Array, second: Array, labels: Labels, *, seed: int = 0) -> Estimate | None:
+def paired_difference(first: Array, second: Array, labels: Labels) -> Estimate | None:
     """Mean of ``first - second`` (N,) over common results, with interval, or None."""
     difference = first - second
-    return bootstrap_mean(difference, labels, seed=seed) if np.isfinite(difference).any() else None
+    return bootstrap_mean(difference, labels) if np.isfinite(difference).any() else None

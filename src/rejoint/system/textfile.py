@@ -235,7 +235,7 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
     titles = _split(lines[chosen[prints]], separator) if chosen else []
-    named = not all(map(_is_number, filter(None, titles)))
+    named = not all(map(_NUMBER.fullmatch, filter(None, titles)))
     rows = chosen[prints + named :]
     if not named:
         width = len(titles)
@@ -259,10 +259,6 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
         ends=ends,
         sound=whole,
     )
-
-
-def _is_number(cell: str) -> bool:
-    return _NUMBER.fullmatch(cell) is not None
 
 
 def _split(line: str, separator: str) -> list[str]:

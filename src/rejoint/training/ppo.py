@@ -76,17 +76,20 @@ class Actor(Model):  # type: ignore[misc]
 
 
 class Critic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an observation and a privileged observation."""
+    """Value of an observation and a privileged observation, and of an action if it is ``taken``."""
 
-    def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
+    def __init__(
+        self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int], *, taken: bool = False
+    ) -> None:
         spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
         Model.__init__(self, **spaces, state_space=unbounded(privileged_size), device="cpu")
         DeterministicMixin.__init__(self)
-        self.net = perceptron((observation_size + privileged_size, *layers, 1))
+        self._inputs = ("observations", "states", *["taken_actions"] * taken)
+        self.net = perceptron((observation_size + privileged_size + taken * joints, *layers, 1))
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Values (..., 1)."""
-        return self.net(torch.cat([inputs["observations"], inputs["states"]], dim=-1)), {}
+        return self.net(torch.cat([inputs[name] for name in self._inputs], dim=-1)), {}
 
     def value(self, observation: Tensor, privileged: Tensor) -> Tensor:
         """Values (...); thread-safe."""

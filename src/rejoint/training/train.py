@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from torch import Tensor
 
 from rejoint.arms import Arm
@@ -17,7 +16,7 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.controllers.contract import PolicyContract, law_digests
 from rejoint.control.controllers.observation import layout_slots
 from rejoint.logs.runfolder import RunFolder
-from rejoint.system.files import write_whole
+from rejoint.logs.runlog import write_parquet
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
 from rejoint.training.export import export_policy, shelf_start
@@ -129,7 +128,7 @@ def training_ranges(arm: Arm, twin: Twin | None) -> Ranges:
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     """Write training curves as Parquet."""
     table = pa.Table.from_pylist([asdict(point) for point in curve])
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+    write_parquet(path, table)
 
 
 def make_learner(

@@ -192,7 +192,7 @@ def identify(
     threads: int = 2,
 ) -> Twin:
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
-    seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
+    seconds = sum(log.duration for log in logs)
     windows = cut(logs, EXCITATION_WINDOW)
     unseen = [window for window in windows if window.log == 0][HOLD_OUT - 1 :: HOLD_OUT]
     seen = [window for window in windows if window not in unseen]

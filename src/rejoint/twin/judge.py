@@ -138,7 +138,7 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
     tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
-    order = sorted(range(len(logs)), key=lambda i: logs[i].time[-1] - logs[i].time[0])
+    order = sorted(range(len(logs)), key=lambda i: logs[i].duration)
     for start in range(0, len(order), GROUP * threads):
         part = order[start : start + GROUP * threads]
         chosen = [windows[i] for i in part]
@@ -149,7 +149,7 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
 
 
 def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
-    period = float(log.time[-1] - log.time[0]) / max(len(log) - 1, 1)
+    period = log.duration / max(len(log) - 1, 1)
     parts = {"free": rows.free, "contact": rows.contact & rows.readable, "all": rows.readable}
 
     def errors(path: Array) -> Errors:
@@ -162,7 +162,7 @@ def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) ->
 
     return MotionErrors(
         motion=log.label,
-        seconds=float(log.time[-1] - log.time[0]),
+        seconds=log.duration,
         contact_seconds=float(parts["contact"].sum()) * period,
         left_out_seconds=float((~rows.readable).sum()) * period,
         errors={name: errors(path) for name, path in paths.items()},

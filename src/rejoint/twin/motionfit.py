@@ -28,11 +28,9 @@ LEAD = 1.0
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut free motion into windows of at most about ``length`` [s]."""
-    windows = []
-    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        for run in free_runs(rows.free, log.time, SHORTEST_STRETCH):
-            windows += _pieces(index, log, run, length)
-    return windows
+    pairs = enumerate(zip(logs, excluded, strict=True))
+    runs = ((i, log, run) for i, (log, rows) in pairs for run in free_runs(rows.free, log.time, SHORTEST_STRETCH))
+    return [window for one in runs for window in _pieces(*one, length)]
 
 
 def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:

@@ -45,9 +45,8 @@ def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
     """Cut logs into windows of about ``length`` [s]."""
     windows = []
     for index, log in enumerate(logs):
-        duration = float(log.time[-1] - log.time[0])
-        count = max(1, round(duration / length))
-        edges = np.searchsorted(log.time, log.time[0] + duration * np.arange(1, count) / count)
+        count = max(1, round(log.duration / length))
+        edges = np.searchsorted(log.time, log.time[0] + log.duration * np.arange(1, count) / count)
         bounds = [0, *edges.tolist(), len(log)]
         windows += [Window(log=index, first=a, last=b) for a, b in pairwise(bounds) if b - a > 2]
     return windows
@@ -98,7 +97,8 @@ class Replay:
 
     @cached_property
     def _even(self) -> set[int]:
-        return {i for i, log in self._shown.items() if _in_step(log.time, self.timestep) > IN_STEP}
+        turn = 2j * np.pi / self.timestep
+        return {i for i, log in self._shown.items() if abs(np.exp(turn * log.time).mean()) > IN_STEP}
 
     @cached_property
     def _grid(self) -> Array:
@@ -207,11 +207,6 @@ class Replay:
                 i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()
             }
         return self._known[key]
-
-
-def _in_step(time: Array, timestep: float) -> float:
-    """Regularity, 0 to 1, of times (T,) [s] on a grid."""
-    return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))
 
 
 def measured_velocity(log: RunLog, rows: NDArray[np.integer] | None = None) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from skrl.agents.torch.sac import SAC, SAC_CFG
 from skrl.memories.torch import RandomMemory
-from skrl.models.torch import DeterministicMixin, Model
+from skrl.models.torch import Model
 from torch import Tensor, nn
 from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
@@ -23,7 +23,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
-from rejoint.training.ppo import LAST_LAYER_SCALE, perceptron, unbounded
+from rejoint.training.ppo import LAST_LAYER_SCALE, Critic, perceptron, unbounded
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask
 from rejoint.training.train import (
@@ -79,21 +79,6 @@ class SquashedActor(Model):  # type: ignore[misc]
     def network(self) -> nn.Sequential:
         """Mean policy as layers."""
         return nn.Sequential(*self.net, nn.Tanh())
-
-
-class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an action, an observation and a privileged observation."""
-
-    def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
-        spaces = {"observation_space": unbounded(observation_size), "action_space": bounded(joints)}
-        Model.__init__(self, **spaces, state_space=unbounded(privileged_size), device="cpu")
-        DeterministicMixin.__init__(self)
-        self.net = perceptron((observation_size + privileged_size + joints, *layers, 1))
-
-    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Values (N, 1)."""
-        parts = [inputs["observations"], inputs["states"], inputs["taken_actions"]]
-        return self.net(torch.cat(parts, dim=-1)), {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +180,7 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> SAC:
     n, size, privileged, ppo = task.arm.joints, task.observer.size, task.privileged_size, settings.preset.ppo
     models = {"policy": SquashedActor(size, n, ppo.actor_layers)}
     for role in ("critic_1", "target_critic_1", "critic_2", "target_critic_2"):
-        models[role] = ActionCritic(size, privileged, n, ppo.critic_layers)
+        models[role] = Critic(size, privileged, n, ppo.critic_layers, taken=True)
     agent = SAC(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),

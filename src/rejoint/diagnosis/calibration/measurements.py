@@ -160,11 +160,11 @@ def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSessi
     return None if found.session is None else (found.measured, found.session)
 
 
-def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read JSON, or text with columns, with ``frame`` and ``source``; FileError if unusable."""
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base") -> Measurements:
+    """Read JSON, or text with columns, measured in ``frame``; FileError if unusable."""
     if path.suffix.lower() == ".json":
         return read_for(path, arm, MeasurementFile).measured
-    return _from_csv(path, arm, frame, source)
+    return _from_csv(path, arm, frame)
 
 
 BEYOND = np.radians(10.0)
@@ -183,7 +183,7 @@ def require_degrees(path: Path, position: Array) -> None:
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
 
 
-def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
+def _from_csv(path: Path, arm: Arm, frame: str) -> Measurements:
     joints, came = joint_columns(arm)
     meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
     found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"}, most=SHEET_MOST)
@@ -205,7 +205,7 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
             sigma=columns.get("sigma", np.full(len(lines), NOISE)),
             posture=columns.get("posture", np.arange(len(lines))),
             frame=frame,
-            source=source,
+            source="tracker",
         )
     except InputError as error:
         raise FileError(path, str(error), "measure again, or take another file") from error

@@ -243,13 +243,9 @@ def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | N
     )
     if left is None:
         return None
-    days_left = left * (days[-1] / (use[-1] - use[0]))
-    early, middle, late = (_after(visits[-1].time, float(one)) for one in days_left)
+    days_left = (left * (days[-1] / (use[-1] - use[0]))).tolist()
+    early, middle, late = (visits[-1].time + timedelta(days=one) if one < 36500.0 else None for one in days_left)
     return None if early is None else Due(early=early, middle=middle, late=late)
-
-
-def _after(now: datetime, days: float) -> datetime | None:
-    return now + timedelta(days=days) if days < 36500.0 else None
 
 
 MONTH = timedelta(days=30)

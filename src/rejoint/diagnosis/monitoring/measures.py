@@ -19,7 +19,6 @@ from rejoint.arms.kinematics import solve_position
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import iso_poses, reversal
 from rejoint.control.comparison.result import position_repeatability
-from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, play
 from rejoint.diagnosis.excitation import Excitation, Plan, fitted, reporting
@@ -63,9 +62,7 @@ LABEL = "check"
 """Of the run log"""
 
 
-def record_check(
-    robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
-) -> Sequence[tuple[RunLog, Array | None]]:
+def record_check(robot: Robot, *, on_progress: Progress = no_progress) -> Sequence[tuple[RunLog, Array | None]]:
     """Drive every arm through the check; return logs and mean servo temperatures (n,) [deg C].
 
     NotReadyError before the motion, GuardTripError or RobotError in it.
@@ -73,7 +70,7 @@ def record_check(
     plan = plan_check(robot.arm)  # refused, if it is, before anything moves
     begin(robot)
     before = robot.read().temperature
-    see = reporting("check", plan.duration, on_progress, on_cycle, robot)
+    see = reporting("check", plan.duration, on_progress, None, robot)
     done = play(robot, plan.command, plan.duration, on_cycle=see)
     after = robot.read().temperature
     warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array, Displacement, JointTrajectory, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.kinematics import GRAVITY
@@ -30,10 +29,10 @@ from rejoint.control.robot import ControlInput, Controller, Mask, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import read_parquet
+from rejoint.logs.runlog import read_parquet, write_parquet
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_toml, write_whole
+from rejoint.system.files import read_toml
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin, read_twin, write_twin
@@ -296,5 +295,5 @@ def keep(path: Path, identity: str, find: Callable[[], Columns]) -> Columns:
     shape = next(iter(found.values())).shape
     table = pa.table({name: values.ravel() for name, values in found.items()})
     table = table.replace_schema_metadata({_IDENTITY: json.dumps([wanted, *shape]).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
+    write_parquet(path, table)
     return found
