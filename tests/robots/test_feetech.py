@@ -15,8 +15,8 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import FeetechBus, Wire, zeros_of
-from rejoint.robots.feetech.gains import STRIDES, TABLE
-from rejoint.robots.knobs import LIMIT, Tuning
+from rejoint.robots.feetech.gains import KNOBS, TABLE
+from rejoint.robots.knobs import LIMIT, Tuning, strides_of
 from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
@@ -108,7 +108,7 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
     class Memory:
-        names, load, strides = ("1", "2"), 0.0, STRIDES
+        names, load, strides = ("1", "2"), 0.0, strides_of(KNOBS)
         gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
 
         def read_gains(self):

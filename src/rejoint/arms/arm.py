@@ -43,10 +43,6 @@ class Box:
         axes = np.linspace(self.lower, self.upper, per_edge).T
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (..., 3) [m] are inside."""
-        return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Arm(Readable):

@@ -61,7 +61,7 @@ def calibrate(
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0)
     settings = replace(call.settings, calibration="none" if fresh else None)
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
-    if kind == "points" or (kind == "camera" and what and not is_device(what)):
+    if kind == "points" or (kind == "camera" and what and not (what.isdecimal() or what == EMULATED)):
         given: Measurements | Film
         if kind == "points":
             given = read_measurements(Path(what), job.arm, frame=frame)
@@ -163,11 +163,6 @@ class Means:
             raise InputError(f"camera {word} cannot see {robot}; watch an emulated arm with camera=emulated")
         number = int(word)
         return CameraGauge(camera=lambda _: LiveCamera(number), board=self.pattern(), carried=self.carried)
-
-
-def is_device(word: str) -> bool:
-    """Tell whether a word is the number of a camera, or stands for an emulated one; else it names pictures."""
-    return word.isdecimal() or word == EMULATED
 
 
 def gauge_by_word(

@@ -167,7 +167,9 @@ def diagnose_logs(
         require_commands(logs, "diagnosis")
     on_progress(0.0, "contacts and stops")
     height = None if bare else table_height(arm, logs)
-    excluded = [_nowhere(log) for log in logs] if bare else find_exclusions(arm, logs, height)
+    nowhere = [np.zeros(len(log), dtype=bool) for log in logs]
+    bare_logs = [Exclusions(contact=rows, stop=rows, stale=rows) for rows in nowhere]
+    excluded = bare_logs if bare else find_exclusions(arm, logs, height)
     evidence = _evidence(arm, logs, excluded, height)
     data = join_logs(arm, logs, excluded)
     if not data.of_kind(FREE):
@@ -202,11 +204,6 @@ def diagnose_logs(
         healthy=healthy,
         evidence=evidence,
     )
-
-
-def _nowhere(log: RunLog) -> Exclusions:
-    rows = np.zeros(len(log), dtype=bool)
-    return Exclusions(contact=rows, stop=rows, stale=rows)
 
 
 def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:

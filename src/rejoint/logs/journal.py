@@ -37,7 +37,7 @@ class Journal:
     def __init__(self, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> None:
         """Open the journal of the run log at ``path``; FileError."""
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
-        self.path, self.file = path, journal_path(path)
+        self.path, self.file = path, path.with_name(f".{path.stem}{_ENDING}")
         self.problem: OSError | None = None
         """first write error"""
         self._rows, self._over = deque[bytes](), threading.Event()
@@ -179,11 +179,6 @@ def _whole_rows(data: bytes, size: int) -> Array:
     table = rows["numbers"][np.array([zlib.crc32(one["numbers"]) == one["check"] for one in rows], dtype=bool)]
     table = table[np.isfinite(table[:, :-6]).all(axis=-1)]
     return table[table[:, 0] > np.maximum.accumulate(np.append(-np.inf, table[:, 0]))[:-1]]
-
-
-def journal_path(path: Path) -> Path:
-    """Journal of the run log at ``path``."""
-    return path.with_name(f".{path.stem}{_ENDING}")
 
 
 def _write(handle: int, data: bytes) -> None:

@@ -60,12 +60,15 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
-    due, joints = found.due, {name: _worst(found, name) for name in {row.joint for row in rows}}
+    due, states = found.due, {(one.joint, one.state) for one in found.changes}
     arm = replace(rows[0], state=found.state, cause=cause_of(found), line=line)
     arm = replace(arm, tolerance_mm=found.tolerance_mm, controlled_mm=found.controlled_mm)
     if due is not None:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
-    return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
+    return [
+        arm,
+        *(replace(row, state=next((one for one in _STATES if (row.joint, one) in states), "")) for row in rows[1:]),
+    ]
 
 
 def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
@@ -86,11 +89,6 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
             left = None if head.norm == SET_UP else past.left_mm
             past = Past(visits=(check,) if head.norm else (*past.visits, check), setup=head.setup, left_mm=left)
     return past
-
-
-def _worst(found: Outlook, joint: str) -> str:
-    states = [one.state for one in found.changes if one.joint == joint]
-    return next((state for state in _STATES if state in states), "")
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:

@@ -76,10 +76,6 @@ def install() -> None:
         _note.hook, sys.unraisablehook = sys.unraisablehook, _unraisable
 
 
-def _installed() -> bool:
-    return any(signal.getsignal(signum) is _handle for signum in SIGNALS)
-
-
 def close() -> None:
     """Ignore further signals: the program is ending."""
     for signum in SIGNALS:
@@ -144,7 +140,8 @@ def _drop() -> None:
 
 def raise_again() -> None:
     """Raise a swallowed interruption again, in the main thread."""
-    raised, hears = _note.raised, threading.current_thread() is threading.main_thread() and _installed()
+    raised, main = _note.raised, threading.current_thread() is threading.main_thread()
+    hears = main and any(signal.getsignal(signum) is _handle for signum in SIGNALS)
     if raised is not None and hears and not _note.noted and sys.exc_info()[1] is None:
         raise raised
 

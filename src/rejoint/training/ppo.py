@@ -122,7 +122,21 @@ class Ppo(PPO):  # type: ignore[misc]
             state_space=critic.state_space,
             action_space=actor.action_space,
             device="cpu",
-            cfg=_configuration(settings),
+            cfg=PPO_CFG(
+                rollouts=settings.rollout,
+                learning_epochs=settings.epochs,
+                mini_batches=settings.mini_batches,
+                discount_factor=settings.discount,
+                gae_lambda=settings.gae_lambda,
+                learning_rate=settings.learning_rate,
+                grad_norm_clip=settings.gradient_clip,
+                ratio_clip=settings.clip,
+                value_clip=0.0,
+                entropy_loss_scale=0.0,
+                value_loss_scale=settings.value_weight,
+                time_limit_bootstrap=True,
+                experiment={"write_interval": 0, "checkpoint_interval": 0},
+            ),
         )
         self.optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], fused=True)
         self.init()
@@ -151,21 +165,3 @@ class Ppo(PPO):  # type: ignore[misc]
 def join(rollouts: Sequence[Rollout]) -> Rollout:
     """Join the agents of rollouts of the same length."""
     return {name: torch.cat([rollout[name] for rollout in rollouts], dim=1) for name in rollouts[0]}
-
-
-def _configuration(settings: PpoSettings) -> PPO_CFG:
-    return PPO_CFG(
-        rollouts=settings.rollout,
-        learning_epochs=settings.epochs,
-        mini_batches=settings.mini_batches,
-        discount_factor=settings.discount,
-        gae_lambda=settings.gae_lambda,
-        learning_rate=settings.learning_rate,
-        grad_norm_clip=settings.gradient_clip,
-        ratio_clip=settings.clip,
-        value_clip=0.0,
-        entropy_loss_scale=0.0,
-        value_loss_scale=settings.value_weight,
-        time_limit_bootstrap=True,
-        experiment={"write_interval": 0, "checkpoint_interval": 0},
-    )

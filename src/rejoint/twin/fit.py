@@ -131,7 +131,7 @@ class Problem:
 
     def _by_joint(self, values: Array) -> Array:
         """Sum (m, n) of values (m, k) over each joint's parameters."""
-        return values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1)
+        return values[:, : self.layout.of_arm.start].reshape(len(values), -1, self.joints).sum(axis=1)
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.

@@ -101,7 +101,8 @@ def predict_logs(
     """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
-    return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
+    still = [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]  # row k is sent after its answer
+    return {NO_TWIN: still} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
 
 
 def judge_paths(
@@ -126,10 +127,6 @@ def judge_paths(
         doubts=tuple(_doubts(arm, logs, rows, found)),
         worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
     )
-
-
-def _no_twin(logs: Sequence[RunLog]) -> list[Array]:
-    return [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]  # row k is sent after its answer
 
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:

@@ -117,8 +117,6 @@ class TwinParameters:
 
     def __getitem__(self, index: int | slice | NDArray[np.integer] | NDArray[np.bool_]) -> TwinParameters:
         """Select twins along the first leading axis."""
-        if not self.shape:
-            raise InputError("twin: a single twin cannot be indexed")
         return TwinParameters(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     def repeat(self, count: int) -> TwinParameters:
@@ -246,11 +244,6 @@ class Layout:
         """Slice of one parameter."""
         first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
         return slice(int(first), int(last))
-
-    @property
-    def of_joints(self) -> slice:
-        """Slice of all parameters of joints."""
-        return slice(0, len(JOINT_PARAMETERS) * self.joints)
 
     @property
     def of_arm(self) -> slice:

@@ -278,26 +278,24 @@ def new_wear(arm: Arm) -> Wear:
     )
 
 
-def _of_servos(wear: Wear, new: Wear) -> Wear:
-    """``wear`` of an arm whose servos were once ``new``: their inertia, at least half their torque, more friction."""
-    return replace(
-        wear,
-        torque_limit=np.maximum(wear.torque_limit, _WEAKEST * new.torque_limit),
-        coulomb=np.maximum(wear.coulomb, _ROUGHER * new.coulomb),
-        stiction=np.maximum(wear.stiction, _ROUGHER * new.stiction),
-        reflected_inertia=new.reflected_inertia,
-        position_gain=new.position_gain,
-        damping_gain=new.damping_gain,
-    )
-
-
 def _fitted(base: str, arm: Arm) -> Wear:
     if base == NEW:
         return new_wear(arm)
     found = _profile(base)
     if found.scales:
         scaled = scale_wear(found.wear(base, mycobot280().joints), arm)
-        return _of_servos(scaled, new_wear(arm)) if xseries.drives(arm.servos) else scaled
+        if not xseries.drives(arm.servos):
+            return scaled
+        new = new_wear(arm)  # servos keep their inertia, and at least half their torque
+        return replace(
+            scaled,
+            torque_limit=np.maximum(scaled.torque_limit, _WEAKEST * new.torque_limit),
+            coulomb=np.maximum(scaled.coulomb, _ROUGHER * new.coulomb),
+            stiction=np.maximum(scaled.stiction, _ROUGHER * new.stiction),
+            reflected_inertia=new.reflected_inertia,
+            position_gain=new.position_gain,
+            damping_gain=new.damping_gain,
+        )
     if found.arm not in (None, arm.name):
         raise ProfileError(
             f"wear {base} describes the arm {found.arm} alone, not {arm.name}; give --arm {found.arm} or a run of that "

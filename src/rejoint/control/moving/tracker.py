@@ -141,7 +141,9 @@ class Tracker:
         """See `Controller`."""
         observer, now = self._observer, inputs.state.time
         if self._last is not None:
-            observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
+            joint = self._expected - self._servos.offset
+            effective = np.clip(inputs.sent, joint - self._servos.most(), joint + self._servos.most())  # no windup
+            observer.sent(self._last, effective - self._wanted)
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
         position, planned = inputs.state.position, inputs.goal
@@ -171,8 +173,3 @@ class Tracker:
         step = dls(jacobian * ~light, tcp_position(self._arm, planned) - there, _RELIEF_DAMPING)
         self._shift = self._shift + (1.0 - np.exp(-elapsed / RELIEF))[:, None] * step
         return self._shift
-
-    def _effective(self, sent: Array) -> Array:
-        """Limit ``sent`` (B, n) [rad] to the servo's torque: no windup."""
-        joint = self._expected - self._servos.offset
-        return np.clip(sent, joint - self._servos.most(), joint + self._servos.most())

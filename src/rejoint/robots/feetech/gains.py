@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots import knobs
-from rejoint.robots.knobs import LIMIT, Knob, Register, ServoAddress, strides_of
+from rejoint.robots.knobs import LIMIT, Knob, Register, ServoAddress
 
 LIMITED = 50
 """Limit of the I part: 20 % of PWM (chosen: beyond friction)"""
@@ -24,7 +24,6 @@ KNOBS: dict[str, Knob] = {
 """Gains and tried limits (chosen: beyond, servos shake)"""
 REGISTERS = {LIMIT: 25, "p": 21, "d": 22, "i": 23, "startup": 24, "dead_cw": 26, "dead_ccw": 27}
 """Addresses, one byte each, side by side"""
-STRIDES = strides_of(KNOBS)
 RUNGS = (
     Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
     Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
