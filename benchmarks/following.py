@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array, mycobot280
+from rejoint.arms import Array, Mask, mycobot280
 from rejoint.control.controllers.catalogue import SHELF, make_controller
 from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, standing_bands
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure
 from rejoint.system.errors import GuardTripError

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.arms import Arm, Array, Mask
+from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.dynamixel import registers as xservos

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import so101
-from rejoint.logs.runlog import Array
+from rejoint.arms import Array, so101
 
 ARM = so101()
 SAGE_NAMES = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from log_samples import ARM, Sample, sample
 
+from rejoint.arms import Array
 from rejoint.logs.columns import RecordedMotion
 from rejoint.logs.importing import to_log
-from rejoint.logs.runlog import Array, RunLog
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError
 
 

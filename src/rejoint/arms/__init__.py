@@ -1,6 +1,6 @@
 """Arms: geometry, limits, masses; kinematics; the catalogue and arms from files."""
 
-from rejoint.arms.arm import Arm, Array, Box, differing, mycobot280, so101
+from rejoint.arms.arm import Arm, Array, Box, Index, Mask, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded
@@ -22,8 +22,8 @@ from rejoint.arms.planning import JointTrajectory, PlanningError, clearance, pla
 from rejoint.arms.postures import Motors, choose_postures
 
 __all__ = [
-    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "JointTrajectory", "Loaded", "Motors", "PlanningError",
-    "choose_postures", "clearance", "clearances", "clip_norm", "collides", "differing", "dls", "frames",
-    "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "plan", "position_kinematics",
-    "read_arm", "so101", "solve_position", "tcp_pose", "tcp_position", "write_arm_toml",
+    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Index", "JointTrajectory", "Loaded", "Mask", "Motors",
+    "PlanningError", "choose_postures", "clearance", "clearances", "clip_norm", "collides", "differing", "dls",
+    "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "plan",
+    "position_kinematics", "read_arm", "so101", "solve_position", "tcp_pose", "tcp_position", "write_arm_toml",
 ]  # fmt: skip

@@ -18,6 +18,8 @@ from rejoint.system.errors import InputError
 from rejoint.system.results import Readable
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, frozen
+from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
 from rejoint.arms.kinematics import chain_of, frames, heights
 from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
@@ -65,7 +65,7 @@ def collision_shape(arm: Arm) -> CollisionShape:
     return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))
 
 
-def collides(arm: Arm, q: Array) -> NDArray[np.bool_]:
+def collides(arm: Arm, q: Array) -> Mask:
     """Which postures (..., n) [rad] have a contact."""
     return np.asarray((clearances(arm, q, np.zeros(0)) < 0.0).any(axis=-1))
 

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, Box
+from rejoint.arms.arm import Arm, Array, Box, Mask
 from rejoint.arms.inertia import plausible
 from rejoint.arms.kinematics import tcp_position
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
 from rejoint.system.results import Readable
-
-Mask = NDArray[np.bool_]
 
 DEFAULT_SPEED = np.radians(90.0)
 """[rad/s] of a joint without one (chosen)"""

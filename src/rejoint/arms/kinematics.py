@@ -7,9 +7,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, frozen
+from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.system.shell import Late
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ class Solution:
     """(..., n) [rad] within the joint limits"""
     error: Array
     """(...) [m] TCP"""
-    converged: NDArray[np.bool_]
+    converged: Mask
     """(...) error, and wanted orientation, within tolerance"""
 
 

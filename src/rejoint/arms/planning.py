@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, frozen
+from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.arms.collision import clearances, contact
 from rejoint.arms.kinematics import gravity_torque, link_inertia, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
@@ -253,7 +252,7 @@ class _Field:
         return float((np.abs(np.diff(way, axis=0)) / self.arm.max_speed).max(axis=-1).sum())
 
 
-def _torques(arm: Arm, ways: Array, parts: int) -> tuple[Array, NDArray[np.bool_]]:
+def _torques(arm: Arm, ways: Array, parts: int) -> tuple[Array, Mask]:
     """Gravity (parts, W, k - 1, n) [N m] along ways (W, k, n), and where it is lifted."""
     shares, moves = np.linspace(0.0, 1.0, parts)[:, None, None, None], np.diff(ways, axis=1)
     torque = gravity_torque(arm, ways[:, :-1] + shares * moves)

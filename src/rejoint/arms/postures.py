@@ -11,9 +11,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, frozen
+from rejoint.arms.arm import Arm, Array, Index, frozen
 from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.inertia import link_ends
 from rejoint.arms.kinematics import (
@@ -197,7 +196,7 @@ def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) ->
     return cost, found, nearest
 
 
-def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> NDArray[np.intp]:
+def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> Index:
     """Rows (count,) of the pool near the goal and of low cost, the best first."""
     pool = pool_of(arm)
     away = np.linalg.norm(pool.place - goal[:3], axis=-1) / (STORED_NEAR * length_size(arm))
@@ -209,7 +208,7 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
             cosine = pool.rotation @ goal[12:15] @ (rotation @ goal[12:15])
         away += 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
 
-    def worth(rows: NDArray[np.intp]) -> Array:
+    def worth(rows: Index) -> Array:
         travel = (((pool.posture[rows] - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
         heavy = np.minimum((np.abs(pool.torque[rows]) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
         return away[rows] + 0.3 * (pool.bare[rows] + redundancy.TRAVEL * travel) + 0.15 * heavy

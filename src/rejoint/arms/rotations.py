@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rejoint.arms.arm import Arm, Array
+from rejoint.arms.arm import Arm, Array, Mask
 from rejoint.arms.inertia import bare
 from rejoint.arms.kinematics import frames, position_kinematics
 
@@ -109,7 +108,7 @@ class Orientation:
 
     rotation: Array
     """(..., 3, 3) tool frame in the base frame"""
-    whole: NDArray[np.bool_]
+    whole: Mask
     """(...) the turn about the tool axis counts"""
     weight: Array
     """(...) [m/rad] 0: any orientation"""
@@ -127,7 +126,7 @@ class Orientation:
         return replace(self, rotation=rotation, whole=self.whole.ravel(), weight=self.weight.ravel())
 
     @property
-    def counts(self) -> NDArray[np.bool_]:
+    def counts(self) -> Mask:
         """(...) where an orientation is wanted."""
         return self.weight > 0.0
 

@@ -13,9 +13,8 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array, Box, frozen, mycobot280
+from rejoint.arms.arm import Arm, Array, Box, Mask, frozen, mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.kinematics import (
     Frames,
@@ -70,7 +69,7 @@ def reach(arm: Arm) -> float:
 
 
 @lru_cache(maxsize=32)
-def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
+def rising_frames(arm: Arm, above: float = -np.inf) -> Mask:
     """Joint frames (n,) that change height, and are often ``above`` [m]."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
     height = frames(arm, postures).position[..., 2]
@@ -116,7 +115,7 @@ class _Survey(NamedTuple):
     torque: float
     """[N m] largest of the samples"""
 
-    def clear(self, f: Frames, apart: float = 0.0) -> NDArray[np.bool_]:
+    def clear(self, f: Frames, apart: float = 0.0) -> Mask:
         """Whether rising frames and TCP are a link radius, and ``apart`` of the reach, above the floor (...)."""
         height = self.arm.floor + (LINK_RADIUS_RATIO + apart) * self.reach
         frames_clear = (f.position[..., rising_frames(self.arm, height), 2] > height).all(axis=-1)
@@ -173,7 +172,7 @@ def _rest_candidates(survey: _Survey, apart: float, margin: float) -> Array:
     return found[np.argsort(-value, kind="stable")][: np.isfinite(value).sum()]
 
 
-def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> NDArray[np.bool_]:
+def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> Mask:
     arm = replace(survey.arm, rest=rest)
     solution = solve_position(arm, points, rest, tolerance=1e-4 * survey.reach, iterations=iterations)
     margin = LIMIT_MARGIN * (arm.upper - arm.lower)
@@ -242,14 +241,14 @@ def posture_grid(arm: Arm, per_edge: int) -> Solution:
 
 
 @lru_cache(maxsize=32)
-def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
+def unloaded_joints(arm: Arm) -> Mask:
     """Joints (n,) without weight at any target."""
     load = heaviest_load(arm)
     return frozen(load < UNLOADED * load.max())
 
 
 @lru_cache(maxsize=32)
-def moves_tool(arm: Arm) -> NDArray[np.bool_]:
+def moves_tool(arm: Arm) -> Mask:
     """Joints (n,) that move the TCP at targets."""
     lever = np.linalg.norm(position_kinematics(arm, posture_grid(arm, 2).q)[1], axis=-2).max(axis=0)
     return frozen(lever > LEAST_LEVER * reach(arm))
@@ -301,13 +300,13 @@ _STEPS = 0.8 ** np.arange(8)
 """(chosen)"""
 
 
-def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
+def is_safe(arm: Arm, q: Array) -> Mask:
     """Which postures (..., n) [rad] are safe: away from limits, floor and column, lightly loaded."""
     near, low, heavy, sunk, inwards = _dangers(arm, q)
     return ~((near | low | heavy).any(axis=-1) | sunk | inwards)
 
 
-def line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
+def line_is_safe(arm: Arm, start: Array, goal: Array) -> Mask:
     """Which straight motions (..., n) stay safe."""
     share = np.linspace(0.0, 1.0, 12)[:, None]
     return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
@@ -327,7 +326,7 @@ def unsafe(arm: Arm, q: Array) -> str:
     return ", ".join(cause for holds, cause in causes if holds)
 
 
-def _dangers(arm: Arm, q: Array) -> tuple[NDArray[np.bool_], ...]:
+def _dangers(arm: Arm, q: Array) -> tuple[Mask, ...]:
     """Joints (..., n) near a limit, low, heavily loaded; whether (...) the TCP is low, or near the base's axis."""
     f, floor = frames(arm, q), arm.floor + CLEARANCE * length_size(arm)
     rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])

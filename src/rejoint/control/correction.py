@@ -11,11 +11,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.robot import ControlInput, Mask, Stillness
+from rejoint.control.robot import ControlInput, Stillness
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.arms.arm import frozen
 from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape, usual_distances
 from rejoint.arms.kinematics import chain_of
@@ -210,7 +210,7 @@ def guard(
 def guard_along(
     limits: GuardLimits,
     goal: Array,
-    moving: NDArray[np.bool_],
+    moving: Mask,
     command: Array,
     sent: Array,
     speed: Array,

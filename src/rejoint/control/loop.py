@@ -11,9 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array, tcp_position
+from rejoint.arms import Array, Index, Mask, tcp_position
 from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.guard import (
     TRIPS,
@@ -30,7 +29,7 @@ from rejoint.control.guard import (
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, attach, recorded
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, Stillness, part_of, turned_off
+from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
 from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
@@ -177,8 +176,8 @@ class RunState:
         self.stillness = Stillness(np.repeat(flicker, limits.arm.joints))
         self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
-        self.index: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
-        self.doubted: NDArray[np.intp] = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
+        self.index: Index = np.zeros(count, dtype=np.intp)
+        self.doubted: Index = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
         self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
         self.begun = self.set_at.copy()  # [s] the same with gaps and waits
         self.active: Mask = np.ones(count, dtype=bool)

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import JointState
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late
 
@@ -251,7 +250,7 @@ def load_slopes(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array] | None:
     return (slope, np.where(error < USABLE, error, np.inf)) if (error < USABLE).any() else None
 
 
-def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, Mask]:
     """Leads and loads (T, n) of a log, and where (T, n) they count."""
     low, high = commands_in_force(log)
     lead = 0.5 * (low + high) - log.position
@@ -274,7 +273,7 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
     return low, high
 
 
-def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
+def _line(lead: Array, load: Array, use: Mask) -> tuple[float, float]:
     lead, load = lead[use], load[use]
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
         return 1.0, np.inf
@@ -287,7 +286,7 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, floa
     return (slope, LEAST_ERROR + SURE * noise / (slope * float(lead.std()))) if slope > 0.0 else (1.0, np.inf)
 
 
-def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> NDArray[np.bool_]:
+def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> Mask:
     """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``."""
     found = np.zeros(arm.joints, dtype=bool)
     for log in logs:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Array, Index, Mask
 from rejoint.control.guard import Reason, Reasons
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Robot
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, RateLimit
 
@@ -35,7 +34,7 @@ class Cycle:
     """(B, 3) [m] in force; NaN: none"""
     aim: Array
     """(B, 3) [m] corrected target"""
-    target_index: NDArray[np.intp]
+    target_index: Index
     since_target: Array
     """(B,) [s]"""
     true_tcp: Array

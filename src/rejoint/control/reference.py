@@ -11,17 +11,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
+from rejoint.arms import Arm, Array, Index, JointTrajectory, Mask, tcp_position
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import LAGS, PATIENCE, STOPPED, Ways, beginning_at, lead, nearest_postures, waiting
-from rejoint.control.robot import ControlInput, JointState, Mask
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
-
-Index = NDArray[np.intp]
 
 ARRIVED = np.ones(1, dtype=bool)
 """At rest, of any number of arms"""

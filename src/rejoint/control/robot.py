@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, frames
+from rejoint.arms import Mask as Mask
 from rejoint.arms.rotations import Orientation
 from rejoint.system.stopping import pause
 
-Mask = NDArray[np.bool_]
 T = TypeVar("T")
 
 

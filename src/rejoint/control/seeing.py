@@ -13,13 +13,13 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.moving.reference import interpolated
-from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
+from rejoint.control.robot import ControlInput, Controller, Robot, part_of
 from rejoint.system.errors import InputError
 
 NOISE = 0.3e-3

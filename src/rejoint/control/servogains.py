@@ -13,13 +13,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.control.controllers.catalogue import POLICY, PREDICTIVE
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.robot import ControlInput, Controller, Mask, Robot, part_of
+from rejoint.control.robot import ControlInput, Controller, Robot, part_of
 from rejoint.control.start import begin
 from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, RobotError, first_line
 from rejoint.system.progress import Progress, no_progress

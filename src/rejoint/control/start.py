@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Mask, gravity_torque
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
-from rejoint.control.robot import ControlInput, JointState, Mask, Robot
+from rejoint.control.robot import ControlInput, JointState, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 

@@ -19,10 +19,9 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
+from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
@@ -61,12 +60,12 @@ class Averages:
     """(N,) torque or current, in the log's unit; else zero"""
     load: Array
     """(N,) [N m] that gravity and the links' inertia take; without effort only gravity"""
-    cluster: NDArray[np.intp]
+    cluster: Index
     """(N,) number of the motion; of independent observations"""
     time: Array
     """(N,) [s] middle of the window"""
 
-    def at(self, rows: NDArray[np.bool_]) -> Averages:
+    def at(self, rows: Mask) -> Averages:
         """Only the windows ``rows`` (N,)."""
         return Averages(**{part.name: getattr(self, part.name)[..., rows] for part in fields(self)})
 
@@ -137,7 +136,7 @@ def _averages(
     ).at(read)
 
 
-def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
+def _read(readings: Array, time: Array, length: float) -> Mask:
     """Whether ``readings`` (T,) [s] are near each ``time`` (K,) [s]."""
     apart = np.diff(readings)
     before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
@@ -263,7 +262,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
 
-    def left(design: Array, rows: NDArray[np.bool_], values: Array = error) -> Array:
+    def left(design: Array, rows: Mask, values: Array = error) -> Array:
         return values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0]
 
     rest = np.abs(left(free, np.ones(len(error), dtype=bool)))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Index, tcp_position
 from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.diagnosis.regression import mean_of
 from rejoint.logs.exclusions import Exclusions, joint_speed
@@ -57,7 +56,7 @@ class OpenLoop:
         return NOT_KNOWN if self.true_error_mm is None else TrueError.of("known", self.true_error_mm, unit=1e-3)
 
 
-def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
+def settled_rows(log: RunLog) -> list[Index]:
     """Rows of the last second of every target; InputError without targets."""
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():

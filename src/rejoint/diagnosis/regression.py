@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Array, Index, Mask
 from rejoint.system.statistics import Estimate, student95
 
 _LAD_ROUNDS = 12
@@ -36,7 +35,7 @@ class LinearFit:
         return Estimate(value, value - half, value + half)
 
 
-def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> LinearFit:
+def fit_clustered(design: Array, response: Array, cluster: Index) -> LinearFit:
     """Fit ``response`` (N,) on ``design`` (N, p), grouped by ``cluster`` (N,)."""
     scale = np.sqrt((design**2).mean(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)  # a column of zeros keeps the coefficient 0
@@ -60,9 +59,7 @@ def fit_believed(design: Array, response: Array, believed: Array) -> tuple[Array
     return np.asarray(spread @ (design.T @ response)), np.asarray(spread)
 
 
-def fit_trimmed(
-    design: Array, response: Array, cluster: NDArray[np.intp], first: NDArray[np.bool_] | None = None
-) -> LinearFit:
+def fit_trimmed(design: Array, response: Array, cluster: Index, first: Mask | None = None) -> LinearFit:
     """Like `fit_clustered`, without samples more than five robust deviations off.
 
     Starts from least absolute deviations (Schlossmacher 1973) of ``first`` (N,).

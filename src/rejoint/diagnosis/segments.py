@@ -14,9 +14,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.arms.kinematics import frames
 from rejoint.logs.exclusions import Exclusions, Rows, free_runs
 from rejoint.logs.runlog import RunLog
@@ -134,7 +133,7 @@ class ExcitationLog:
         """Segments of a kind; with ``joint``, only those that judge it."""
         return [s for s in self.segments if s.kind == kind and (joint is None or joint in s.joints)]
 
-    def rows(self, segment: Segment, *, skip: float = 0.0, last: float = np.inf) -> NDArray[np.intp]:
+    def rows(self, segment: Segment, *, skip: float = 0.0, last: float = np.inf) -> Index:
         """Rows of a segment without its first ``skip`` [s]; only the ``last`` [s]."""
         begin = max(segment.start + skip, segment.stop - last)
         return np.arange(*np.searchsorted(self.log.time, [begin, segment.stop]))

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN, TIME_UNITS, ImportOptions, Linear, half_ranges, joint_of, match_joints
-from rejoint.logs.runlog import AXES, Array
+from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.columns import FEWEST, NORMALISED_MOST, RecordedMotion, turn_bits, unit_by_steps
 from rejoint.logs.exclusions import correlations
 from rejoint.logs.joints import ImportOptions
-from rejoint.logs.runlog import TWO_TURNS, Array, RunLog
+from rejoint.logs.runlog import TWO_TURNS, RunLog
 from rejoint.system.errors import FileError, InputError
 
 PLAUSIBLE = (0.0, 0.3)

@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.logs.runlog import RunLog
 
-Rows = NDArray[np.bool_]
+Rows = Mask
 
 HELD_UP = 0.005
 """[m] of a held tip above its command (a free low-cost arm: at most 4 mm)"""

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array, Mask
 from rejoint.logs.bags import MCAP, ROSBAG
 from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
 from rejoint.logs.consistency import (
@@ -29,7 +28,7 @@ from rejoint.logs.consistency import (
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
-from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
+from rejoint.logs.runlog import TWO_TURNS, RunLog, describe, write_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
@@ -70,7 +69,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
         yield replace(motion.take(piece), name=name, notes=tuple(notes))
 
 
-def _corrupt(motion: RecordedMotion, what: str, values: Array) -> NDArray[np.bool_]:
+def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
     """Return rows (T,) with a corrupt number."""
     missing = ~np.isfinite(values).all(axis=1)
     if missing.mean() > DAMAGED:

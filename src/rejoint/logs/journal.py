@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.logs.runlog import LOG_MOST, Array, RunLog, write_log
+from rejoint.arms import Array
+from rejoint.logs.runlog import LOG_MOST, RunLog, write_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, unused, unwritable
 

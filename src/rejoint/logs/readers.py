@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rejoint.arms import Array
 from rejoint.logs.columns import ColumnFrame, RawMotion
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
-from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
+from rejoint.logs.runlog import LOG_MOST, read_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
 from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit

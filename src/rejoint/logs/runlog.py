@@ -17,16 +17,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import Arm, Array, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
 from rejoint.system.stopping import noted
 from rejoint.system.textfile import head, shown
-
-Array = NDArray[np.float64]
 
 FORMAT = 1
 """Version; others are refused"""

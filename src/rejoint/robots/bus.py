@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Array, Mask
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.system.errors import (
     AddressError,
@@ -41,7 +40,7 @@ class Vitals:
 
     temperature: Array | None = None
     """(n,) [deg C]"""
-    fault: NDArray[np.bool_] | None = None
+    fault: Mask | None = None
     """(n,)"""
     trouble: tuple[str, ...] | None = None
     """(n,) faults in words, or empty"""

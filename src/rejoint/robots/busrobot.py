@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.control.loop import elsewhere
 from rejoint.control.recording import GAP
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Robot
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Link, Reading, Vitals
 from rejoint.robots.family import Family, Opening, Place

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_toml
+from rejoint.arms import CATALOGUE, Arm, Array, Mask, differing, load_arm, write_arm_toml
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
+from rejoint.control.robot import JointState, Robot, RobotWrapper
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log

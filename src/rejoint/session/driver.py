@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -27,7 +27,6 @@ from rejoint.control.robot import (
     ControlInput,
     Controller,
     JointState,
-    Mask,
     Robot,
     RobotWrapper,
     WallClock,

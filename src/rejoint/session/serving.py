@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint.arms import choose_postures, tcp_position
+from rejoint.arms import Mask, choose_postures, tcp_position
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
-from rejoint.control.robot import ControlInput, Controller, Mask, Relaying, part_of
+from rejoint.control.robot import ControlInput, Controller, Relaying, part_of
 from rejoint.robots.serving import Clients, OrderLog, Relay, ServedArm
 from rejoint.robots.wireserver import Server
 from rejoint.session.inputs import RobotLike, RunLike, Settings

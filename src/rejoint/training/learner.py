@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rejoint.arms import Array
-from rejoint.control.robot import Mask
+from rejoint.arms import Array, Mask
 from rejoint.training.ppo import Actor, Critic, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask

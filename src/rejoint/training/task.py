@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, heights, solve_position, tcp_position
+from rejoint.arms import Arm, Array, Mask, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controllers.observation import ALL, Layout, Observation, Observer, Rows
 from rejoint.control.controllers.residual import Commander, CommandLaw
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.robot import ControlInput, JointState, Mask
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.training.ranges import Ranges
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import Draw, Simulation

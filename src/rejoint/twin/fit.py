@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array, gravity_torque, link_inertia
+from rejoint.arms import Array, Index, Mask, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
 from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
 from rejoint.twin.replay import Replay
@@ -58,7 +57,7 @@ class Fit:
 
     vector: Array
     """(k,)"""
-    at_bound: NDArray[np.bool_]
+    at_bound: Mask
     """(k,) held at a physical bound"""
     weights: Weights
 
@@ -198,11 +197,11 @@ class Problem:
             gradient[place] += scaled @ residual[:, joint]
         return curvature, gradient
 
-    def columns(self, joint: int) -> NDArray[np.integer]:
+    def columns(self, joint: int) -> Index:
         """Return indices of a joint's parameters and, last, the arm's."""
         return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
 
-    def clusters(self, length: float) -> NDArray[np.integer]:
+    def clusters(self, length: float) -> Index:
         """(rows,) number of each stretch of about ``length`` [s]."""
         time = np.concatenate([self.replay.times(i) for i in range(len(self.replay.windows))])
         keys = np.stack([self.window, (time // length).astype(int)], axis=1)
@@ -264,12 +263,12 @@ def _alternating(problem: Problem, iteration: int) -> Array:
     return np.where(parity % 2 == 0, 1.0, -1.0)
 
 
-def _pressed(prior: Prior, x: Array, gradient: Array) -> NDArray[np.bool_]:
+def _pressed(prior: Prior, x: Array, gradient: Array) -> Mask:
     edge = 1e-9 * (prior.upper - prior.lower)
     return ((x <= prior.lower + edge) & (gradient > 0)) | ((x >= prior.upper - edge) & (gradient < 0))
 
 
-def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: NDArray[np.bool_]) -> Array:
+def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: Mask) -> Array:
     """Return new vectors (d, k), one per damping, within bounds and a prior sigma of ``x``."""
     free = np.flatnonzero(~fixed)
     block = curvature[np.ix_(free, free)]

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.control.monitor import load_slopes
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
@@ -28,7 +27,6 @@ from rejoint.twin.motionfit import (
     durations,
     fastest,
     free_windows,
-    merged,
     part,
     repeated,
     thin,
@@ -226,7 +224,7 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
 
 
 def fitted_twin(
-    problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut, table: TablePlane | None = None
+    problem: Problem, found: Fit, clusters: Index, held_out: HeldOut, table: TablePlane | None = None
 ) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
     replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
@@ -366,7 +364,7 @@ def fit_motions(
     expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
     if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
         x = rough_fit(problem(slow, simple))
-    usable = expressible(problem(merged(slow, fast), simple), x)
+    usable = expressible(problem(sorted({*slow, *fast}), simple), x)
     structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
     on_progress(0.5, "fit")
     return *settle(arm, logs, excluded, structure, x, settings), structure
@@ -383,7 +381,7 @@ def settle(
     """Fit windows from all logs, from ``start`` (k,)."""
     windows = free_windows(logs, excluded, settings.window)
     fast = fastest(windows, logs, settings.fast_seconds)
-    every = merged(thin(windows, logs, settings.fit_seconds), fast)
+    every = sorted({*thin(windows, logs, settings.fit_seconds), *fast})
     problem = _problem(arm, logs, every, structure, settings, stride=1.0)
     return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
 
@@ -401,7 +399,7 @@ def _problem(
     return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
 
-def independent(problem: Problem) -> NDArray[np.integer]:
+def independent(problem: Problem) -> Index:
     """(rows,) numbers of independent motions, or of windows where there are few."""
     logs = np.array([w.log for w in problem.replay.windows])[problem.window]
     motion = np.unique(logs, return_inverse=True)[1].ravel()

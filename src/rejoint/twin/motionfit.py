@@ -8,10 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Index, Mask
 from rejoint.logs.consistency import refuse_copies
 from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height
 from rejoint.logs.runlog import RunLog
@@ -75,11 +74,6 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
     order = np.argsort([-acceleration(w) for w in windows], kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])
     return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
-
-
-def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:
-    """Merge two selections of windows without duplicates."""
-    return sorted({*one, *other})
 
 
 def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> list[Window]:
@@ -153,7 +147,7 @@ def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
     return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
 
 
-def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[np.bool_]]:
+def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[Mask]:
     """Rows (T,) of each log whose commands move as some of ``others``."""
     known, found = cKDTree(np.concatenate([_stretches(log)[1] for log in others])), []
     for log in logs:
@@ -174,7 +168,7 @@ def _stretches(log: RunLog) -> tuple[Array, Array]:
     return time, sliding_window_view(path, STEPS, axis=0).reshape(len(time), -1)
 
 
-def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
+def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> Index:
     """(K,) fold of each log, with motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
+from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
 
@@ -115,7 +115,7 @@ class TwinParameters:
         """Leading shape: () for one twin, (m,) for a batch."""
         return self.stiffness_shape[:-1]
 
-    def __getitem__(self, index: int | slice | NDArray[np.integer] | NDArray[np.bool_]) -> TwinParameters:
+    def __getitem__(self, index: int | slice | Index | Mask) -> TwinParameters:
         """Select twins along the first leading axis."""
         return TwinParameters(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
@@ -202,12 +202,12 @@ class Layout:
         return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
 
     @cached_property
-    def kind(self) -> NDArray[np.integer]:
+    def kind(self) -> Index:
         """(k,) number in `PARAMETERS`."""
         return np.repeat(np.arange(len(PARAMETERS)), [self.joints if p.per_joint else 1 for p in PARAMETERS])
 
     @cached_property
-    def owner(self) -> NDArray[np.integer]:
+    def owner(self) -> Index:
         """(k,) joint; -1 for the whole arm."""
         return np.concatenate([np.arange(self.joints) if p.per_joint else np.array([-1]) for p in PARAMETERS])
 
@@ -216,12 +216,12 @@ class Layout:
         return np.array([getattr(p, name) for p in PARAMETERS])[self.kind]
 
     @cached_property
-    def is_log(self) -> NDArray[np.bool_]:
+    def is_log(self) -> Mask:
         """(k,) which are logarithms."""
         return self.has("log")
 
     @cached_property
-    def is_fitted(self) -> NDArray[np.bool_]:
+    def is_fitted(self) -> Mask:
         """(k,) which a descent may change."""
         return self.has("fitted")
 
@@ -276,8 +276,6 @@ def pack(parameters: TwinParameters) -> Array:
 def unpack(vector: Array, joints: int) -> TwinParameters:
     """Inverse of `pack` for ``vector`` (..., k)."""
     layout = Layout(joints)
-    if vector.shape[-1] != layout.size:
-        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {layout.size}")
     values = np.where(layout.is_log, np.exp(np.where(layout.is_log, vector, 0.0)), vector)
     parts = {p.name: values[..., layout.at(p.name)] for p in PARAMETERS}
     return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
@@ -299,7 +297,7 @@ class Prior:
     told: Array | None = None
     """(k,) sigma before the logs told a stiffness; None: ``sigma``"""
 
-    def groups(self, joints: int) -> NDArray[np.integer]:
+    def groups(self, joints: int) -> Index:
         """(n,) number of each joint's group."""
         owner, related = Layout(joints).owner, self.precision != 0.0
         return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
@@ -394,7 +392,7 @@ def largest_gravity_torque(arm: Arm) -> float:
     return max(float(np.abs(gravity_torque(arm, postures)).max()), 1e-3)
 
 
-def _wrist(arm: Arm) -> NDArray[np.bool_]:
+def _wrist(arm: Arm) -> Mask:
     passed = np.cumsum(np.linalg.norm(arm.offset[:, :3, 3], axis=1))
     reach = passed - passed[:, None] + np.linalg.norm(arm.com, axis=1)  # at most, with the chain stretched out
     inertia = np.triu(arm.mass * reach**2).sum(axis=1)

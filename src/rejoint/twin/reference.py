@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from rejoint.arms import Array
-from rejoint.control.robot import Mask
+from rejoint.arms import Array, Index, Mask
 
 REACHED = 1e-12
 """[rad] rounding"""
@@ -74,7 +72,7 @@ class ServoReference:
         area = before[row, twin] + _area(self._position[row, twin], self._command[row], speed, since)
         return np.diff(area, axis=1) / width
 
-    def _rows(self, late: Array) -> NDArray[np.integer]:
+    def _rows(self, late: Array) -> Index:
         return np.clip(np.searchsorted(self._time, late, side="right") - 1, 0, len(self._time) - 1)
 
 
@@ -147,7 +145,7 @@ class LiveReference:
         self.position = path[:, -1].copy()
         return path
 
-    def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
+    def ahead(self, which: Index, goals: Array, step: float) -> Array:
         """Later references (m, s, n) [rad] of arms ``which`` (m,)."""
         again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
@@ -210,7 +208,7 @@ class Latency:
         """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
-    def sent_again(self, time: Array) -> NDArray[np.bool_]:
+    def sent_again(self, time: Array) -> Mask:
         """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
         same = np.zeros(self._commands.shape)
         same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]

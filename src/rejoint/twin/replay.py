@@ -14,9 +14,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -209,7 +208,7 @@ class Replay:
         return self._known[key]
 
 
-def measured_velocity(log: RunLog, rows: NDArray[np.integer] | None = None) -> Array:
+def measured_velocity(log: RunLog, rows: Index | None = None) -> Array:
     """(T, n) [rad/s] in ``rows`` (T,), default all, by central differences over two rows to either side."""
     rows = np.arange(len(log)) if rows is None else rows
     before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)

@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_position
-from rejoint.control.robot import JointState, Mask
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
+from rejoint.control.robot import JointState
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import Latency, LiveReference
@@ -59,7 +58,7 @@ class Draw:
             grease=whole + 1.0,
         )
 
-    def rows(self, index: NDArray[np.integer]) -> Draw:
+    def rows(self, index: Index) -> Draw:
         """Return some of the arms."""
         return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 

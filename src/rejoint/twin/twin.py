@@ -14,9 +14,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import tomlkit
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import read_sealed, write_sealed
 from rejoint.system.results import Readable
@@ -175,7 +174,7 @@ class Twin(Readable):
     upper: Array
     narrowing: Array
     """(k,) sigma by the data over that of the prior"""
-    identified: NDArray[np.bool_]
+    identified: Mask
     """(k,) whether the data outweigh the prior"""
     held_out: HeldOut
     fit_seconds: float

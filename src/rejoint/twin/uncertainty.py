@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Array, Index
 from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence
@@ -31,7 +30,7 @@ SCALE_STEP = SCALES[-2]
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
 
-def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Array:
+def uncertainty(problem: Problem, fit: Fit, clusters: Index) -> Array:
     """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and what it holds fixed."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
@@ -65,7 +64,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 
 
 def _by_cluster(
-    problem: Problem, jacobian: Array, weight: Array, residual: Array, clusters: NDArray[np.integer]
+    problem: Problem, jacobian: Array, weight: Array, residual: Array, clusters: Index
 ) -> tuple[Array, Array]:
     """Curvature (g, k, k) and score (g, k) of each cluster."""
     rows = np.arange(clusters.max() + 1)[:, None] == clusters

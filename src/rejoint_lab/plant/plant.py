@@ -16,7 +16,7 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
+from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_pose
 from rejoint.arms.inertia import heavier
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
@@ -57,7 +57,6 @@ def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
     return spec.compile()
 
 
-Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
 
 # [N m] gravity torque below which a link rests in the middle of its play instead of at a flank.

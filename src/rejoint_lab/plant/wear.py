@@ -18,9 +18,8 @@ from urllib.parse import parse_qsl
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, link_inertia, mycobot280
+from rejoint.arms import Arm, Array, Index, gravity_torque, link_inertia, mycobot280
 from rejoint.arms.arm import frozen
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach
@@ -39,7 +38,7 @@ _GRID = 5
 class Ratios(NamedTuple):
     """Ratios of an arm to the myCobot 280."""
 
-    row: NDArray[np.intp]
+    row: Index
     """(n,) joint of the myCobot 280 per joint"""
     torque: Array
     """(n,)"""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import metrics_of, schedule
@@ -31,7 +31,7 @@ from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controllers.classical import Pace, dls_step, limit_position, null_space
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.loop import run
-from rejoint.control.robot import ControlInput, Controller, JointState, Mask
+from rejoint.control.robot import ControlInput, Controller, JointState
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_toml
 from rejoint.system.progress import Progress

@@ -11,9 +11,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.comparison.result import (
     CROSSING,
@@ -136,7 +135,7 @@ def _held(visit: _TargetVisit, protocol: Protocol) -> dict[str, float]:
     return found
 
 
-def _last(visit: _TargetVisit, protocol: Protocol) -> NDArray[np.bool_]:
+def _last(visit: _TargetVisit, protocol: Protocol) -> Mask:
     return visit.since > visit.since[-1] - protocol.window
 
 

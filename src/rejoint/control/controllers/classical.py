@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls
+from rejoint.arms import Arm, Array, Mask, clip_norm, dls
 from rejoint.arms.rotations import Orientation, task
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 
 GAIN = 0.1
 """Share of the step per cycle (chosen: 0.2 oscillates on worn arms)"""

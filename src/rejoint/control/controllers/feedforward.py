@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_position
 from rejoint.arms.rotations import task
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.classical import (
@@ -25,7 +25,7 @@ from rejoint.control.controllers.classical import (
     limit_position,
     null_space,
 )
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 
 NOMINAL_STIFFNESS = 6.0

@@ -14,12 +14,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, position_kinematics
+from rejoint.arms import Arm, Array, Index, Mask, collides, position_kinematics
 from rejoint.arms.kinematics import DAMPING
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
-Rows = slice | NDArray[np.intp]
+Rows = slice | Index
 Observation = NDArray[np.float32]
 
 ALL = slice(None)

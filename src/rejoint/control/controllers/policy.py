@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.control.controllers.contract import (
     DIGEST_KEY,
     INPUT,
@@ -27,7 +27,7 @@ from rejoint.control.controllers.contract import (
 )
 from rejoint.control.controllers.observation import Observation, Observer
 from rejoint.control.controllers.residual import Commander
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
 from rejoint.system.results import Readable

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls, frames, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.rotations import rotation_error
 from rejoint.control.controllers.classical import between, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
-from rejoint.control.robot import ControlInput, Mask, Stillness
+from rejoint.control.robot import ControlInput, Stillness
 
 STILL = 1.5
 """encoder counts of a stationary reading (chosen)"""

@@ -8,11 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.ndimage import gaussian_filter1d
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Index, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.correction import Modelled, ToolModel, TrueError, checked, rms, true_error
 from rejoint.control.moving.posture import PathPostures
@@ -20,8 +19,6 @@ from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, 
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
 from rejoint.system.results import Readable
-
-Rows = NDArray[np.intp]
 
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
 _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
@@ -100,7 +97,7 @@ def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolM
     )
 
 
-def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Rows, Array]:
+def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Index, Array]:
     """Rows (T,) of arm ``b`` on its route, and their times (T,) [s]."""
     time = recording.since_target[:, b] - route.begin
     rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= route.time[-1]))

@@ -16,14 +16,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Index, Mask, tcp_position
 from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.reference import Index, Reference, Setpoint
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.reference import Reference, Setpoint
+from rejoint.control.robot import JointState
 from rejoint.control.targets import (
     PLACE,
     Pose,

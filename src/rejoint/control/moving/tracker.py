@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Mask, dls, link_inertia, position_kinematics, tcp_position
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.moving.posture import STEP, Servos, command_for, joint_weights, speed_of
-from rejoint.control.robot import ControlInput, Mask
+from rejoint.control.robot import ControlInput
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
 _KEPT = 12  # commands that are remembered (chosen: more than arrive late at the shortest period)

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtr
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, align
@@ -54,7 +54,7 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     return not astray(arm, after) and bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 
 
-def suspects_of(surprise: Array, known: NDArray[np.bool_]) -> tuple[int, ...]:
+def suspects_of(surprise: Array, known: Mask) -> tuple[int, ...]:
     """Rows that do not fit the others, the worst first, by chi-squared (M,); ``known`` (M, 3) where measured."""
     freedom = known.sum(axis=1)
     excess = surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Index, Mask, tcp_position
 from rejoint.arms.rotations import pose_of
 from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES
@@ -75,7 +75,7 @@ class Measurements(Readable):
         both: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in ROWS}
         return replace(self, **both)
 
-    def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
+    def rows(self, where: Mask | Index) -> Measurements:
         """Return some rows."""
         return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 

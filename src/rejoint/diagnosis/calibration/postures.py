@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, gravity_torque, heights, solve_position
+from rejoint.arms import Arm, Array, Mask, collides, gravity_torque, heights, solve_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size, rising_frames
@@ -125,7 +125,7 @@ def _approachable(arm: Arm, q: Array) -> Array:
     return q[np.logical_and.reduce(free) & ~either.any(axis=1)]
 
 
-def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
+def _free(arm: Arm, q: Array) -> Mask:
     """Which postures (C, n) keep clear of limits, floor and collisions."""
     room = MARGIN * (arm.upper - arm.lower)
     inside = ((q > arm.lower + room) & (q < arm.upper - room)).all(axis=1)

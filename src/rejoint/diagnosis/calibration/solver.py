@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import chdtri
 
-from rejoint.arms import Arm, Array, Displacement
+from rejoint.arms import Arm, Array, Displacement, Mask
 from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.diagnosis.calibration.parameters import (
     LEVEL,
@@ -67,7 +67,7 @@ class ToolProblem:
     """(R, 4, 4) what the tool carries, in the measuring frame; turned anyhow where only a point was measured"""
     by_lens: Array
     """(R, 6, lens) derivative of `seen` by the lens; of its inverse where ``inverted``"""
-    known: NDArray[np.bool_]
+    known: Mask
     """(R, 6) which coordinates of shift and turn were measured"""
     spread: Array
     """(R, 6, 6) covariance of the tool's measured pose, base axes"""
@@ -90,7 +90,7 @@ class ToolProblem:
         body = DisplacementLayout(joints=self.arm.joints)
         return replace(body, outside=len(self.belief.mean) - body.size)
 
-    def rows(self, where: NDArray[np.bool_]) -> ToolProblem:
+    def rows(self, where: Mask) -> ToolProblem:
         """Problem of some rows."""
         return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
@@ -146,7 +146,7 @@ class ToolProblem:
         limit = np.sqrt(chdtri(np.maximum(self.known.sum(axis=1), 1), _HUBER))
         return whitener, white, np.minimum(1.0, limit / np.maximum(np.linalg.norm(white, axis=1), 1e-12))
 
-    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
+    def uncorrected(self, out: Mask, start: Array) -> Array:
         """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()

@@ -20,8 +20,6 @@ from rejoint.system.errors import first_line
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rejoint.pages.live.page import WebPage
     from rejoint.twin.twin import Twin
 
@@ -121,9 +119,7 @@ class LiveView(Observer):
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
         """Show the last frame, and end."""
         if error is not None:
             said = first_line(error) or type(error).__name__

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.reference import LEAD_IN
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -285,7 +285,7 @@ def in_base(found: Calibration, measured: Measurements) -> Array:
     return measured.point @ found.frame[:3, :3].T + found.frame[:3, 3]
 
 
-def arrows(seen: Array, way: Array, wrong: NDArray[np.bool_]) -> Figure:
+def arrows(seen: Array, way: Array, wrong: Mask) -> Figure:
     """Draw lines ``way`` from encoder TCP ``seen``, (M, 3) [m]; ``wrong`` (M,) ones grey."""
     point = {"linestyle": "", "markersize": 4}
     hollow = point | {"marker": "o", "color": INK, "markerfacecolor": "none"}

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, solve_position, tcp_pose
+from rejoint.arms import Mask as Mask
 from rejoint.arms.rotations import Orientation, difference, moved, tool_axis
-
-Mask = NDArray[np.bool_]
 
 FULL_SPEED = float(np.radians(120.0))
 """[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""

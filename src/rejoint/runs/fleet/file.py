@@ -15,9 +15,8 @@ import numpy as np
 import tomlkit
 from msgspec.structs import asdict
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from rejoint.arms import CATALOGUE, Arm
+from rejoint.arms import CATALOGUE, Arm, Mask
 from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
@@ -45,7 +44,7 @@ class Hours:
     closed: tuple[tuple[int, int], ...] = ()
     """first and last minute without motion, from `_MONDAY`"""
 
-    def _open(self, now: datetime, minutes: int) -> NDArray[np.bool_]:
+    def _open(self, now: datetime, minutes: int) -> Mask:
         minute = (now - _MONDAY) // _MINUTE + np.arange(minutes)
         found = np.full(minutes, not self.spans)
         for first, length in self.spans:

@@ -6,16 +6,15 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, link_inertia
+from rejoint.arms import Arm, Array, Index, Mask, link_inertia
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
 from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
 
-Ids = NDArray[np.integer] | NDArray[np.bool_] | None
+Ids = Index | Mask | None
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
 """Rows of parameters for `rejoint.twin.chain.step`, before the share of the damping within the limit"""

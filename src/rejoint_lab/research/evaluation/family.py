@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from rejoint.arms import Arm, Array, Displacement, JointTrajectory, choose_postures, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Displacement, JointTrajectory, Mask, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.rotations import Orientation, rotation_about
@@ -25,7 +25,7 @@ from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways, with_ways
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import ControlInput, Controller, Mask, Robot
+from rejoint.control.robot import ControlInput, Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder

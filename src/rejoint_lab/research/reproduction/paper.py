@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides
+from rejoint.arms import Arm, Array, Mask, collides
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.observation import SUCCESS_DISTANCE
 from rejoint.control.controllers.residual import CommandLaw
-from rejoint.control.robot import Mask
 from rejoint.training.presets import PpoSettings, Preset
 from rejoint.training.ranges import Interval
 from rejoint.training.task import ReachTask, TaskSettings
@@ -79,9 +77,9 @@ class PaperRanges:
 def paper_reward(
     distance: Array,
     joint_speed: Array,
-    collided: NDArray[np.bool_],
-    reached: NDArray[np.bool_],
-    timed_out: NDArray[np.bool_],
+    collided: Mask,
+    reached: Mask,
+    timed_out: Mask,
 ) -> Array:
     """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
 
