@@ -27,6 +27,7 @@ from rejoint.control.controllers.catalogue import (
     shelf_arms,
     shelf_controller,
     shelf_path,
+    shelf_policy,
 )
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
@@ -133,9 +134,12 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate on all variants and write the JSON ``file``, with outcomes as Parquet, and twins, beside it.
 
-    Existing outcomes are taken over. InputError for two contestants of one name.
+    Existing outcomes are taken over. InputError for two contestants of one name, ContractError for an arm without a
+    generic policy.
     """
     names = [one.name for one in contestants]
+    if SHELF in names:
+        shelf_policy(arm)
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
