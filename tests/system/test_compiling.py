@@ -1,6 +1,9 @@
 """Compiled loops that cannot be compiled, or kept anywhere, are told in a line; they are no bug of ours."""
 
 import errno
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numba
@@ -70,3 +73,21 @@ def test_a_full_disk_for_compiled_loops_is_told_with_its_place(kept, monkeypatch
     assert line.startswith(f"{folder}: compiled loops are damaged or cannot be kept there")
     assert "No space left on device" in line
     assert "NUMBA_CACHE_DIR" in line
+
+
+def test_the_first_frame_of_an_arm_compiles_what_it_needs_and_a_guarded_loop_all(tmp_path):
+    program = (
+        "from rejoint.arms import load_arm, tcp_position\n"
+        "from rejoint.control.guard import GuardLimits, warm_up\n"
+        "import rejoint.arms.compiled as loops\n"
+        "arm = load_arm('mycobot280')\n"
+        "tcp_position(arm, arm.rest)\n"
+        "print(bool(loops.solve_all.signatures))\n"
+        "warm_up(GuardLimits.of(arm))\n"
+        "print(bool(loops.solve_all.signatures))\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    found = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=300, check=True
+    )
+    assert found.stdout.split() == ["False", "True"]

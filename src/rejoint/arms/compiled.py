@@ -7,6 +7,8 @@ nothing, 1 the axis, 2 all.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import float64, int64, njit, types, void
 
@@ -19,14 +21,43 @@ OUT1, OUT2, OUT3, OUT4 = float64[::1], float64[:, ::1], float64[:, :, ::1], floa
 CHAIN = types.NamedTuple((IN3, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
 SHAPE = types.NamedTuple((float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
 OPTIONS = {"cache": True, "nogil": True}
+inner = njit(**OPTIONS)
+"""of a loop that others call"""
 
 POINT = 1e-15
 """[m^2] squared length of a point (chosen)"""
 HALVINGS = 20
 """of a link, to find its point nearest to a box (chosen)"""
+_DECLARED: list[Any] = []
 
 
-@njit(OUT3(IN3, IN2, IN2, IN2), **OPTIONS, fastmath={"contract"})
+def compiled(signature, **options):  # noqa: ANN001, ANN003, ANN201
+    """Return `numba.njit` for one ``signature``; it compiles at the first use, not at the import."""
+
+    def declare(function):  # noqa: ANN001, ANN202
+        made = njit(**OPTIONS | options)(function)
+        build = made.compile
+
+        def compile_now(*_):  # noqa: ANN002, ANN202
+            if not made.signatures:
+                build(signature)
+                made.disable_compile()
+            return made  # Numba calls it with the arguments, and refuses wrong types
+
+        made.compile = made._compile_for_args = compile_now
+        _DECLARED.append(compile_now)
+        return made
+
+    return declare
+
+
+def compile_all() -> None:
+    """Compile what was declared in imported modules: a moving arm does not wait for that."""
+    while _DECLARED:
+        _DECLARED.pop()()
+
+
+@compiled(OUT3(IN3, IN2, IN2, IN2), fastmath={"contract"})
 def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
     """Frames (n + 1, 16, B) of joints and TCP, each in the one before."""
     joints, postures = sine.shape
@@ -39,7 +70,7 @@ def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
     return steps
 
 
-@njit(void(IN3, IN2, IN2, IN2, OUT4), **OPTIONS)
+@compiled(void(IN3, IN2, IN2, IN2, OUT4))
 def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
     """Fill ``poses`` (n + 1, r, 4, B): the first r rows of the frames of joints and TCP.
 
@@ -47,7 +78,10 @@ def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
     """
     steps = _steps(terms, tip, sine, cosine)
     _, rows, _, postures = poses.shape
-    poses[0] = steps[0, : 4 * rows].copy().reshape(rows, 4, postures)
+    for r in range(rows):
+        for k in range(4):
+            for b in range(postures):
+                poses[0, r, k, b] = steps[0, 4 * r + k, b]
     for i in range(1, len(steps)):
         for r in range(rows):
             for k in range(4):
@@ -58,7 +92,7 @@ def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
                     poses[i, r, k, b] = value
 
 
-@njit(void(IN2, IN4, OUT3), **OPTIONS)
+@compiled(void(IN2, IN4, OUT3))
 def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
     """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
     _, joints, postures = columns.shape
@@ -74,7 +108,7 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
                 columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
 
 
-@njit(OUT3(CHAIN, IN1), **OPTIONS)
+@compiled(OUT3(CHAIN, IN1))
 def place(chain, q):  # noqa: ANN001, ANN201
     """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
     poses = np.empty((len(q) + 1, 3, 4, 1))
@@ -82,7 +116,7 @@ def place(chain, q):  # noqa: ANN001, ANN201
     return poses.reshape(len(q) + 1, 3, 4)
 
 
-@njit(**OPTIONS)
+@inner
 def dot(row, vector):  # noqa: ANN001, ANN201
     """Scalar product with the beginning of a ``row``."""
     total = 0.0
@@ -91,7 +125,7 @@ def dot(row, vector):  # noqa: ANN001, ANN201
     return total
 
 
-@njit(**OPTIONS)
+@inner
 def _times(matrix, vector):  # noqa: ANN001, ANN202
     """Product (r,) of the first columns of a matrix (r, c) and a ``vector``."""
     out = np.empty(len(matrix))
@@ -100,7 +134,7 @@ def _times(matrix, vector):  # noqa: ANN001, ANN202
     return out
 
 
-@njit(**OPTIONS)
+@inner
 def largest(vector):  # noqa: ANN001, ANN201
     """Largest absolute element."""
     found = 0.0
@@ -109,13 +143,13 @@ def largest(vector):  # noqa: ANN001, ANN201
     return found
 
 
-@njit(**OPTIONS)
+@inner
 def _clip(q, limits):  # noqa: ANN001, ANN202
     for i in range(len(q)):
         q[i] = min(max(q[i], limits[0, i]), limits[1, i])
 
 
-@njit(**OPTIONS)
+@inner
 def _cross(a, b):  # noqa: ANN001, ANN202
     out = np.empty(3)
     for r in range(3):
@@ -123,7 +157,7 @@ def _cross(a, b):  # noqa: ANN001, ANN202
     return out
 
 
-@njit(OUT1(IN1, IN2), **OPTIONS)
+@compiled(OUT1(IN1, IN2))
 def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
     """Rotation vector (3,) [rad] from a ``frame`` (3, 4) to the orientation of a ``goal``."""
     wanted = goal[3:12].reshape(3, 3)
@@ -150,7 +184,7 @@ def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
     return half * (np.pi / np.sqrt(dot(half, half))) if cosine < 0.0 else vector
 
 
-@njit(types.Tuple((OUT1, OUT2))(CHAIN, IN1, IN1), **OPTIONS)
+@compiled(types.Tuple((OUT1, OUT2))(CHAIN, IN1, IN1))
 def task(chain, goal, q):  # noqa: ANN001, ANN201
     """Error (k,) [m] from a ``goal`` at ``q`` (n,), and minus its derivatives (k, n); k is 3, or 6 with orientation."""
     joints, rows = len(q), 3 if goal[16] == 0.0 else 6
@@ -172,7 +206,7 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
     return error, jacobian
 
 
-@njit(OUT1(IN2, IN1, float64), **OPTIONS)
+@compiled(OUT1(IN2, IN1, float64))
 def damped(jacobian, error, damping):  # noqa: ANN001, ANN201
     """Step (n,) J' (J J' + damping^2 I)^-1 e, by Gauss's elimination; compiles faster than `numpy.linalg`."""
     rows, joints = jacobian.shape
@@ -196,13 +230,13 @@ def damped(jacobian, error, damping):  # noqa: ANN001, ANN201
     return step
 
 
-@njit(OUT1(IN2, IN1), **OPTIONS)
+@compiled(OUT1(IN2, IN1))
 def in_null_space(jacobian, motion):  # noqa: ANN001, ANN201
     """Share (n,) of a ``motion`` (n,) that moves no goal."""
     return motion - damped(jacobian, _times(jacobian, motion), 1e-6 if len(jacobian) == 3 else 1e-4)
 
 
-@njit(float64(CHAIN, IN1, OUT1, IN2, float64, int64, float64), **OPTIONS)
+@compiled(float64(CHAIN, IN1, OUT1, IN2, float64, int64, float64))
 def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN201
     """Move ``q`` (n,) within ``limits`` (2, n) to the ``goal``; returns the largest error [m].
 
@@ -225,14 +259,14 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
     return missed
 
 
-@njit(void(CHAIN, IN2, OUT2, float64, int64, float64, OUT1), **OPTIONS)
+@compiled(void(CHAIN, IN2, OUT2, float64, int64, float64, OUT1))
 def solve_all(chain, goals, q, pull, rounds, tolerance, missed):  # noqa: ANN001, ANN201
     """`solve` for ``goals`` (B, 17), from ``q`` (B, n); fills ``missed`` (B,)."""
     for b in range(len(q)):
         missed[b] = solve(chain, goals[b], q[b], chain.limits, pull, rounds, tolerance)
 
 
-@njit(float64(IN2, int64, int64), **OPTIONS)
+@compiled(float64(IN2, int64, int64))
 def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     """Distance between the axes of links i and j; ``ends`` (n + 2, 3)."""
     a = e = b = c = f = 0.0
@@ -253,7 +287,7 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@njit(float64(IN2, int64, IN1), **OPTIONS)
+@compiled(float64(IN2, int64, IN1))
 def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3). Halves the convex function."""
     low, high, square = 0.0, 1.0, 0.0
@@ -274,7 +308,7 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@njit(void(IN4, IN1, SHAPE, OUT2), **OPTIONS)
+@compiled(void(IN4, IN1, SHAPE, OUT2))
 def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
     """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`; ``poses`` (n + 1, 3, 4, B), ``floors`` (n,)."""
     joints, first = poses.shape[0], len(floors) + len(shape.pairs)
@@ -296,7 +330,7 @@ def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
                 out[b, boxed + k * links + j] = _box_distance(ends, shape.moving[j], shape.boxes[k]) - shape.radius
 
 
-@njit(OUT2(CHAIN, SHAPE, IN1, IN2), **OPTIONS)
+@compiled(OUT2(CHAIN, SHAPE, IN1, IN2))
 def clearances(chain, shape, floors, q):  # noqa: ANN001, ANN201
     """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n) above ``floors`` (n,)."""
     angles, poses = q.T.copy(), np.empty((q.shape[1] + 1, 3, 4, len(q)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, njit, types, void
+from numba import boolean, float64, int64, types, void
 
 from rejoint.arms.arm import Array
 from rejoint.arms.collision import CollisionShape
@@ -18,14 +18,15 @@ from rejoint.arms.compiled import (
     CHAIN,
     IN1,
     IN2,
-    OPTIONS,
     OUT1,
     OUT2,
     OUT3,
     SHAPE,
+    compiled,
     dot,
     fill_clearances,
     in_null_space,
+    inner,
     largest,
     place,
     solve,
@@ -70,7 +71,7 @@ class Body(NamedTuple):  # Numba's files on disk name this class: give this modu
 BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64, IN2, float64), Body)
 
 
-@njit(OUT1(BODY, OUT3), **OPTIONS)
+@compiled(OUT1(BODY, OUT3))
 def measure(body, poses):  # noqa: ANN001, ANN201
     """Clearances (n + c,) [m] of one posture's frames (n + 1, 3, 4), as `collision.clearances`."""
     clear = np.empty((1, len(body.floors) + len(body.least)))
@@ -78,7 +79,7 @@ def measure(body, poses):  # noqa: ANN001, ANN201
     return clear[0]
 
 
-@njit(OUT1(CHAIN, OUT3), **OPTIONS)
+@compiled(OUT1(CHAIN, OUT3))
 def _torque(chain, poses):  # noqa: ANN001, ANN202
     """Torques (n,) [N m] as `kinematics.gravity_torque`; ``poses`` (n + 1, 3, 4)."""
     torque, mass, x, y = np.empty(len(poses) - 1), 0.0, 0.0, 0.0
@@ -91,7 +92,7 @@ def _torque(chain, poses):  # noqa: ANN001, ANN202
     return torque
 
 
-@njit(types.UniTuple(float64, 4)(BODY, IN1, IN2), **OPTIONS)
+@compiled(types.UniTuple(float64, 4)(BODY, IN1, IN2))
 def _judge(body, q, load):  # noqa: ANN001, ANN202
     """Cost of a posture without travel, largest torque share, lack of `AMPLE` distances, distance from a limit.
 
@@ -123,7 +124,7 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
     return cost + (FAR * (1.0 + wrong) if wrong > 0.0 else 0.0), share, lack, away
 
 
-@njit(float64(BODY, IN1, IN1, IN2), **OPTIONS)
+@compiled(float64(BODY, IN1, IN1, IN2))
 def _cost(body, q, start, load):  # noqa: ANN001, ANN202
     """Cost of a posture (n,) with its travel, nearly that of the joint that turns most."""
     total = 0.0
@@ -132,7 +133,7 @@ def _cost(body, q, start, load):  # noqa: ANN001, ANN202
     return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt(total))
 
 
-@njit(float64(BODY, IN1, OUT1, IN1, IN2, float64, int64), **OPTIONS)
+@compiled(float64(BODY, IN1, OUT1, IN1, IN2, float64, int64))
 def _descend(body, goal, q, start, load, reach, rounds):  # noqa: ANN001, ANN202
     """Lower the cost of ``q`` (n,) in the null space, and return it.
 
@@ -165,14 +166,14 @@ def _descend(body, goal, q, start, load, reach, rounds):  # noqa: ANN001, ANN202
     return cost
 
 
-@njit(void(BODY, IN2, IN2, OUT1), **OPTIONS)
+@compiled(void(BODY, IN2, IN2, OUT1))
 def judge_all(body, postures, load, costs):  # noqa: ANN001, ANN201
     """Fill ``costs`` (N,) of ``postures`` (N, n) without travel."""
     for k in range(len(postures)):
         costs[k] = _judge(body, postures[k], load)[0]
 
 
-@njit(types.Tuple((float64, OUT1))(BODY, IN1, IN1, IN2, boolean), **OPTIONS)
+@compiled(types.Tuple((float64, OUT1))(BODY, IN1, IN1, IN2, boolean))
 def stay(body, goal, start, load, near):  # noqa: ANN001, ANN201
     """Cost, or infinity, and the goal's posture (n,) on the branch of ``start`` (n,).
 
@@ -193,7 +194,7 @@ def stay(body, goal, start, load, near):  # noqa: ANN001, ANN201
     return _descend(body, goal, q, start, load, NEAR_REACH if near else np.inf, DESCENTS), q
 
 
-@njit(types.Tuple((float64, OUT1, OUT1))(BODY, OUT2, IN1, IN1, IN2, int64, int64), **OPTIONS)
+@compiled(types.Tuple((float64, OUT1, OUT1))(BODY, OUT2, IN1, IN1, IN2, int64, int64))
 def search(body, found, goal, start, load, bests, descents):  # noqa: ANN001, ANN201
     """Cost, or infinity, and best posture (n,) of a goal, and the one with the least error.
 
@@ -228,7 +229,7 @@ LONGEST, SHORTEST = 1.5, 0.02
 """[rad] branch lengths, by the joint that turns most (chosen)"""
 
 
-@njit(types.Tuple((float64, int64))(BODY, IN1, IN1, IN1, boolean), **OPTIONS)
+@compiled(types.Tuple((float64, int64))(BODY, IN1, IN1, IN1, boolean))
 def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
     """Share, 0 to 1, of the straight line ``start`` to ``goal`` (n,) that keeps ``least`` (n + c,) [m]; what ends it.
 
@@ -249,7 +250,7 @@ def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
         share = min(1.0, share + ahead)
 
 
-@njit(int64(OUT2, int64, IN1), **OPTIONS)
+@compiled(int64(OUT2, int64, IN1))
 def _closest(nodes, count, q):  # noqa: ANN001, ANN202
     """Nearest to ``q`` (n,) of the first ``count`` rows."""
     best, least = 0, np.inf
@@ -262,7 +263,7 @@ def _closest(nodes, count, q):  # noqa: ANN001, ANN202
     return best
 
 
-@njit(**OPTIONS)
+@inner
 def _branch(nodes, parents, node):  # noqa: ANN001, ANN202
     """Rows (k, n) from ``node`` to the root of its tree."""
     chain = [node]
@@ -271,7 +272,7 @@ def _branch(nodes, parents, node):  # noqa: ANN001, ANN202
     return nodes[np.array(chain)]
 
 
-@njit(OUT2(BODY, IN1, IN1, IN2, IN1), **OPTIONS)
+@compiled(OUT2(BODY, IN1, IN1, IN2, IN1))
 def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
     """Corners (k, n) of a way from ``start`` to ``goal`` (n,); k is 0 if none is found.
 

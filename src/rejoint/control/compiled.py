@@ -9,11 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, from_dtype, int64, njit, types, void
 
-IN1, IN2, IN3 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3))
-OUT3 = float64[:, :, ::1]
-
-OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
-
+from rejoint.arms.compiled import IN2, IN3, OUT3, compiled
 
 HISTORY = 8
 """Stored commands (chosen: 160 ms at the shortest period)"""
@@ -87,7 +83,7 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
     return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
 
 
-@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, int64[:, ::1]), **OPTIONS)
+@compiled(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, int64[:, ::1]), boundscheck=True)
 def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN201
     """Take a reading and give a ``verdict`` (B, n).
 

@@ -26,7 +26,7 @@ from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 
-compiled = Late("rejoint.control.limiting")
+compiled, kinematics = Late("rejoint.control.limiting"), Late("rejoint.arms.compiled")
 
 Reasons = NDArray[np.uint16]
 
@@ -234,11 +234,12 @@ def guard_along(
 
 
 def warm_up(limits: GuardLimits) -> None:
-    """Compile the loops of guard and joint monitor."""
+    """Compile the loops of guard, joint monitor and kinematics."""
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
     Following(limits.arm, state, rest)
+    kinematics.compile_all()
 
 
 def servo_trips(limits: GuardLimits, state: JointState) -> Reasons:

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, njit, types, uint16, void
+from numba import float64, int64, types, uint16, void
 
-from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OPTIONS, OUT1, OUT3, SHAPE, clearances
+from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, clearances, compiled, inner
 from rejoint.control.guard import Reason, Rules
 
 RULES = types.NamedTuple((*[IN1] * 6, *[float64] * 4, int64), Rules)
@@ -24,12 +24,12 @@ _LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STE
 _ACCELERATION, _FLOOR, _COLLISION = int(Reason.ACCELERATION), int(Reason.FLOOR), int(Reason.COLLISION)
 
 
-@njit(**OPTIONS)
+@inner
 def _between(value, low, high):  # noqa: ANN001, ANN202
     return min(max(value, low), high)
 
 
-@njit(**OPTIONS)
+@inner
 def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
     """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
     found = 0 if age <= rules.max_age else _STALE  # NaN counts as stale
@@ -42,7 +42,7 @@ def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
     return found
 
 
-@njit(**OPTIONS)
+@inner
 def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
     """Fill ``out`` (n,) with the last command, or what is known of it."""
     for j in range(len(out)):
@@ -51,7 +51,7 @@ def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
         out[j] = sent if np.isfinite(sent) else known
 
 
-@njit(**OPTIONS)
+@inner
 def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
     """Fill ``out`` (n,) with the command limited by lead, position, step and acceleration; returns their flags."""
     found = 0
@@ -69,7 +69,7 @@ def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
     return found
 
 
-@njit(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1), **OPTIONS)
+@compiled(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1))
 def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     """Shorten the step from ``last`` to ``out`` (n,), with ``clear`` (c,) there, until it is clear; returns flags.
 
@@ -92,7 +92,7 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     return found
 
 
-@njit(**OPTIONS)
+@inner
 def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
     """Shorten steps to ``out`` (n,) that bring the measured arm too near to something, or too fast; returns flags.
 
@@ -121,7 +121,7 @@ def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
     return found
 
 
-@njit(void(CHAIN, SHAPE, RULES, IN3, IN2, uint16[::1], OUT3), **OPTIONS)
+@compiled(void(CHAIN, SHAPE, RULES, IN3, IN2, uint16[::1], OUT3))
 def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN201
     """Fill ``out`` (2, B, n) with commands and their speeds, and add to ``reasons`` (B,), which begin with trips.
 
