@@ -59,7 +59,7 @@ def demonstrate(view: LiveView, say: Callable[[str], object], rounds: int) -> No
     nowhere = subprocess.DEVNULL
     with subprocess.Popen([sys.executable, *words], stdout=nowhere, stderr=nowhere) as preparing:  # noqa: S603
         try:
-            os.setpriority(os.PRIO_PROCESS, preparing.pid, 10)  # the page comes first
+            os.setpriority(os.PRIO_PROCESS, preparing.pid, 19)  # the page comes first
             view.begin("A worn arm misses its targets")
             play(view, lambda: preparing.poll() is not None)
         finally:

@@ -14,7 +14,7 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, frames, tcp_position
-from rejoint.arms.collision import collision_shape
+from rejoint.arms.inertia import LINK_RADIUS_RATIO
 from rejoint.arms.workspace import reach
 from rejoint.control.comparison.recommend import MEANINGS
 from rejoint.control.guard import reason_names
@@ -216,13 +216,13 @@ class WebPage:
         if self._marks:
             places = frames(arm, position).position
             for j, label in self._marks:
-                label.position = places[j] + 1.5 * collision_shape(arm).radius * SIDE
+                label.position = places[j] + 1.5 * LINK_RADIUS_RATIO * reach(arm) * SIDE
 
     def _add_limbs(
         self, arm: Arm, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> list[viser.MeshHandle]:
         """Add base and links, each a capsule from its frame's origin to the next, and the tool."""
-        scene, whole, found = self.server.scene, collision_shape(arm).radius, []
+        scene, whole, found = self.server.scene, LINK_RADIUS_RATIO * reach(arm), []
         for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
             radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
             if link == arm.joints:  # the tool, whose round end is its tip
