@@ -98,7 +98,7 @@ def lead(hand: Hand, page: str, address: str, arm: str, *, quick: bool, pictures
     done("checked")
     hand.press("Yes")
     if quick:
-        hand.tick("Quick try (no result)")
+        hand.tick("Quick try")
     hand.press("Diagnose")
     time.sleep(20.0)
     done("diagnosing")

@@ -69,3 +69,17 @@ class Hand:
     def reads(self, text: str, seconds: float = 60.0) -> None:
         """Wait until the page says something."""
         self.tab.wait_for(f"document.body.innerText.includes({json.dumps(text)})", seconds)
+
+    def sees(self, label: str) -> bool:
+        """Whether a button is on the screen, with nothing above it."""
+        return self.tab.ask(
+            f"(() => {{ const b = {_BUTTON}({json.dumps(label)}); if (!b) return false;"
+            "const r = b.getBoundingClientRect();"
+            "return b.contains(document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2)); })()"
+        )
+
+    def touch(self, x: float, y: float) -> None:
+        """Click at a place of the window [px]."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        time.sleep(0.5)

@@ -8,7 +8,7 @@ import pytest
 from browser import CHROMIUM, chromium
 from hand import Hand
 
-from rejoint.studio import jobs
+from rejoint.studio import jobs, panels
 from rejoint.studio.machine import Studio
 from rejoint.studio.page import StudioView
 
@@ -95,6 +95,27 @@ def test_the_job_ends_when_the_last_page_is_closed_unless_the_owner_wants_it_to_
             studio.stop()
             while studio.status.busy:
                 time.sleep(0.05)
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
+@pytest.mark.parametrize("width", [1300, 420])
+def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, width):
+    title = """[...document.querySelectorAll('div')].filter((e) => e.childElementCount === 0
+        && e.textContent.trim() === 'rejoint studio').pop().getBoundingClientRect()"""
+    with StudioView(studio, "127.0.0.1", 0) as view, chromium(width, 850) as tab:
+        tab.call("Emulation.setDeviceMetricsOverride", width=width, height=850, deviceScaleFactor=1, mobile=width < 600)
+        hand = Hand(tab)
+        hand.open(view.address)
+        hand.reads("Connect")
+        hand.touch(tab.ask(f"{title}.x + 5"), tab.ask(f"{title}.y + 5"))  # folds a panel of viser
+        hand.touch(width - 13, 7)  # so does this
+        hand.touch(width - 26, tab.ask(f"{title}.y + 10"))  # its settings would come in place of the panel
+        for step in panels.TITLES:
+            studio.change(step=step)
+            hand.reads(panels.TITLES[step][3:])
+            tab.ask("document.querySelectorAll('[data-scrollarea-viewport]').forEach((e) => e.scrollTo(0, 9999))")
+            assert hand.sees("STOP"), step
 
 
 def test_jobs_say_how_long_they_still_take(studio):

@@ -11,6 +11,7 @@ import rejoint
 from rejoint.arms import tcp_position
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import WallClock
+from rejoint.runs.fleet.file import name_arm
 from rejoint.runs.repair import MOVING, STAGES
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
@@ -76,7 +77,7 @@ def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
 
 def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
     do(studio, jobs.choose("emulated:healthy"))
-    assert studio.do("calibration", jobs.calibrate(jobs.RULER, 2, None))
+    assert studio.do("calibration", jobs.calibrate(jobs.RULER, 2, None, 0))
     asked = set()
     while studio.status.busy:
         question = studio.status.question
@@ -155,6 +156,16 @@ def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio,
 
 def _off():
     raise AddressError("the arm is off")
+
+
+def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    name_arm("bench-3", address="emulated:worn?seed=5", description="mycobot280")
+    label = next(iter(do(studio, jobs.look).found["arms"]))
+    assert "bench-3" in label
+    status = do(studio, jobs.choose(studio.status.found["arms"][label]))
+    assert (status.address, status.step) == ("emulated:worn?seed=5", "check"), status.error
 
 
 def test_a_known_arm_is_used_at_once(studio, tmp_path):

@@ -23,7 +23,8 @@ from rejoint.logs.history import find_rows
 from rejoint.logs.runfolder import LOGS, RunFolder, read_info
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.family import SerialAddress
-from rejoint.robots.ports import answering, ports
+from rejoint.robots.ports import address_at, answering, ports
+from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
@@ -64,10 +65,7 @@ TURNS = {"diagnose": 16.0, "calibrate": 15.0, "gains": 10.0, "compare": 25.0}
 """of all joints in these stages (likewise)"""
 
 
-EMULATED = {
-    "An emulated worn myCobot 280, to try everything": "emulated:worn",
-    "An emulated worn SO-101, to try everything": "emulated:so101",
-}
+EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, worn": "emulated:so101"}
 SAG = 0.85
 """Share of the usual supply below which a voltage is low (chosen)"""
 SUPPLIES = (5.0, 7.4, 12.0)
@@ -77,17 +75,16 @@ WARM = 50.0
 
 
 def candidates(home: Path) -> dict[str, str]:
-    """Return addresses of arms by what an owner calls them: connected, repaired before below ``home``, emulated."""
-    found = dict[str, str]()
+    """Return names or addresses by what the page calls arms: named, connected, repaired below ``home``, emulated."""
+    path = names_file()
+    found = {f"{one.name}, {one.address}": one.name for one in (read_fleet(path).arms if path.exists() else ())}
     for device, what in ports().items():
         wire = SerialAddress(text=device, device=device, baud=0)
         heard = answering(wire)
         if heard is None:
             found[f"{device} ({what}): no arm answers; is it switched on?"] = ""
-            continue
-        kind, baud = heard
-        rate = "" if baud == kind.bauds[0] else f"?baud={baud}"
-        found[f"{kind.name.strip(',')}, on {device}"] = f"{kind.scheme(wire)}://{device}{rate}"
+        else:
+            found[f"{heard[0].name.strip(',')}, on {device}"] = address_at(wire, *heard)
     for address in runs(home):
         if address not in (*found.values(), *EMULATED.values()):
             found[f"{address}, known from before"] = address
@@ -154,8 +151,9 @@ def choose(address: str, name: str | None = None) -> Job:
         if not address.strip():
             raise InputError("no arm answers there; choose another from the list, or type its address")
         studio.release()
-        place = place_of(address.strip())
-        arm = arm_of(place.text, name)
+        named = named_arm(address.strip())
+        place = place_of(address.strip() if named is None else named.address)
+        arm = arm_of(place.text, name) if named is None or name else named.built
         known = runs(studio.home).get(place.text)
         studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
         try:
@@ -281,8 +279,8 @@ def again(studio: Studio) -> None:
     studio.keep(diagnosis=None, repaired=None, advice=None, proof=None)
 
 
-def calibrate(by: str, count: int, board: Path) -> Job:
-    """Return what measures where the tool is, ``by`` a ruler, a camera or an emulated arm's own word."""
+def calibrate(by: str, count: int, board: Path, camera: int) -> Job:
+    """Return what measures where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
 
     def job(studio: Studio) -> None:
         run, status = studio.begin_run(), studio.status
@@ -293,7 +291,7 @@ def calibrate(by: str, count: int, board: Path) -> Job:
             require("measuring with a camera", "camera")
             from rejoint.studio.pictures import shown_camera
 
-            gauge = shown_camera(studio, status.address, board)
+            gauge = shown_camera(studio, status.address, board, camera)
         found = rejoint.calibrate(
             status.address,
             run=run,

@@ -162,31 +162,27 @@ class StudioPage(WebPage):
         except InputError as error:
             self.studio.change(error=str(error))
 
-    def text(self, label: str, key: str, usual: str = "") -> None:
-        """Add a line to type into."""
-        made = self.server.gui.add_text(label, str(self.form.setdefault(key, usual)))
+    def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401
         made.on_update(lambda _: self.form.update({key: made.value}))
         self._parts.append(made)
 
+    def text(self, label: str, key: str, usual: str = "") -> None:
+        """Add a line to type into."""
+        self._typed(key, self.server.gui.add_text(label, str(self.form.setdefault(key, usual))))
+
     def number(self, label: str, key: str, usual: float, step: float = 1.0) -> None:
         """Add a number."""
-        made = self.server.gui.add_number(label, float(self.form.setdefault(key, usual)), step=step)
-        made.on_update(lambda _: self.form.update({key: made.value}))
-        self._parts.append(made)
+        self._typed(key, self.server.gui.add_number(label, float(self.form.setdefault(key, usual)), step=step))
 
     def choice(self, label: str, key: str, options: Sequence[str]) -> None:
         """Add a list of options, the first by default."""
         value = self.form.get(key)
         self.form[key] = value = value if value in options else options[0]
-        made = self.server.gui.add_dropdown(label, list(options), initial_value=value)
-        made.on_update(lambda _: self.form.update({key: made.value}))
-        self._parts.append(made)
+        self._typed(key, self.server.gui.add_dropdown(label, list(options), initial_value=value))
 
     def tick(self, label: str, key: str, usual: bool = False) -> None:
         """Add a box to tick."""
-        made = self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual)))
-        made.on_update(lambda _: self.form.update({key: made.value}))
-        self._parts.append(made)
+        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual))))
 
     def upload(self, label: str, act: Callable[[bytes], None]) -> None:
         """Add a button that takes a file."""
@@ -245,9 +241,7 @@ class StudioPage(WebPage):
         if self._step.value != title:
             self._step.value = title  # type: ignore[misc]  # declared read-only, and is not
         shape = (status.step, status.busy, status.question, status.address, status.found, status.picture is None)
-        if len(shape) != len(self._drawn) or any(
-            a is not b and a != b for a, b in zip(shape, self._drawn, strict=True)
-        ):
+        if shape != self._drawn:
             self._drawn = shape
             self._furnish_step(status)
         found = status.found.get("diagnosis")
@@ -268,7 +262,7 @@ class StudioPage(WebPage):
     def _go(self, by_hand: bool) -> None:
         step: StepName = next(name for name, title in panels.TITLES.items() if title == self._step.value)
         if by_hand and step != self.studio.status.step:
-            self.studio.change(step=step, done="")
+            self.studio.change(step=step, done="", lines=())
 
     def _clicked(self, origin: Sequence[float], direction: Sequence[float]) -> None:
         """Take a click onto the plane at the chosen height as a point."""

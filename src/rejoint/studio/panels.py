@@ -26,6 +26,9 @@ TITLES: dict[StepName, str] = {
 }
 
 
+QUICK = "A quick try takes little of everything, and gives no result to rely on."
+
+
 def find(page: StudioPage, status: Status) -> None:
     """Choose an arm, or type its address."""
     known: dict[str, str] = status.found.get("arms") or {}
@@ -64,8 +67,8 @@ def check(page: StudioPage, status: Status) -> None:
 def diagnose(page: StudioPage, status: Status) -> None:
     """Find out what is wrong."""
     found = status.found.get("diagnosis")
-    page.html("hint", "The arm goes to ten targets and turns each joint. Watch it beside this panel.")
-    page.tick("Quick try (no result)", "quick")
+    page.html("hint", f"The arm goes to ten targets and turns each joint. {QUICK}")
+    page.tick("Quick try", "quick")
     page.job("Diagnose", "Diagnosis", lambda: jobs.diagnose(quick=bool(page.form["quick"])), first=found is None)
     if found is not None:
         page.html("diagnosis", found)
@@ -75,8 +78,10 @@ def diagnose(page: StudioPage, status: Status) -> None:
 def repair(page: StudioPage, status: Status) -> None:
     """Repair the arm."""
     done = status.found.get("repaired")
-    page.html("hint", "It fits a simulation of this arm, trains a policy, and compares all controllers on the arm.")
-    page.tick("Quick try (no result)", "quick")
+    page.html(
+        "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
+    )
+    page.tick("Quick try", "quick")
     page.job("Repair", "Repair", lambda: jobs.repair(quick=bool(page.form["quick"])), first=done is None)
     if done is not None:
         page.html("repaired", done, status.found.get("advice"))
@@ -98,12 +103,13 @@ def calibrate(page: StudioPage, status: Status) -> None:
     page.choice("Measure with", "gauge", jobs.gauges(status.address))
     page.number("Postures", "count", 10)
     page.text("Board", "board", "board.toml")
+    page.number("Camera", "camera", 0)
     page.job("Calibrate", "Calibration", lambda: jobs.calibrate(*measuring(page.form)), first=True)
 
 
-def measuring(form: Mapping[str, Any]) -> tuple[str, int, Path]:
-    """Return what measures, the number of postures, and the file of the board."""
-    return form["gauge"], max(int(form["count"]), 2), Path(form["board"])
+def measuring(form: Mapping[str, Any]) -> tuple[str, int, Path, int]:
+    """Return what measures, the number of postures, the file of the board, and the number of the camera."""
+    return form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"])
 
 
 def prove(page: StudioPage, status: Status) -> None:
@@ -134,7 +140,7 @@ def use(page: StudioPage, status: Status) -> None:
     page.html("hint", "Type a point, or click on the table: the height is that of z.")
     places(page, status)
     page.number("Accept mm", "within", 2.0, step=0.1)
-    page.tick("Go where I click", "at once")
+    page.tick("Click to go", "at once")
     page.job("Go", "Going to the point", lambda: jobs.go_to(point(page.form), 1e-3 * page.form["within"]), first=True)
     path = page.form.setdefault("path", [])
     page.html("points", path)

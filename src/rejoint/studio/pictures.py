@@ -40,14 +40,14 @@ class _ShownCamera:
         return picture
 
 
-def shown_camera(studio: Studio, address: str, file: Path) -> CameraGauge:
-    """Return a camera that measures; the board is described in ``file``, by default of an emulated one."""
+def shown_camera(studio: Studio, address: str, file: Path, number: int) -> CameraGauge:
+    """Return the camera of this ``number``, which measures; ``file`` describes the board."""
     emulated = is_virtual(address)
     board = ON_TOOL if emulated and not file.exists() else read_board(file)
 
     @contextmanager
     def camera(robot: Robot) -> Iterator[StillCamera]:
-        opened = nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(0)
+        opened = nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
         with opened as taken:
             yield _ShownCamera(studio, taken, board)
 
