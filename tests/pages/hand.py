@@ -63,6 +63,7 @@ class Hand:
 
     def tick(self, label: str) -> None:
         """Tick a box, or take the tick away."""
+        self.tab.wait_for(f"!!{_FIELD}({json.dumps(label)})")
         self.tab.ask(f"{_FIELD}({json.dumps(label)}).click()")
         time.sleep(0.3)
 

@@ -175,8 +175,9 @@ class Studio(Observer):
                 job(self)
             except BaseException as why:  # noqa: BLE001 - whatever it is, the page says it
                 error = self._line(title, why)
-                self.release()
-                if isinstance(why, Interrupted) and not why.by:  # a signal, which ends the program
+                if not isinstance(why, Interrupted):
+                    self.release()
+                elif not why.by:  # a signal, which ends the program
                     self.left.set()
             with self._lock:
                 self.change(job="", stopping=False, question="", picture=None, served="", error=error)
