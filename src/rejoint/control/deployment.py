@@ -79,6 +79,12 @@ class Deployed(Readable):
         """Numbers of missed targets, from 1."""
         return tuple(number for number, visit in enumerate(self.visits, start=1) if not visit.reached)
 
+    @property
+    def error(self) -> float:
+        """[m] mean encoder error of the targets that were tried; NaN: none was."""
+        errors = [visit.error for visit in self.visits if visit.error is not None]
+        return sum(errors) / len(errors) if errors else np.nan
+
 
 def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
     """Return result up to ``error``, or None."""

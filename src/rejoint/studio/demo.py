@@ -69,13 +69,9 @@ def demonstrate(view: LiveView, say: Callable[[str], object], rounds: int) -> No
         before = _driven(view, "default")
         view.begin("The same arm, with the policy that comes with rejoint")
         after = _driven(view, "shelf")
-        say(f"As it is: {_error(before):.1f} mm off. With the policy: {_error(after):.2f} mm off.")
+        say(f"As it is: {1e3 * before.error:.1f} mm off. With the policy: {1e3 * after.error:.2f} mm off.")
 
 
 def _driven(view: LiveView, controller: str) -> Deployed:
     settings = rejoint.Settings(controller=controller, dwell=DWELL)
     return rejoint.deploy(FIRST_ROBOT, POINTS, settings=settings, observer=view)
-
-
-def _error(done: Deployed) -> float:
-    return 1e3 * float(np.mean([visit.error for visit in done.visits if visit.error is not None]))

@@ -24,6 +24,7 @@ from rejoint.logs.runfolder import LOGS, RunFolder, read_info
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.family import SerialAddress
 from rejoint.robots.ports import address_at, answering, ports
+from rejoint.runs.exports import export_run
 from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
@@ -335,24 +336,17 @@ def prove(points: Sequence[Array]) -> Job:
         studio.keep(proof=None)
         studio.release()
         status, run, proof = studio.status, studio.run, list[Deployed]()
-        before = replace(studio.settings, controller=DefaultController.name, calibration="none")
-        for number, settings in enumerate((before, studio.settings)):
+        plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
+        for number, settings in enumerate((plain, studio.settings)):
             part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
             arm = status.arm if run is None else None
             done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
             proof.append(done)
         studio.keep(proof=tuple(proof))
-        studio.change(
-            done=f"Before: {mean_error(proof[0])}. After, with {proof[1].controller}: {mean_error(proof[1])}."
-        )
+        before, after = (f"{1e3 * one.error:.2f} mm" for one in proof)
+        studio.change(done=f"Before: {before}. After, with {proof[1].controller}: {after}.")
 
     return job
-
-
-def mean_error(done: Deployed) -> str:
-    """Return the mean encoder error of a deployment in words."""
-    errors = [visit.error for visit in done.visits if visit.error is not None]
-    return f"{1e3 * sum(errors) / len(errors):.2f} mm" if errors else "not tried"
 
 
 def go_to(target: Array, within: float = 2e-3) -> Job:
@@ -365,6 +359,11 @@ def go_to(target: Array, within: float = 2e-3) -> Job:
         studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
 
     return job
+
+
+def record(points: list[Array]) -> Job:
+    """Return what adds the place of the tool to ``points``, such as one to which the arm was moved by hand."""
+    return lambda studio: points.append(studio.session().state.tool_m)
 
 
 SPEED = 0.05
@@ -428,13 +427,12 @@ def serve(listen: str) -> Job:
     return job
 
 
-def export(kind: str) -> Job:
-    """Return what writes what the run has found for other programs."""
+def export(kind: str, lerobot: str) -> Job:
+    """Return what writes what the run has found for other programs; ``lerobot``: calibration file of LeRobot."""
 
     def job(studio: Studio) -> None:
-        from rejoint.runs.exports import export_run
-
-        path, told = export_run(studio.begin_run(), kind)
+        file = Path(lerobot) if lerobot and kind == "lerobot" else None
+        path, told = export_run(studio.begin_run(), kind, lerobot=file)
         studio.change(done=f"{path}: {told}")
 
     return job

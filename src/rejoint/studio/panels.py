@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.arms import CATALOGUE, Array
+from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
-from rejoint.studio.machine import Status, StepName
+from rejoint.studio.machine import Job, Status, StepName
 
 if TYPE_CHECKING:
     from rejoint.studio.page import StudioPage
@@ -37,18 +38,14 @@ def find(page: StudioPage, status: Status) -> None:
         page.choice("Arm", "arm", list(known))
     page.text("or its address", "address")
     page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
-    page.job("Connect", "Connecting", lambda: jobs.choose(chosen(page.form, known), kind(page.form)), first=True)
+    page.job("Connect", "Connecting", lambda: chosen(page.form, known), first=True)
     page.job("Look for arms again", "Looking for arms", lambda: jobs.look)
 
 
-def chosen(form: Mapping[str, Any], known: Mapping[str, str]) -> str:
-    """Return the typed address, else that of the chosen arm."""
-    return str(form.get("address") or known.get(form.get("arm", ""), ""))
-
-
-def kind(form: Mapping[str, Any]) -> str | None:
-    """Return the chosen kind of arm; None: by its address."""
-    return form["kind"] if form.get("kind") in CATALOGUE else None
+def chosen(form: Mapping[str, Any], known: Mapping[str, str]) -> Job:
+    """Return the connection to the typed address, else to the chosen arm, of the chosen kind."""
+    kind = form["kind"] if form["kind"] in CATALOGUE else None
+    return jobs.choose(str(form["address"] or known.get(form.get("arm", ""), "")), kind)
 
 
 def check(page: StudioPage, status: Status) -> None:
@@ -104,12 +101,12 @@ def calibrate(page: StudioPage, status: Status) -> None:
     page.number("Postures", "count", 10)
     page.text("Board", "board", "board.toml")
     page.number("Camera", "camera", 0)
-    page.job("Calibrate", "Calibration", lambda: jobs.calibrate(*measuring(page.form)), first=True)
+    page.job("Calibrate", "Calibration", lambda: measured(page.form), first=True)
 
 
-def measuring(form: Mapping[str, Any]) -> tuple[str, int, Path, int]:
-    """Return what measures, the number of postures, the file of the board, and the number of the camera."""
-    return form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"])
+def measured(form: Mapping[str, Any]) -> Job:
+    """Return the calibration with what was typed."""
+    return jobs.calibrate(form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
 
 
 def prove(page: StudioPage, status: Status) -> None:
@@ -145,6 +142,7 @@ def use(page: StudioPage, status: Status) -> None:
     path = page.form.setdefault("path", [])
     page.html("points", path)
     page.button("Record the point", lambda: path.append(point(page.form)))
+    page.job("Record where the tool is", "Recording", lambda: jobs.record(path))
     page.button("Forget the path", path.clear)
     page.number("Times", "times", 1.0)
     page.job("Play the path", "Path", lambda: jobs.play(list(path), max(int(page.form["times"]), 1)))
@@ -153,8 +151,9 @@ def use(page: StudioPage, status: Status) -> None:
     page.job("The hand carries this load", "Payload", lambda: jobs.carry(1e-3 * max(page.form["load"], 0.0)))
     page.text("For programs", "listen", "127.0.0.1:9001")
     page.job("Let programs drive it", "Serving", lambda: jobs.serve(str(page.form["listen"])))
-    page.choice("Export", "export", ("datasheet", "urdf", "onnx", "ros2", "lerobot"))
-    page.job("Write the file", "Export", lambda: jobs.export(page.form["export"]))
+    page.choice("Export", "export", KINDS)
+    page.text("LeRobot file", "lerobot")
+    page.job("Write the file", "Export", lambda: jobs.export(page.form["export"], str(page.form["lerobot"])))
     page.job("Check again", "Check", lambda: jobs.check_again)
     page.job("History of all arms", "History", lambda: jobs.history)
     page.html("history", status.found.get("history") or ())
