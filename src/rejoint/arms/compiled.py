@@ -20,8 +20,7 @@ ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimension
 OUT1, OUT2, OUT3, OUT4 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 CHAIN = types.NamedTuple((IN3, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
 SHAPE = types.NamedTuple((float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
-OPTIONS = {"cache": True, "nogil": True}
-inner = njit(**OPTIONS)
+inner = njit(cache=True, nogil=True)
 """of a loop that others call"""
 
 POINT = 1e-15
@@ -35,7 +34,7 @@ def compiled(signature, **options):  # noqa: ANN001, ANN003, ANN201
     """Return `numba.njit` for one ``signature``; it compiles at the first use, not at the import."""
 
     def declare(function):  # noqa: ANN001, ANN202
-        made = njit(**OPTIONS | options)(function)
+        made = njit(cache=True, nogil=True, **options)(function)
         build = made.compile
 
         def compile_now(*_):  # noqa: ANN002, ANN202
@@ -53,8 +52,8 @@ def compiled(signature, **options):  # noqa: ANN001, ANN003, ANN201
 
 def compile_all() -> None:
     """Compile what was declared in imported modules: a moving arm does not wait for that."""
-    while _DECLARED:
-        _DECLARED.pop()()
+    for build in _DECLARED:
+        build()
 
 
 @compiled(OUT3(IN3, IN2, IN2, IN2), fastmath={"contract"})
@@ -78,10 +77,9 @@ def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
     """
     steps = _steps(terms, tip, sine, cosine)
     _, rows, _, postures = poses.shape
-    for r in range(rows):
-        for k in range(4):
-            for b in range(postures):
-                poses[0, r, k, b] = steps[0, 4 * r + k, b]
+    for e in range(4 * rows):
+        for b in range(postures):
+            poses[0, e // 4, e % 4, b] = steps[0, e, b]
     for i in range(1, len(steps)):
         for r in range(rows):
             for k in range(4):
@@ -113,7 +111,7 @@ def place(chain, q):  # noqa: ANN001, ANN201
     """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
     poses = np.empty((len(q) + 1, 3, 4, 1))
     fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
-    return poses.reshape(len(q) + 1, 3, 4)
+    return poses.reshape(poses.shape[:3])
 
 
 @inner
