@@ -57,6 +57,8 @@ class Fit:
 
     vector: Array
     """(k,)"""
+    iterations: int
+    converged: bool
     at_bound: Mask
     """(k,) held at a physical bound"""
     weights: Weights
@@ -218,9 +220,10 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
-    rescaling = np.inf if scales else 0.0
+    converged, iteration, rescaling = False, 0, np.inf if scales else 0.0
     residual = problem.residuals(x[None])[0]
-    for iteration in range(1, iterations + 1):
+    while not converged and iteration < iterations:
+        iteration += 1
         weights = problem.weights(residual)
         if rescaling >= LEAST_GAIN:
             around = np.vstack([x, problem.rescaled(x, scales)])
@@ -234,9 +237,15 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
-        if gained + rescaling < LEAST_GAIN:
-            break
-    return Fit(vector=x, at_bound=fixed & ~problem.frozen, weights=problem.weights(residual))
+        converged = gained + rescaling < LEAST_GAIN
+    weights = problem.weights(residual)
+    return Fit(
+        vector=x,
+        iterations=iteration,
+        converged=converged,
+        at_bound=fixed & ~problem.frozen,
+        weights=weights,
+    )
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:

@@ -18,7 +18,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import SCALES, Fit, Problem, fit
+from rejoint.twin.fit import SCALES, Fit, Problem, fit, search
 from rejoint.twin.judge import TIMESTEP, Candidate, judge
 from rejoint.twin.motionfit import (
     MOSTLY,
@@ -88,6 +88,9 @@ EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
 
 UNSEEN = ("load_friction",)
 """Parameters that an excitation does not tell"""
+
+STARTS = 24
+"""Candidates per round of the random search; chosen"""
 
 ITERATIONS, REFINEMENT = 15, 6
 """Most steps of the last descent, for an excitation and for other motion; chosen"""
@@ -186,8 +189,10 @@ def identify(
     logs: Sequence[RunLog],
     on_progress: Progress = no_progress,
     *,
+    starts: int = STARTS,
     iterations: int = ITERATIONS,
     threads: int = 2,
+    seed: int = 0,
 ) -> Twin:
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
@@ -204,7 +209,9 @@ def identify(
     pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
-    x = rough_fit(coarse)
+    rng = np.random.default_rng(seed)
+    x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
+    x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
     on_progress(0.6, "refinement")
     fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
     found = fit(fine, x, iterations)
@@ -213,6 +220,14 @@ def identify(
     twin = fitted_twin(fine, found, fine.clusters(CLUSTER), held_out)
     on_progress(1.0, "done")
     return twin
+
+
+def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
+    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
+    starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
+    of_arm = Layout(arm.joints).of_arm
+    starts[2:, of_arm] = belief.mean[of_arm]
+    return np.clip(starts, belief.lower, belief.upper)
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
@@ -269,6 +284,8 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
             f"it predicts motion like this, but no torques: only the ratios of stiffness, damping, friction, inertia "
             f"and torque limit are known, not their common scale: {', '.join(twin.unknown_scale)}"
         )
+    if not found.converged:
+        notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
     pressed = [name for name, at in zip(twin.names, found.at_bound, strict=True) if at]
     if pressed:
         notes.append(f"held at a physical bound: {', '.join(pressed)}")

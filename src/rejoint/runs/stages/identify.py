@@ -104,7 +104,7 @@ def identify(
     """
     from rejoint.twin.identify import identify as fit
 
-    less: dict[str, Any] = {"iterations": 2} if quick else {}
+    less: dict[str, Any] = {"starts": 2, "iterations": 2} if quick else {}
     with pacing(observer) as update:
         if logs is None:
             if run is None:
@@ -112,7 +112,7 @@ def identify(
             found = as_run(run).seeded(seed)
             with exclusive(found):
                 mark_quick(found, quick=quick)
-                twin = fit(laden(found), _motions(found), update, **less)
+                twin = fit(laden(found), _motions(found), update, seed=found.seed, **less)
                 _write(found, twin)
             return twin
         about, chosen = run_of_logs(run, logs, arm)
@@ -121,7 +121,7 @@ def identify(
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
             if about is None and of_diagnosis(motions):
-                return fit(chosen, motions, update, **less)
+                return fit(chosen, motions, update, seed=as_seed(seed), **less)
             from rejoint.twin.identify import LogSettings, identify_logs
 
             drawn = about.seed if seed is None and about is not None else as_seed(seed)
