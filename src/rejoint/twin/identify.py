@@ -112,6 +112,9 @@ CLUSTERED = 8
 
 STRIDE = 2.5
 """Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
+MEMORY = 1.0
+"""[s] of one observation beside the prior; chosen"""
+
 FREEDOM = 2.0
 """Degrees of freedom of window errors; chosen"""
 
@@ -413,7 +416,7 @@ def _problem(
 ) -> Problem:
     timestep, threads = settings.timestep, settings.threads
     replay = Replay(arm, logs, windows, timestep, threads, structure.stiction, structure.acceleration)
-    return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
+    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
 
 
 def independent(problem: Problem) -> Index:
