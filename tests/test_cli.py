@@ -23,6 +23,7 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
 from rejoint.training.train import TrainingOptions, train
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +47,13 @@ def test_repair_goes_on_where_it_stopped(finished, cli):
     assert last["recommended"]["controller"] == "integrator"
     assert Path(last["report"]).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert done.out.splitlines()[-2] == last["report"]
+
+
+def test_a_twin_finds_the_weak_motor_and_predicts_motion_that_it_has_not_seen(finished):
+    found, wear = Run.open(finished.path).twin, load_wear("worn", mycobot280())
+    assert found.held_out.twin.tcp < 0.25 * found.held_out.no_twin.tcp
+    most = found.parameters.torque_limit / found.parameters.stiffness
+    assert most[3] == pytest.approx(wear.torque_limit[3] / wear.position_gain[3], rel=0.5)
 
 
 def test_a_twin_is_replayed_on_the_logs_it_came_from(finished, tmp_path, cli):
