@@ -5,7 +5,8 @@
 Every arm is diagnosed, identified and calibrated in `--out` first, which takes minutes, or found there. Goals are drawn
 in 95 % of the joints' ranges, 5 mm clear of what the arm could touch. `Session.move_joints` goes to them, then
 `send_joints` receives them from a hand that rests and jitters by 0.1 degrees. Joints whose true motor cannot hold the
-goal are counted apart. The true tool of the streamed arm is compared with that of a healthy one that gets the same
+goal are counted apart, and so are ways of the hand that take more than 90 % of a true motor's torque, with friction at
+rest. The true tool of the streamed arm is compared with that of a healthy one that gets the same
 goals as they are.
 """
 
@@ -27,6 +28,8 @@ from rejoint_lab.research.evaluation.family import ArmFamily
 KINDS = ("mycobot280", "so101")
 RESTS = 20.0
 """[s] that an arm is given for a goal"""
+MOST = 0.9
+"""Share of a motor's torque"""
 
 
 def clear(arm: Arm, seed: int) -> Iterator[Array]:
@@ -94,11 +97,22 @@ def healthy(arm: Arm, goals: Array) -> Array:
     return 1e3 * np.linalg.norm(robot.true_tcp() - tcp_position(arm, goals), axis=-1)
 
 
+def light(robot: EmulatedRobot, goals: Array) -> Array:
+    """Whether the true motors of the arm carry it along a hand's ways (K,) to ``goals`` (K, n) [rad], from rest."""
+    arm, hand, found = robot.arm, robot.arm.rest, []
+    most, sticks = (robot.plant.joints[name][0] for name in ("torque_limit", "stiction"))
+    for goal in goals:
+        way, hand = plan(arm, hand, goal, speed=0.5), goal
+        torque = np.abs(gravity_torque(arm, way.at(np.linspace(0.0, way.duration, 50)))) + sticks
+        found.append((torque <= MOST * most).all())
+    return np.array(found)
+
+
 def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("runs/joints")) -> None:
     """Print joint errors after motions, and tool errors of streams, beside those of healthy arms."""
     for kind in KINDS:
         arm, found, tools, sound = load_arm(kind), list[Array](), list[Array](), list[Array]()
-        held = list[Array]()
+        held, carried = list[Array](), list[Array]()
         for i in range(arms):
             seed = ArmFamily(seed=family).wear_seeds[i]
             address, run = f"emulated:worn?seed={seed}", out / f"{kind}-{seed}"
@@ -106,14 +120,16 @@ def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("run
             robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)
             wanted = np.array([*islice(clear(arm, seed), goals)])
             held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.joints["torque_limit"][0])
+            carried.append(light(robot, wanted))
             with rejoint.connect(robot, run=run) as session:
                 found.append(np.abs(moved(session, wanted)))
                 tools.append(streamed(session, robot, wanted))
             sound.append(healthy(arm, wanted))
-        report(kind, np.concatenate(found), np.concatenate(held), np.hstack(tools), np.concatenate(sound))
+        joints, tool = (np.concatenate(found), np.concatenate(held)), (np.hstack(tools), np.concatenate(sound))
+        report(kind, *joints, *tool, np.concatenate(carried))
 
 
-def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array) -> None:
+def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array, carried: Array) -> None:
     """Print one kind of arm: joint errors (K, n) [deg], tool errors (2, K) and (K,) [mm]."""
     for name, joints in (("held", held), ("too heavy for the motor", ~held)):
         if joints.any():
@@ -121,7 +137,11 @@ def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array) ->
                 f"{kind} move_joints, {name}: {errors[joints].mean():.3f} deg per joint, largest "
                 f"{errors[joints].max():.2f}, over 0.5 deg {(errors[joints] > 0.5).sum()} of {joints.sum()}"
             )
-    for name, size in (("as the stream sees it", tools[0]), ("true", tools[1]), ("healthy, true", sound)):
-        print(f"{kind} send_joints, {name}: {np.median(size):.2f} mm, largest {size.max():.2f}")
-    worse = (tools[1] <= sound + 1.0).sum()
-    print(f"{kind} send_joints: at most 1 mm worse than healthy {worse} of {len(sound)}")
+    for what, some in (("", carried), (", too heavy", ~carried)):
+        for name, size in (("as the stream sees it", tools[0]), ("true", tools[1]), ("healthy, true", sound)):
+            if some.any():
+                print(
+                    f"{kind} send_joints{what}, {name}: {np.median(size[some]):.2f} mm, largest {size[some].max():.2f}"
+                )
+        worse = (tools[1] <= sound + 1.0)[some].sum()
+        print(f"{kind} send_joints{what}: at most 1 mm worse than healthy {worse} of {some.sum()}")
