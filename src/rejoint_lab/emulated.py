@@ -72,6 +72,12 @@ class EmulatedServos:
         plant = self._plant
         return float(np.abs(plant.load[:, joint]).max()), float(plant.temperature[:, joint].max())
 
+    def relieve(self, joint: int) -> None:
+        """Let a joint hold where it stands."""
+        goal = self._plant.goal.copy()
+        goal[:, joint] = self._plant.encoder()[:, joint]
+        self._plant.command(goal)
+
     def _field(self, name: str) -> NDArray[Any]:
         """(B, n) of the settings, or (B, n, 2)."""
         limit = "integral_limit" if self._sts else "pwm_limit"

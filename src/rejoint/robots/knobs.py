@@ -132,6 +132,9 @@ class GainMemory(Protocol):
     def strain(self, joint: int) -> tuple[float, float]:
         """Share of the largest torque, and temperature [deg C]."""
 
+    def relieve(self, joint: int) -> None:
+        """Let a joint's servos hold where they stand."""
+
     def wait(self, duration: float) -> None:
         """Wait [s]."""
 
@@ -187,15 +190,22 @@ class Tuning:
         for joint, (old, value) in enumerate(zip(there[name], values, strict=True)):
             if (value - old) * self._memory.strides[name] <= 0:
                 continue  # else one that labours could not be relieved
-            load, heat = self._memory.strain(joint)
-            for _ in range(LOOKS if load > HEAVIEST else 0):  # while it moves there it may labour
-                self._memory.wait(PAUSE)
-                load = min(load, self._memory.strain(joint)[0])
+            load, heat = self._strain(joint)
+            if load > HEAVIEST:  # by a goal that friction keeps it from
+                self._memory.relieve(joint)
+                load, heat = self._strain(joint)
             if load > HEAVIEST or heat > hottest:
                 said = f"{self._memory.names[joint]} does not bear {name}={value}"
                 raise OverloadedError(
                     f"{said}: load {100 * load:.0f} %, {heat:.0f} deg C; the gains are as before", joint
                 )
+
+    def _strain(self, joint: int) -> tuple[float, float]:
+        load, heat = self._memory.strain(joint)
+        for _ in range(LOOKS if load > HEAVIEST else 0):  # while it moves there it may labour
+            self._memory.wait(PAUSE)
+            load = min(load, self._memory.strain(joint)[0])
+        return load, heat
 
 
 def _degrees(text: str) -> tuple[float, ...]:

@@ -192,6 +192,11 @@ class ServoBus(Bus):
     def strain(self, joint: int) -> tuple[float, float]:
         """Share of the largest torque, and temperature [deg C]."""
 
+    def relieve(self, joint: int) -> None:
+        """Let a joint's servos hold where they stand."""
+        for servo in np.array(self.ids)[self.joint == joint].tolist():
+            self.set(servo, "goal", self.get(servo, "position"))
+
     def prepare(self, until: float | None = None) -> None:
         """Check all servos, read their zeros, and hold."""
         with self.by(until):
