@@ -282,7 +282,7 @@ class StudioPage(WebPage):
 
 
 class StudioView(LiveView):
-    """The view of a studio: its page, and what happens when nobody looks any more."""
+    """The view of a studio: its page, and what happens when the last page is closed."""
 
     def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
         """Serve a ``studio``; with a ``token`` other computers may use the page."""

@@ -160,7 +160,7 @@ class XServo(Registers):
         return self.sign * (position - self.position(0))
 
     def wrap(self, count: int) -> None:
-        """Count turns anew at a joint's ``count``."""
+        """Count turns from zero again at a joint's ``count``."""
         self.base -= (self.position(count) - self._homing) // COUNTS * COUNTS
 
     @property
