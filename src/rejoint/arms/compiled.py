@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numba import float64, int64, njit, types, void
+from numba.core.compiler_lock import global_compiler_lock
 
 from rejoint.arms.collision import CollisionShape
 from rejoint.arms.kinematics import DAMPING, MOST_STEP, Chain
@@ -38,9 +39,10 @@ def compiled(signature, **options):  # noqa: ANN001, ANN003, ANN201
         build = made.compile
 
         def compile_now(*_):  # noqa: ANN002, ANN202
-            if not made.signatures:
-                build(signature)
-                made.disable_compile()
+            with global_compiler_lock:  # of all threads, one compiles
+                if not made.signatures:
+                    build(signature)
+                    made.disable_compile()
             return made  # Numba calls it with the arguments, and refuses wrong types
 
         made.compile = made._compile_for_args = compile_now
