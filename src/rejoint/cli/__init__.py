@@ -65,7 +65,8 @@ class _Helped:
         """Return options and arguments."""
         found = super().get_params(ctx)  # type: ignore[misc]
         for one in found:
-            one.metavar = "" if getattr(one, "is_flag", False) else one.metavar
+            if getattr(one, "is_flag", False):
+                one.metavar = ""
         return found
 
 

@@ -1,15 +1,13 @@
-"""The first minute: `rejoint doctor`, a table of checks with their remedies; the page that guides; a demonstration."""
+"""What hinders a repair: `rejoint doctor` goes through a table of checks, each with its remedy."""
 
 from __future__ import annotations
 
 import os
 import platform
-import secrets
 import shutil
 import sys
 import tempfile
 import time
-import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -21,17 +19,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.cli.console import HERE, is_loopback
 from rejoint.cli.options import Call, Result, takes
 from rejoint.control.robot import Robot
 from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
-from rejoint.runs.run import RUNS, Run
-from rejoint.session.inputs import FIRST_ROBOT
+from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
-from rejoint.system.shell import __version__, host_and_port
+from rejoint.system.shell import __version__
 
 ILL = 2
 """Exit code where something is to be put right"""
@@ -330,41 +326,3 @@ def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera
         call.result(f"{'FIX ' if one.fix else 'ok  '} {name}: {one.found}{f'; {one.fix}' if one.fix else ''}")
     call.result(f"{ill or 'Nothing'} to put right.")
     return Result({"version": __version__, "system": system, "findings": rows, "to_fix": ill}, ILL if ill else 0)
-
-
-@takes()
-def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = False) -> object:
-    """Open the page that guides through a repair."""
-    require("rejoint studio", "live")
-    from rejoint.studio import jobs
-    from rejoint.studio.machine import Studio
-    from rejoint.studio.page import StudioView
-
-    host, port = host_and_port("--listen", listen)
-    machine = Studio(folder)
-    token = "" if is_loopback(host) else secrets.token_urlsafe(16)
-    with StudioView(machine, host, port, token) as view:
-        call.result(f"Studio: {view.address}  (Ctrl-C ends it; the arm then holds)")
-        machine.do("Looking for arms", jobs.look)
-        if not quiet:
-            webbrowser.open(view.address)
-        try:
-            machine.left.wait()
-        finally:
-            machine.leave()
-    return {"address": view.address}
-
-
-@takes()
-def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
-    """Show a worn arm that misses its targets, and the same arm with a policy."""
-    require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
-    from rejoint.pages.live.view import LiveView
-    from rejoint.studio.demo import demonstrate
-
-    with LiveView(*host_and_port("--listen", listen)) as view:
-        call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
-        if not quiet:
-            webbrowser.open(view.address)
-        demonstrate(view, call.result, rounds)
-    return {"address": view.address}
