@@ -5,6 +5,7 @@ The MuJoCo model has two hinges per axis: servo output, and play and flex behind
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -330,7 +331,7 @@ RECORDED_P = 32
 """P of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
 
 
-class ServoPlant(Plant):
+class ServoPlant(Plant, ABC):
     """Arms whose servos have a firmware, with ``settings`` and ``status`` (B, n, ...)."""
 
     settings: NDArray[np.void]
@@ -356,9 +357,9 @@ class ServoPlant(Plant):
         self.status[ids] = 0
         self._stand(ids, goal, here)
 
+    @abstractmethod
     def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
         """Let servos that stand ``here`` [counts] hold ``goal``."""
-        raise NotImplementedError
 
 
 class StsPlant(ServoPlant):
