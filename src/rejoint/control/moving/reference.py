@@ -302,7 +302,7 @@ class Stream:
     """Targets that arrive online at 10 to 100 Hz: places, or poses.
 
     The arm follows `LAG` behind, straight between targets, extrapolates for `EXTRAPOLATED`, then holds. `put` is
-    thread-safe.
+    thread-safe. A stream is followed once.
     """
 
     lag: float = LAG

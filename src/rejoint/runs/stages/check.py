@@ -101,7 +101,7 @@ def check(
     Parameters
     ----------
     robot
-        robot or its address; default: an emulated worn arm
+        robot or its address; default: an emulated worn arm. ``emulated:worn?hours=500`` has aged
     history
         folder of all runs and checks
     name
@@ -127,7 +127,7 @@ def check(
     AddressError, NotReadyError
         without an answer, or if the motion is unsafe
     GuardTripError, RobotError
-        if the motion was ended; the arm holds, the history is unchanged
+        if the motion was ended, or a joint did not follow; the arm holds, the history is unchanged
     FileError, UnsavedError
         if writing failed; the error holds the result, if any
 
