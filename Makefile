@@ -52,7 +52,7 @@ format: $(READY)
 # A half-made environment has no file of its name and is made again. What a repair needs and no more:
 $(VENV)/repair: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("rejoint needs Python 3.11 or newer, and $(PYTHON) is %d.%d; install one, then: make repair PYTHON=python3.11" % v[:2])'
-	@echo "Installing what a repair needs into $(VENV): 1.65 GB, in a minute or two with a fast connection."
+	@echo "Installing what a repair needs into $(VENV): 1.75 GB, in a minute or two with a fast connection."
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --editable ".[repair]"
 	@touch $@
