@@ -101,6 +101,13 @@ def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
     assert (np.diff(log.time) > 0.0).all()
 
 
+def test_an_arm_that_keeps_close_to_its_way_has_not_reached_its_target_yet() -> None:
+    with rejoint.connect("emulated:healthy") as arm:
+        end = arm.move_to([0.0, -0.2, 0.15], within_m=0.03)
+    assert end is not None
+    assert end.error_m < 0.03
+
+
 def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run: Path) -> None:
     with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
         with pytest.raises(rejoint.NotReachedError, match=r"did not come within 0\.1 mm .* still .* mm off; it holds"):

@@ -203,7 +203,7 @@ class GoalCheck:
         if self.joints is None:
             error = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, position)))
             turned = float(turned_off(self.arm, inputs)[0])
-            near = error < self.within and not turned > self.within_turn
+            near = bool(inputs.arrived[0]) and error < self.within and not turned > self.within_turn
             self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
         else:
             away = np.abs(position - self.joints)
