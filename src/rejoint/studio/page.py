@@ -104,6 +104,7 @@ class StudioPage(WebPage):
         """what was typed and chosen"""
         self._admission = Admission(token, self._report)
         self._drawn: tuple[object, ...] = ()
+        self._busy = False  # when it was drawn: a job may be over before the next look
         self._frames = 0
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
         self._parts: list[Any] = []
@@ -142,7 +143,7 @@ class StudioPage(WebPage):
 
     def button(self, label: str, act: Callable[[], object], *, first: bool = False, anyway: bool = False) -> None:
         """Add a button that does ``act``; during a job it is off, unless ``anyway``."""
-        off = self.studio.status.busy and not anyway
+        off = self._busy and not anyway
         made = self.server.gui.add_button(label, color="teal" if first else "gray", disabled=off)
         made.on_click(lambda _: self._act(act))
         self._parts.append(made)
@@ -186,7 +187,7 @@ class StudioPage(WebPage):
 
     def upload(self, label: str, act: Callable[[bytes], None]) -> None:
         """Add a button that takes a file."""
-        made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self.studio.status.busy)
+        made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self._busy)
         made.on_upload(lambda _: act(made.value.content))
         self._parts.append(made)
 
@@ -252,6 +253,7 @@ class StudioPage(WebPage):
             self.pose(studio.seen.position[0])
 
     def _furnish_step(self, status: Status) -> None:
+        self._busy = status.busy
         for part in self._parts:
             part.remove()
         self._parts.clear()
