@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import termios
+import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.wireserver import ByteStream
+from rejoint.robots.wireserver import ByteStream, await_data
 from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
@@ -235,6 +236,8 @@ def overlaid(answers: list[Answer]) -> list[Answer]:
     return found
 
 
+PROMPT = 0.0005
+"""[s] before an answer that are not slept through (chosen: a system wakes up so late)"""
 ADAPTER = 0.001
 """[s] of a USB adapter per request and answer (chosen)"""
 
@@ -255,6 +258,16 @@ _RATES = {
 }
 
 
+def await_promptly(readable: int | None, pause: float) -> bool:
+    """As `await_data`, but on time after a short pause."""
+    if readable is not None or pause > PROMPT:
+        return await_data(readable, pause)
+    until = time.monotonic() + pause
+    while time.monotonic() < until:
+        pass
+    return False
+
+
 class BusSession(EmulatedConversation[Packet]):
     """The servos of ``bus`` for one client at a time, with timing."""
 
@@ -269,7 +282,7 @@ class BusSession(EmulatedConversation[Packet]):
         faults: Faults = NONE,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        super().__init__(bus.arm, faults=faults, **options)
+        super().__init__(bus.arm, faults=faults, **{"await_data": await_promptly} | options)
         self.bus = bus
         bus.muted = lambda: self._silenced(faults, self._elapsed(self._clock()))
         # until when the wire is busy
@@ -304,5 +317,7 @@ class BusSession(EmulatedConversation[Packet]):
             pieces[-1] += first
             pieces += rest
         self._free += answers[-1].after
-        self.wait(None, self._free + self._adapter + self._wire.delay)
+        due = self._free + self._adapter + self._wire.delay
+        self.wait(None, due - PROMPT)
+        self._await_data(None, max(due - self._clock(), 0.0))
         self._say(channel, pieces)
