@@ -103,8 +103,7 @@ class DynamixelWire:
 
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read ``size`` registers of all ``servos``; without silent ones."""
-        if self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast) != OK:
-            raise OSError("the port did not take the request")
+        judge(self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast), servos[0])
         rows = self._fast(len(servos), size) if self.fast else self._each(len(servos))
         found = {servo: (error, data) for servo, error, data in rows if servo in servos and len(data) == size}
         self.alerts -= set(found)
@@ -114,8 +113,7 @@ class DynamixelWire:
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        if self._client.syncWriteTxOnly(self._port, address, len(data[0]), words, len(words)) != OK:
-            raise OSError("the port did not take the request")
+        judge(self._client.syncWriteTxOnly(self._port, address, len(data[0]), words, len(words)), servos[0])
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
@@ -320,13 +318,14 @@ class DynamixelBus(ServoBus):
             errors = self.ask_all(TABLE["error"].address, 1)
             self._words = [trouble(ERRORS, error[0]) or word for error, word in zip(errors, self._words, strict=True)]
         self._sound = not self.wire.alerts
-        places = np.array(self.zeros.radians([row[2] for row in rows]))
-        position = places[self.leads]
-        apart = np.abs(places - position[self.joint]) > APART * STEP
+        places = self.zeros.radians([row[2] for row in rows])
+        position = [places[lead] for lead in self.leads]
+        pairs = zip(places, self.joint.tolist(), self._words, strict=True)
+        words = [word or FIGHT * (abs(place - position[j]) > APART * STEP) for place, j, word in pairs]
+        words = self._named(words) if any(words) else [""] * len(position)
         loads = [self._kinds[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
-        words = self._named([word or FIGHT * bad for word, bad in zip(self._words, apart.tolist(), strict=True)])
         return Reading(
-            position=position,
+            position=np.array(position),
             load=self._sign * loads,
             voltage=np.array(self._volts)[self.leads],
             fault=np.array([bool(word) for word in words]),

@@ -8,9 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import copysign
 from typing import Any, ClassVar, NamedTuple
-
-import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung
@@ -80,7 +79,7 @@ class Model(NamedTuple):
     def share(self, load: int) -> float:
         """Share of the largest torque, -1 to 1."""
         part = min(abs(load) / self.full, 1.0)
-        return float(np.copysign(part**0.5 if self.supply else part, load))
+        return copysign(part**0.5 if self.supply else part, load)
 
 
 MODELS = {

@@ -88,8 +88,7 @@ class Wire:
 
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read ``size`` registers of all ``servos``; without silent ones."""
-        if self._client.syncReadTx(address, size, list(servos), len(servos)) != COMM_SUCCESS:
-            raise OSError("the port did not take the request")
+        judge(self._client.syncReadTx(address, size, list(servos), len(servos)), servos[0])
         _, data = self._client.syncReadRx(size, len(servos))
         found = {}
         for place, servo in enumerate(servos):
@@ -104,8 +103,7 @@ class Wire:
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        if self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)) != COMM_SUCCESS:
-            raise OSError("the port did not take the request")
+        judge(self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)), servos[0])
 
 
 POSITION_MODE = 0
