@@ -27,8 +27,8 @@ from hand import Hand
 
 from rejoint.pages.live.page import RED
 
-STILL = np.radians(1.0)
-"""[rad] by which the joints of a held arm swing (chosen)"""
+STILL = np.radians(2.0)
+"""[rad] by which the links of a held arm swing on their gears (chosen: worn ones swing by 1.3)"""
 STOP = "[...document.querySelectorAll('button')].find((b) => b.innerText.trim() === 'STOP')"
 MOVES = np.radians(5.0)
 """[rad/s] of an arm in motion (chosen)"""

@@ -11,14 +11,16 @@ import pytest
 
 from emulatedservers import deploy, serve_pty, serve_tcp
 from rejoint.arms import mycobot280
-from rejoint.control.controllers.classical import IntegratorController
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
+from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
 from rejoint_lab.emulator.servers import Timing
+from rejoint_lab.plant.wear import load_wear
 
 pytestmark = pytest.mark.realtime
 
@@ -144,3 +146,19 @@ def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path):
     assert "was stopped" in said
     assert re.search(r"What was recorded until then: .*\.parquet", said)
     assert list((tmp_path / "run" / "logs").glob("deploy-*.parquet"))
+
+
+@pytest.mark.parametrize("seed", range(4, 8))
+def test_a_joint_that_stuck_does_not_go_on_after_its_arm_was_stopped(seed):
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=seed)
+
+    def end(cycle):
+        if cycle.time[0] > 0.3 + 0.05 * seed:
+            stopping.interrupt("the test")
+
+    with pytest.raises(Interrupted):
+        run(robot, DefaultController(ARM), np.array([[[0.2, 0.09, 0.24]]]), Schedule(dwell=4.0), on_cycle=end)
+    robot.plant.advance(0.3)
+    there = robot.plant.encoder()
+    robot.plant.advance(1.5)
+    assert np.abs(robot.plant.encoder() - there).max() < np.radians(1.0)

@@ -31,7 +31,7 @@ from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, 
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
 from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
-from rejoint.system.stopping import check, noted, shielded
+from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 FIRST_PERIOD = 0.02
 """[s] assumed before a period is measured (chosen: the shortest)"""
@@ -47,6 +47,8 @@ ELSEWHERE = np.radians(5.0)
 _ROUNDING = 1e-6  # [s] of a difference of times, many times over
 EASE = 1.0
 """[s] of slow motion after a gap"""
+BRAKE, LAG = np.radians(3.0), 0.2
+"""[rad] and [s] of a command ahead of a joint that is to stop (chosen: as far as worn arms sag, twice what they lag)"""
 EASE_SHARE = 0.2
 """(chosen: the share that `move` takes by default)"""
 
@@ -108,7 +110,8 @@ def run(
             if run_state.tripped.any():
                 robot.stop()
         except BaseException as error:
-            held = _hold(robot, limp=isinstance(error, PowerLostError))
+            asked = run_state.cycles[-1:] if run_state is not None and isinstance(error, Interrupted) else []
+            held = _hold(robot, asked, limp=isinstance(error, PowerLostError))
             if run_state is not None and run_state.cycles:
                 attach(error, run_state.recording())
             if robot.count == 1:
@@ -117,10 +120,21 @@ def run(
         return run_state.recording()
 
 
-def _hold(robot: Robot, *, limp: bool = False) -> str:
+def brake(robot: Robot, last: Cycle) -> None:
+    """Bring a stopped arm to rest behind its ``last`` command: a weak joint would go on there for long."""
+    now = robot.read()
+    ahead, came = last.command - now.position, now.position - last.position
+    most = np.maximum(BRAKE, LAG * np.abs(came) / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
+    if (np.abs(ahead) > most).any():
+        robot.step(now.position + np.clip(ahead, -most, most))
+
+
+def _hold(robot: Robot, asked: list[Cycle], *, limp: bool = False) -> str:
     with shielded():
         try:
             robot.stop()
+            for last in asked:
+                brake(robot, last)
         except (RejointError, OSError) as error:  # the first error is the one to report
             return (
                 f"The order to stop did not arrive ({first_line(error)}). By itself the arm goes to the last command "

@@ -18,7 +18,7 @@ from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.controllers.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.control.goal import with_ways
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.loop import Schedule
+from rejoint.control.loop import Schedule, brake
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState
@@ -426,6 +426,8 @@ class ArmSession(ArmDriver):
                 motion.over.wait()
             self._goals = None
             self.robot.stop()
+            if motion is not None and self._last is not None:
+                brake(self.robot, self._last)
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
