@@ -105,10 +105,12 @@ class DynamixelWire:
         """Read ``size`` registers of all ``servos``; without silent ones."""
         judge(self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast), servos[0])
         rows = self._fast(len(servos), size) if self.fast else self._each(len(servos))
-        found = {servo: (error, data) for servo, error, data in rows if servo in servos and len(data) == size}
-        self.alerts -= set(found)
-        self.alerts |= {servo for servo, (error, _) in found.items() if error & ALERT}
-        return {servo: data for servo, (_, data) in found.items()}
+        found = {}
+        for servo, error, data in rows:
+            if servo in servos and len(data) == size:
+                found[servo] = data
+                (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
+        return found
 
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
@@ -162,8 +164,8 @@ FIRST = {"omx": 11}
 """ID of an arm's first servo; others count from 1"""
 AWAKE = 3.0
 """[s] for a restart (chosen: ten times what users report)"""
-LEAVE = 1.0
-"""[s] for an answer at the end (chosen)"""
+LEAVE = 3.0
+"""[s] for putting registers back (chosen: six times what it takes)"""
 DELAY_UNIT, PROMPT = 2, 20
 """[us] per count of a servo's return delay, and the longest that is not named (chosen)"""
 TIMER = "/sys/bus/usb-serial/devices/{}/latency_timer"
