@@ -81,6 +81,7 @@ def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monke
     done = run(
         robot, IntegratorController(ARM), ARM.targets.sample(np.random.default_rng(0), (1, 1)), Schedule(dwell=0.3)
     )
+    view._over.set()
     view._thread.join()
     assert len(done.time) > 10
     assert view.failure == "ZeroDivisionError: division by zero"

@@ -249,8 +249,9 @@ class StudioPage(WebPage):
         if self.shown is not None and self._marked is not found:
             self._marked = found
             self.mark(jobs.marks(self.shown.robot.arm, found))
-        if self.shown is not None and not self._recent and studio.seen is not None:
-            self.pose(studio.seen.position[0])
+        seen = studio.seen  # the job may forget it meanwhile
+        if self.shown is not None and not self._recent and seen is not None:
+            self.pose(seen.position[0])
 
     def _furnish_step(self, status: Status) -> None:
         self._busy = status.busy

@@ -108,7 +108,7 @@ class LiveView(Observer):
         self._stopped = ""
         self._interval = sys.getswitchinterval()
         self.failure = ""
-        """why drawing ended, or empty"""
+        """why a frame was not drawn, or empty"""
 
     def __enter__(self) -> Self:
         """Serve the page; MissingExtraError without the extra ``live``, InputError for a taken port."""
@@ -168,10 +168,12 @@ class LiveView(Observer):
         self._doing.share, self._doing.what = min(max(share, 0.0), 1.0), what
 
     def _run(self) -> None:
-        try:
-            self._draw(cast("WebPage", self._page))
-        except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on
-            self.failure = f"{type(error).__name__}: {first_line(error)}"
+        while not self._over.is_set():
+            try:
+                self._draw(cast("WebPage", self._page))
+            except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on, and the next frame is tried
+                self.failure = f"{type(error).__name__}: {first_line(error)}"
+                self._over.wait(ASLEEP)
 
     def _draw(self, page: WebPage) -> None:
         while not self._over.is_set():
