@@ -133,13 +133,14 @@ def _hold(robot: Robot, asked: list[Cycle], *, limp: bool = False) -> str:
     with shielded():
         try:
             robot.stop()
-            for last in asked:
-                brake(robot, last)
         except (RejointError, OSError) as error:  # the first error is the one to report
             return (
                 f"The order to stop did not arrive ({first_line(error)}). By itself the arm goes to the last command "
                 "and holds there; nothing was powered off. Look at it before you go on."
             )
+    with shielded(), suppress(RejointError, OSError):  # the order to stop has arrived
+        for last in asked:
+            brake(robot, last)
     if limp:
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
