@@ -156,8 +156,10 @@ def test_a_joint_that_stuck_does_not_go_on_after_its_arm_was_stopped(seed):
         if cycle.time[0] > 0.3 + 0.05 * seed:
             stopping.interrupt("the test")
 
-    with pytest.raises(Interrupted):
+    with pytest.raises(Interrupted) as caught:
         run(robot, DefaultController(ARM), np.array([[[0.2, 0.09, 0.24]]]), Schedule(dwell=4.0), on_cycle=end)
+    ahead = recording_of(caught.value).command[-1] - robot.plant.encoder()
+    assert np.abs(ahead).max() < np.radians(15.0), "a motion begins from the command that brakes"
     robot.plant.advance(0.3)
     there = robot.plant.encoder()
     robot.plant.advance(1.5)

@@ -110,7 +110,7 @@ def run(
             if run_state.tripped.any():
                 robot.stop()
         except BaseException as error:
-            asked = run_state.cycles[-1:] if run_state is not None and isinstance(error, Interrupted) else []
+            asked = run_state.cycles if run_state is not None and isinstance(error, Interrupted) else []
             held = _hold(robot, asked, limp=isinstance(error, PowerLostError))
             if run_state is not None and run_state.cycles:
                 attach(error, run_state.recording())
@@ -120,13 +120,19 @@ def run(
         return run_state.recording()
 
 
-def brake(robot: Robot, last: Cycle) -> None:
-    """Bring a stopped arm to rest behind its ``last`` command: a weak joint would go on there for long."""
+def brake(robot: Robot, last: Cycle) -> Array:
+    """Bring a stopped arm to rest behind its ``last`` command: a weak joint would go on there for long.
+
+    Returns the command (B, n) [rad] in force.
+    """
     now = robot.read()
     ahead, came = last.command - now.position, now.position - last.position
     most = np.maximum(BRAKE, LAG * np.abs(came) / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
-    if (np.abs(ahead) > most).any():
-        robot.step(now.position + np.clip(ahead, -most, most))
+    if (np.abs(ahead) <= most).all():
+        return last.command
+    held = now.position + np.clip(ahead, -most, most)
+    robot.step(held)
+    return held
 
 
 def _hold(robot: Robot, asked: list[Cycle], *, limp: bool = False) -> str:
@@ -139,8 +145,8 @@ def _hold(robot: Robot, asked: list[Cycle], *, limp: bool = False) -> str:
                 "and holds there; nothing was powered off. Look at it before you go on."
             )
     with shielded(), suppress(RejointError, OSError):  # the order to stop has arrived
-        for last in asked:
-            brake(robot, last)
+        for last in asked[-1:]:
+            asked[-1] = replace(last, command=brake(robot, last))
     if limp:
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."

@@ -427,7 +427,7 @@ class ArmSession(ArmDriver):
             self._goals = None
             self.robot.stop()
             if motion is not None and self._last is not None:
-                brake(self.robot, self._last)
+                self._sent = brake(self.robot, self._last)
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
