@@ -107,12 +107,14 @@ SLOW_DAMPING, SLOW = 0.12, 0.08
 """[s] for joints slower than about [rad/s], against stick-slip"""
 EARLY = 0.0075
 """[s] beyond delay and half a period: the servo's filter"""
-PACE = 1.0
-"""largest product of a joint's frequency [rad/s] and the delay (measured)"""
+PACE = 1.1
+"""largest product of the delay and a joint's frequency [rad/s], or added damping over mass [1/s] (measured)"""
 RELIEF = 0.15
 """[s] in which heavy joints take over from light ones"""
 PUSH_LIMIT = np.radians(30.0)
 """[rad] largest correction of a disturbance"""
+HELD_LIMIT = np.radians(2.0)
+"""[rad] most that both add: an arm whose motors saturate does not swing then (measured on SO-101s)"""
 
 
 class Tracker:
@@ -156,15 +158,16 @@ class Tracker:
         self._expected = around[1] + away
         push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
         damping = ADDED_DAMPING + SLOW_DAMPING * np.exp(-((speed_of(around) / SLOW) ** 2))
-        held = STIFFNESS * away + damping * speed
-        return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
+        stiff, most = self._stable(observer.mass)
+        held = np.clip(stiff * (STIFFNESS * away + np.minimum(damping, most) * speed), -HELD_LIMIT, HELD_LIMIT)
+        return limit_position(self._arm, self._wanted - push - held)
 
-    def _firm(self, mass: Array) -> Array:
-        """Stable share (B, n) of the gains of joints with ``mass`` (B, n) [kg m^2]."""
+    def _stable(self, mass: Array) -> tuple[Array, Array]:
+        """Stable share of the gains, and damping [s], of joints with ``mass`` (B, n) [kg m^2]; both (B, n)."""
         slower = np.maximum(self._period - _SLOWER * self._usual, 0.0)
-        late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + slower)[:, None]
-        most = (PACE / late) ** 2 * mass / self._servos.stiffness - 1.0
-        return np.clip(most / STIFFNESS, 0.0, 1.0)
+        late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + EARLY + slower)[:, None]
+        square = mass / self._servos.stiffness  # [s^2]
+        return np.clip(((PACE / late) ** 2 * square - 1.0) / STIFFNESS, 0.0, 1.0), PACE / late * square
 
     def _relieve(self, position: Array, planned: Array, elapsed: Array) -> Array:
         """Extra motion (B, n) [rad] of heavy joints that brings the tool to its place wherever the light ones are."""

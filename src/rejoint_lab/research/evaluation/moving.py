@@ -12,7 +12,7 @@ from rejoint.arms import Arm
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
-from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.posture import PathPostures, Servos, command_for, home_of
 from rejoint.control.moving.reference import (
     LAG,
     LEAD_IN,
@@ -85,7 +85,8 @@ def _follow(
         start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
         wears = [load_wear(profile.format(seed), arm) for _, seed, _ in pairs]
         robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
-        plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=start, keep_going=True)
+        sent = command_for(arm, servos, np.repeat(start[None], 3, axis=0)) if tracks else start  # what holds it there
+        plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=sent, keep_going=True)
         controller = Tracker(arm, servos) if tracks else DefaultController(arm)
         driven[case] = run(robot, controller, PathReference(arm, guides, near), plan)
         return driven[case]
