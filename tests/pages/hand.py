@@ -52,7 +52,8 @@ class Hand:
     def choose(self, label: str, option: str) -> None:
         """Choose from a list."""
         self.tab.wait_for(f"!!{_FIELD}({json.dumps(label)})")
-        self.tab.ask(f"{_FIELD}({json.dumps(label)}).click()")
+        field = f"{_FIELD}({json.dumps(label)})"
+        self.tab.ask(f"{field}.scrollIntoView({{block: 'center'}}), {field}.click()")
         found = (
             "[...document.querySelectorAll('[role=option]')].find((o) => o.getClientRects().length && "
             f"o.innerText.trim() === {json.dumps(option)})"

@@ -253,8 +253,6 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
             )
         view.begin(title)
         yield view
-    if view.failure:
-        terminal.say(f"The live view could not draw everything ({view.failure}); the arm was driven all the same.")
 
 
 def is_loopback(host: str) -> bool:

@@ -114,7 +114,7 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
     except (FileError, InputError) as error:
         if source is None:
             raise InputError(
-                f"--format lerobot takes --lerobot FILE, the calibration file of the arm ({error})"
+                f"lerobot needs the arm's calibration file: --lerobot FILE, or 'LeRobot file' on the page ({error})"
             ) from error
     if source is not None:
         motors, changes = corrected_homing(source, run.arm, _rigid(run)[1].offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import time
@@ -22,6 +23,8 @@ from rejoint.system.extras import require
 if TYPE_CHECKING:
     from rejoint.pages.live.page import WebPage
     from rejoint.twin.twin import Twin
+
+_LOGGER = logging.getLogger("rejoint")
 
 HOST, PORT = "127.0.0.1", 8080
 RATE = 25.0
@@ -106,9 +109,8 @@ class LiveView(Observer):
         """the newest run"""
         self._doing = Doing()
         self._stopped = ""
-        self._interval = sys.getswitchinterval()
         self.failure = ""
-        """why a frame was not drawn, or empty"""
+        """why the newest missed frame was not drawn, or empty"""
 
     def __enter__(self) -> Self:
         """Serve the page; MissingExtraError without the extra ``live``, InputError for a taken port."""
@@ -172,7 +174,10 @@ class LiveView(Observer):
             try:
                 self._draw(cast("WebPage", self._page))
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on, and the next frame is tried
-                self.failure = f"{type(error).__name__}: {first_line(error)}"
+                failure = f"{type(error).__name__}: {first_line(error)}"
+                if failure != self.failure:
+                    _LOGGER.warning("the page misses a frame (%s); the arm goes on", failure)
+                self.failure = failure
                 self._over.wait(ASLEEP)
 
     def _draw(self, page: WebPage) -> None:
