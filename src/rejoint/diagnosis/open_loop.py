@@ -17,7 +17,7 @@ from rejoint.system.statistics import Estimate
 TARGETS = 10
 """Park et al. 2024, section IV-A"""
 
-DWELL = 5.0
+DWELL = 4.5
 """[s] per target; chosen: a worn arm rests after 3 s"""
 
 SETTLED = 1.0
