@@ -114,7 +114,7 @@ RELIEF = 0.15
 PUSH_LIMIT = np.radians(30.0)
 """[rad] largest correction of a disturbance"""
 HELD_LIMIT = np.radians(2.0)
-"""[rad] most that both add: an arm whose motors saturate does not swing then (measured on SO-101s)"""
+"""[rad] most that added stiffness and damping command: it ends large swings (measured on worn SO-101s)"""
 
 
 class Tracker:
