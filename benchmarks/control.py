@@ -6,8 +6,8 @@ import numpy as np
 
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import shelf_controller
-from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard
+from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput, JointState
 
 STEPS, WARM_UP = 5000, 100

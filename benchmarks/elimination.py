@@ -30,7 +30,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import StageMotion
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
-from rejoint.session.controllers import contenders, make_factories
+from rejoint.session.context import contenders, make_factories
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)

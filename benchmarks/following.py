@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array, Mask, mycobot280
 from rejoint.control.controllers.catalogue import SHELF, make_controller
-from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, standing_bands
+from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure

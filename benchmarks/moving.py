@@ -15,9 +15,8 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
-from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, PathReference, standard_path
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_of
 from rejoint.control.recording import Recording
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot

@@ -28,9 +28,8 @@ from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
-from rejoint.control.moving.posture import PathPostures, home_of
 from rejoint.control.moving.reference import LEAD_IN, PathReference, standard_path
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
 from rejoint.control.robot import Controller
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets

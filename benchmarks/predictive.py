@@ -14,7 +14,7 @@ from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller, shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.goal import nearest_postures
+from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController

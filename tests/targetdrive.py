@@ -1,7 +1,7 @@
 """A drive to targets without a session: what the judgement of deployments is tried on."""
 
-from rejoint.control.deployment import judge
 from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.drive import judge_targets
 from rejoint.control.reference import TargetSequence
 from rejoint.control.start import begin
 
@@ -11,4 +11,4 @@ def deploy(robot, controller, job, *, model=None, correction=None):
     start = begin(robot)
     targets = TargetSequence(robot.arm, job.targets[None], turns=job.turns and job.turns[None], correction=correction)
     recording = run(robot, controller, targets, Schedule(dwell=job.dwell, sent=start.command[-1]))
-    return recording, judge(robot.arm, recording, job, model)
+    return recording, judge_targets(robot.arm, recording, job, model)

@@ -11,7 +11,7 @@ from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.logs.runlog import write_log
-from rejoint.session.controllers import make_factories
+from rejoint.session.context import make_factories
 
 ARM = mycobot280()
 TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]]

@@ -6,7 +6,7 @@ from rejoint.arms.loading import read_arm as read_arm
 from rejoint.control.comparison.recommend import Recommendation as Recommendation
 from rejoint.control.comparison.result import Comparison as Comparison
 from rejoint.control.controllers.policy import Policy as Policy
-from rejoint.control.deployment import Deployed as Deployed
+from rejoint.control.moving.drive import Deployed as Deployed
 from rejoint.control.moving.drive import Followed as Followed
 from rejoint.control.moving.reference import Path as Path
 from rejoint.control.moving.reference import Stream as Stream

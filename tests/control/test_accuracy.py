@@ -8,7 +8,7 @@ from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled, modelled
-from rejoint.control.deployment import Deployment
+from rejoint.control.moving.drive import Deployment
 from rejoint.robots import open_robot
 from targetdrive import deploy
 

@@ -10,8 +10,8 @@ from rejoint.control.controllers import classical
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import IntegratorController, dls_step, null_space
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
-from rejoint.control.goal import nearest_postures
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import nearest_postures
 from standin import StandIn, inputs_of, state_of
 
 ARM = mycobot280()

@@ -10,7 +10,7 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.deployment import Deployment, deployed_of, judge
+from rejoint.control.moving.drive import Deployment, deployed_of, judge_targets
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
@@ -44,7 +44,7 @@ def test_a_target_counts_where_the_encoders_say_so_at_the_end():
     assert all(0.0 < visit.error < 0.003 for visit in done.visits)
     assert all(visit.true_error.value > 0.003 for visit in done.visits), "the emulator knows that the tool is elsewhere"
     assert done.visits[0].remark == ""
-    strict = judge(ARM, recording, job(NEAR, within=1e-5))
+    strict = judge_targets(ARM, recording, job(NEAR, within=1e-5))
     assert strict.missed == (1, 2)
 
 

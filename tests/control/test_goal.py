@@ -7,9 +7,8 @@ import pytest
 
 from rejoint.arms import Box, Motors, gravity_torque, link_inertia, mycobot280, plan, tcp_position
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.goal import UNKNOWN, beginning_at, lead, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
-from rejoint.control.reference import TargetSequence
+from rejoint.control.reference import UNKNOWN, TargetSequence, beginning_at, lead, pace, waiting, with_ways
 from rejoint.control.robot import JointState
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError

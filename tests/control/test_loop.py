@@ -1,5 +1,6 @@
 """Laws of the control loop: order of events, independence of arms, and nothing lost when it ends early."""
 
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.control.start import move, play
 from rejoint.system.errors import GuardTripError, NoReplyError
+from rejoint.system.stopping import Interrupted
 from standin import StandIn
 
 ARM = mycobot280()
@@ -203,6 +205,36 @@ def test_ctrl_c_stops_the_robot():
         run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0), on_cycle=interrupt)
     assert robot.stops == 1
     assert len(recording_of(caught.value).time) == 4
+
+
+def test_what_brakes_an_interrupted_arm_has_its_own_row_in_recording_and_log():
+    robot, seen, weak = LaggingRobot(0.02), [], ARM.rest + 0.5
+    robot.moved = lambda _: robot.position
+    step = robot.step
+
+    def interrupted(command, active=None):
+        state = step(command, np.ones(1, dtype=bool))
+        if len(robot.received) == 12:
+            raise Interrupted(signal.SIGINT)
+        return state
+
+    robot.step = interrupted
+    with pytest.raises(Interrupted) as caught:
+        play(robot, lambda _: weak[None], 1.0, on_cycle=seen.append)
+    recording = recording_of(caught.value)
+    np.testing.assert_array_equal(recording.command[:, 0], np.concatenate(robot.received), "all that was sent")
+    assert np.degrees(np.abs(recording.command[-2:, 0] - recording.position[-2:, 0]).max(axis=1)) == pytest.approx(
+        [20, 3]
+    )
+    np.testing.assert_array_equal([cycle.command for cycle in seen], recording.command)
+    assert len(recording.log(0, "stopped")) == 13
+
+
+def test_a_joint_that_never_moved_is_held_near_its_reading_and_the_recording_says_so():
+    robot = LaggingRobot(0.02)
+    robot.moved = lambda _: robot.position
+    recording = run(robot, IntegratorController(ARM), TARGETS[:1, :1], Schedule(dwell=2.0))
+    assert (recording.reasons[-10:-1, 0] == Reason.LEAD).all()
 
 
 def test_an_error_before_the_first_state_leaves_no_recording():

@@ -12,7 +12,7 @@ from rejoint.arms.postures import missed_pose
 from rejoint.arms.rotations import quaternion_of, rotation_of, tool_axis
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.correction import Modelled
-from rejoint.control.deployment import Deployment
+from rejoint.control.moving.drive import Deployment
 from rejoint.control.targets import Pose, in_words, placed, read_targets
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError

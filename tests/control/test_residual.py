@@ -9,7 +9,7 @@ from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_
 from rejoint.arms.workspace import heaviest_load
 from rejoint.control.controllers.observation import look
 from rejoint.control.controllers.residual import Commander, CommandLaw
-from rejoint.control.goal import nearest_postures
+from rejoint.control.reference import nearest_postures
 from rejoint.system.errors import InputError
 from standin import inputs_of, state_of
 

@@ -10,7 +10,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
 from rejoint.control.controllers.contract import check_period
 from rejoint.robots import place_of
-from rejoint.session.controllers import make_factories
+from rejoint.session.context import make_factories
 from rejoint.system.errors import ContractError
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 from rejoint_lab.research.shelf import RECIPES

@@ -13,7 +13,7 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
-from rejoint.control.controllers.unloading import PlannedWay, UnloadedWay, Unloading
+from rejoint.control.controllers.posture import PlannedWay, UnloadedWay, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference, Setpoint

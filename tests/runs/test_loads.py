@@ -20,7 +20,7 @@ from rejoint.arms import (
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.goal import nearest_postures
+from rejoint.control.reference import nearest_postures
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.robots import open_robot, place_of
 from rejoint.runs.run import Run

@@ -16,8 +16,7 @@ from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder import Effort, cost
 
 if TYPE_CHECKING:
-    from rejoint.control.deployment import Deployed
-    from rejoint.control.moving.drive import Followed
+    from rejoint.control.moving.drive import Deployed, Followed
     from rejoint.control.servogains import GainsFound
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.calibrate import Calibrated

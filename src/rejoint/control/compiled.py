@@ -1,4 +1,4 @@
-"""Compiled loops of the joint monitor.
+"""Compiled loops of the joint monitor, and of the guard, for one arm and for batches.
 
 Arrays are contiguous float64. Constants without a source are chosen.
 """
@@ -7,9 +7,10 @@ Arrays are contiguous float64. Constants without a source are chosen.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, from_dtype, int64, njit, types, void
+from numba import float64, from_dtype, int64, njit, types, uint16, void
 
-from rejoint.arms.compiled import IN2, IN3, OUT3, compiled
+from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, clearances, compiled, inner
+from rejoint.control.guard import Reason, Rules
 
 HISTORY = 8
 """Stored commands (chosen: 160 ms at the shortest period)"""
@@ -121,3 +122,146 @@ def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN2
             track.push = _push(low, high, balance[i, j], track.reach)
             if _overdue(track, now[i] - last[i]):
                 verdict[i, j] = OVERDUE
+
+
+RULES = types.NamedTuple((*[IN1] * 6, *[float64] * 4, int64), Rules)
+
+TOLERANCE = 1e-9
+"""[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
+FOLLOWS = float(np.radians(1.0))
+"""[rad] off the last command within which an arm follows (chosen)"""
+APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
+"""[m] by which a step may always bring measured bodies nearer; share of the rest to the least distance that it may
+take; [m] to it from which steps are looked at; share of a step below which there is none (chosen)"""
+
+_NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
+_LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
+_ACCELERATION, _FLOOR, _COLLISION = int(Reason.ACCELERATION), int(Reason.FLOOR), int(Reason.COLLISION)
+
+
+@inner
+def _between(value, low, high):  # noqa: ANN001, ANN202
+    return min(max(value, low), high)
+
+
+@inner
+def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
+    """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
+    found = 0 if age <= rules.max_age else _STALE  # NaN counts as stale
+    for j in range(asked.shape[1]):
+        for k in range(4):
+            found |= 0 if np.isfinite(asked[k, j]) else _NOT_FINITE
+        position, lower, upper = asked[3, j], chain.limits[0, j], chain.limits[1, j]
+        if np.isfinite(position) and not lower - rules.range_margin <= position <= upper + rules.range_margin:
+            found |= _OUT_OF_RANGE
+    return found
+
+
+@inner
+def _hold(chain, rules, asked, out):  # noqa: ANN001, ANN202
+    """Fill ``out`` (n,) with the last command, or what is known of it."""
+    for j in range(len(out)):
+        sent, position = asked[1, j], asked[3, j]
+        known = _between(position, rules.lower[j], rules.upper[j]) if np.isfinite(position) else chain.rest[j]
+        out[j] = sent if np.isfinite(sent) else known
+
+
+@inner
+def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
+    """Fill ``out`` (n,) with the command limited by lead, position, step and acceleration; returns their flags."""
+    found = 0
+    for j in range(len(out)):
+        command, last, speed, position = asked[0, j], asked[1, j], asked[2, j], asked[3, j]
+        near = _between(command, position - rules.max_lead, position + rules.max_lead)
+        legal = _between(near, rules.lower[j], rules.upper[j])
+        reach, way, gain = rules.max_speed[j] * elapsed, speed * elapsed, 0.0
+        step = _between(legal, last - reach, last + reach)
+        if elapsed > 0.0:  # an endless acceleration in no time is no number
+            gain = rules.max_acceleration[j] * elapsed * elapsed
+        out[j] = _between(step, last + min(way - gain, 0.0), last + max(way + gain, 0.0))
+        found |= _LEAD * (near != command) | _POSITION * (legal != near)
+        found |= _STEP * (step != legal) | _ACCELERATION * (out[j] != step)
+    return found
+
+
+@compiled(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1))
+def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
+    """Shorten the step from ``last`` to ``out`` (n,), with ``clear`` (c,) there, until it is clear; returns flags.
+
+    No clearance may become negative, or more so.
+    """
+    least = clearances(chain, shape, rules.floors, last.copy().reshape(1, -1))[0]
+    for c in range(len(least)):
+        least[c] = least[c] - TOLERANCE if least[c] < 0.0 else 0.0
+    if (clear >= least).all():
+        return 0
+    way, found, k = out - last, 0, 0
+    while found == 0:
+        k += 1
+        tried = (last + k / rules.parts * way).reshape(1, -1)
+        there = clear if k == rules.parts else clearances(chain, shape, rules.floors, tried)[0]
+        for c in range(len(least)):
+            if there[c] < least[c]:
+                found |= _FLOOR if c < len(way) else _COLLISION
+    out[:] = last + (k - 1) / rules.parts * way
+    return found
+
+
+@inner
+def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
+    """Shorten steps to ``out`` (n,) that bring the measured arm too near to something, or too fast; returns flags.
+
+    A step takes at most `CLOSING` of the distance that is left (a discrete control barrier: Agrawal and Sreenath 2017);
+    each joint alone, since others may be stuck. ``asked`` (4, n).
+    """
+    last, position, found = asked[1], asked[3], 0
+    if (np.abs(position - last) < FOLLOWS).all():  # the commanded posture tells
+        return found
+    here = clearances(chain, shape, rules.floors, position.copy().reshape(1, -1))[0]
+    if (here > rules.near + WATCHED).all():
+        return found
+    least = np.minimum(here - APPROACH, here - CLOSING * (here - rules.near))
+    moved, least_ahead = np.empty((2, len(out))), np.minimum(here, rules.near)
+    for j in range(len(out)):
+        moved[0], moved[1], share = position, position, 1.0
+        while share > 0.0:
+            step = share * (out[j] - last[j])
+            moved[0, j], moved[1, j] = position[j] + step, last[j] + step
+            there = clearances(chain, shape, rules.floors, moved)
+            if (there[0] >= here - APPROACH).all() or ((there[0] >= least) & (there[1] >= least_ahead)).all():
+                break
+            share = 0.5 * share if share > SHORTEST else 0.0
+        if share < 1.0:
+            out[j], found = last[j] + share * (out[j] - last[j]), _COLLISION
+    return found
+
+
+@compiled(void(CHAIN, SHAPE, RULES, IN3, IN2, uint16[::1], OUT3))
+def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (2, B, n) with commands and their speeds, and add to ``reasons`` (B,), which begin with trips.
+
+    ``asked`` (B, 4, n): command, last command and its speed, position. ``times`` (2, B) [s]: ages and periods.
+    """
+    arms, found = len(asked), np.zeros(len(asked), dtype=np.int64)
+    elapsed = np.empty(arms)
+    for b in range(arms):
+        elapsed[b] = min(times[1, b], rules.max_period) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
+        reasons[b] |= _trips(chain, rules, asked[b], times[0, b])
+        if reasons[b]:
+            _hold(chain, rules, asked[b], out[0, b])
+        else:
+            found[b] = _limit(rules, asked[b], elapsed[b], out[0, b])
+            found[b] |= _keep_away(chain, shape, rules, asked[b], out[0, b])
+    clear = clearances(chain, shape, rules.floors, out[0])
+    for b in range(arms):
+        command, last = out[0, b], asked[b, 1]
+        out[1, b] = 0.0
+        if reasons[b]:
+            continue
+        if (clear[b] < 0.0).any():
+            found[b] |= shorten(chain, shape, rules, last, clear[b], command)
+        if (command != asked[b, 0]).any():
+            reasons[b] = found[b]
+        for j in range(len(last) if elapsed[b] > 0.0 else 0):
+            speed = (command[j] - last[j]) / elapsed[b]
+            out[1, b, j] = _between(speed, -rules.max_speed[j], rules.max_speed[j])

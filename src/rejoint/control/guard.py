@@ -26,7 +26,7 @@ from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 
-compiled, kinematics = Late("rejoint.control.limiting"), Late("rejoint.arms.compiled")
+compiled, kinematics = Late("rejoint.control.compiled"), Late("rejoint.arms.compiled")
 
 Reasons = NDArray[np.uint16]
 

@@ -110,8 +110,7 @@ def run(
             if run_state.tripped.any():
                 robot.stop()
         except BaseException as error:
-            asked = run_state.cycles if run_state is not None and isinstance(error, Interrupted) else []
-            held = _hold(robot, asked, limp=isinstance(error, PowerLostError))
+            held = _hold(robot, run_state, error)
             if run_state is not None and run_state.cycles:
                 attach(error, run_state.recording())
             if robot.count == 1:
@@ -120,34 +119,38 @@ def run(
         return run_state.recording()
 
 
-def brake(robot: Robot, last: Cycle) -> Array:
+def brake(robot: Robot, last: Cycle) -> Cycle:
     """Bring a stopped arm to rest behind its ``last`` command: a weak joint would go on there for long.
 
-    Returns the command (B, n) [rad] in force.
+    Returns the cycle that did it, or the ``last`` one.
     """
-    now = robot.read()
+    now = own(robot.read())
     ahead, came = last.command - now.position, now.position - last.position
     most = np.maximum(BRAKE, LAG * np.abs(came) / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
     if (np.abs(ahead) <= most).all():
-        return last.command
-    held = now.position + np.clip(ahead, -most, most)
-    robot.step(held)
-    return held
+        return last
+    braking = last.later(robot, now, now.position + np.clip(ahead, -most, most))
+    robot.step(braking.command)
+    return braking
 
 
-def _hold(robot: Robot, asked: list[Cycle], *, limp: bool = False) -> str:
+def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str:
+    """Stop the robot after an ``error``; returns what became of it."""
     with shielded():
         try:
             robot.stop()
-        except (RejointError, OSError) as error:  # the first error is the one to report
+        except (RejointError, OSError) as other:  # the first error is the one to report
             return (
-                f"The order to stop did not arrive ({first_line(error)}). By itself the arm goes to the last command "
+                f"The order to stop did not arrive ({first_line(other)}). By itself the arm goes to the last command "
                 "and holds there; nothing was powered off. Look at it before you go on."
             )
-    with shielded(), suppress(RejointError, OSError):  # the order to stop has arrived
-        for last in asked[-1:]:
-            asked[-1] = replace(last, command=brake(robot, last))
-    if limp:
+    if run_state is not None and run_state.cycles and isinstance(error, Interrupted):
+        last = run_state.cycles[-1]
+        with shielded(), suppress(Exception):  # the order to stop has arrived, and the first error is the one to report
+            braking = brake(robot, last)
+            if braking is not last:
+                run_state.record(braking)
+    if isinstance(error, PowerLostError):
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
         )
@@ -166,11 +169,6 @@ def own(state: JointState) -> JointState:
     """Copy what is kept beyond this cycle."""
     load = None if state.load is None else state.load.copy()
     return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
-
-
-def reported_load(state: JointState) -> Array:
-    """Return reported loads (B, n); NaN without."""
-    return np.full(state.position.shape, np.nan) if state.load is None else state.load
 
 
 @dataclass(eq=False)
@@ -214,6 +212,12 @@ class RunState:
     def recording(self) -> Recording:
         """Return all cycles so far."""
         return recorded(self.robot, self.controller.name, self.cycles, self.tripped)
+
+    def record(self, cycle: Cycle) -> None:
+        """Take a cycle, also for those who look on."""
+        self.cycles.append(cycle)
+        if self.on_cycle is not None:
+            self.on_cycle(cycle)
 
     def _ask(self) -> None:
         since = self.state.time - self.set_at
@@ -324,14 +328,12 @@ class RunState:
             true_tcp=self.robot.true_tcp().copy(),
             active=fresh,
             reasons=reasons,
-            load=reported_load(before.state),
+            load=before.state.known_load,
             turned=turned_off(self.robot.arm, before),
         )
-        self.cycles.append(cycle)
         if self.look is not None:
             self.look(cycle, before.state, self.wanted)
-        if self.on_cycle is not None:
-            self.on_cycle(cycle)
+        self.record(cycle)
         if self._stop_tripped(reasons):
             return True
         if self.active.any():
@@ -361,14 +363,17 @@ class RunState:
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
         self.unbelieved = self.following.check(self.state, self.sent, aimed)
-        wanted = self.following.bound(self.controller.command(inputs), self.state.position, aimed)
-        self.wanted = wanted
+        asked = self.controller.command(inputs)
+        self.wanted = wanted = self.following.bound(asked, self.state.position, aimed)
         eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
         ease = np.where(eased, EASE_SHARE, 1.0)
         last, period = self.speed / ease[:, None], ease * self.period
         moving = (inputs.since_target == 0.0) & self.reference.planned
         guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
         command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP)
+        if wanted is not asked:
+            held = ((wanted != asked) & (command == wanted)).any(axis=-1)
+            reasons = reasons | held * np.uint16(Reason.LEAD)
         if self.unbelieved is not None:
             lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
             command = np.where(lost[:, None], self.sent, command)
@@ -409,19 +414,7 @@ class RunState:
                 sent, _, speed = guard(self.limits, goal, sent, speed, self.state, self.period)
                 self.state = own(self.robot.step(sent, where))
                 loose = loose | (np.abs(self.state.position - stood) >= LOOSE * self.robot.arm.encoder_step)
-                last = self.cycles[-1]
-                self.cycles.append(
-                    replace(
-                        last,
-                        time=self.state.time,
-                        position=self.state.position,
-                        command=sent,
-                        active=where,
-                        true_tcp=self.robot.true_tcp().copy(),
-                        load=reported_load(self.state),
-                        turned=np.full(len(where), np.nan),
-                    )
-                )
+                self.cycles.append(replace(self.cycles[-1].later(self.robot, self.state, sent), active=where))
         self.sent = np.where(where[:, None], sent, self.sent)
         return where & loose.all(axis=-1) & (self.doubted < MOST_DOUBTED)
 
@@ -457,15 +450,14 @@ def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
     return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; let it cool"
 
 
-_FREE = "free the arm and clear the fault"
-
-
 def say_faulty(names: tuple[str, ...], fault: Mask, trouble: tuple[str, ...] | None = None) -> str:
     """Name the joints with a servo ``fault`` (n,), and what they report."""
     faulty = ", ".join(np.array(names)[fault])
     found = list(dict.fromkeys(filter(None, trouble or ())))
     starved = bool(found) and all(one == "voltage" or one.startswith("the supply sags") for one in found)
-    advice = "look at its supply, which may be too weak, and at the cables" if starved else _FREE
+    advice = "free the arm and clear the fault"
+    if starved:
+        advice = "look at its supply, which may be too weak, and at the cables"
     verb = "reports" if np.count_nonzero(fault) == 1 else "report"
     words = f" ({'; '.join(found)})" if found else ""
     return f"{faulty} {verb} a servo fault{words}; {advice}"

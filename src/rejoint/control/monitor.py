@@ -95,14 +95,13 @@ class Following:
 
         Travel counts only for arms ``aimed`` (B,) at a target.
         """
-        load = np.full_like(self._nothing, np.nan) if state.load is None else state.load
         balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         compiled.watch(
             self._tracks,
             self._sent_at,
             self._sent,
             np.array([state.time, self._last]),
-            np.array([state.position, sent, load, balance]),
+            np.array([state.position, sent, state.known_load, balance]),
             self._verdict,
         )
         self._last = state.time.copy()

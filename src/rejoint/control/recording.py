@@ -47,6 +47,18 @@ class Cycle:
     turned: Array
     """(B,) [rad] orientation error"""
 
+    def later(self, robot: Robot, state: JointState, command: Array) -> Cycle:
+        """Cycle at a later ``state`` of ``robot`` and its ``command`` (B, n) [rad], with the same target."""
+        return replace(
+            self,
+            time=state.time,
+            position=state.position,
+            command=command,
+            true_tcp=robot.true_tcp().copy(),
+            load=state.known_load,
+            turned=np.full(len(state.time), np.nan),
+        )
+
 
 PIECE = 600.0
 """[s] of an endless run log (chosen)"""
@@ -156,7 +168,7 @@ def cycle_at_rest(state: JointState, true_tcp: Array, command: Array | None = No
         true_tcp=true_tcp,
         active=zero == 0.0,
         reasons=zero.astype(np.uint16),
-        load=none if state.load is None else state.load,
+        load=state.known_load,
         turned=nowhere[:, 0],
     )
 

@@ -40,6 +40,11 @@ class JointState:
     elsewhere: Mask | None = None
     """(B,) others moved the arm in a pause"""
 
+    @property
+    def known_load(self) -> Array:
+        """`load`; NaN where it is unknown."""
+        return np.full(self.position.shape, np.nan) if self.load is None else self.load
+
 
 @runtime_checkable
 class Robot(Protocol):

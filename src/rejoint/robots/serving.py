@@ -32,8 +32,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
-from rejoint.control.controllers.posture import MOVING, PostureGains
-from rejoint.control.controllers.unloading import OFF, Unloading
+from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference, Setpoint

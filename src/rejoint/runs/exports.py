@@ -23,8 +23,7 @@ from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep
-from rejoint.session.context import quick_note
-from rejoint.session.controllers import choice
+from rejoint.session.context import choice, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require

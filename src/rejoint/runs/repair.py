@@ -25,7 +25,7 @@ from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.train import TrainedPolicy, train
-from rejoint.session.controllers import Controllers, named, require_possible
+from rejoint.session.context import Controllers, named, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     NO_GAUGE,

@@ -40,15 +40,18 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import is_virtual, open_robot
 from rejoint.runs.run import Run, exclusive, staged
 from rejoint.session.context import (
+    ControllerLike,
+    Factory,
     calibration_of,
+    choice,
     correction_of,
     equipped,
     guard_limits,
+    make_factories,
     quick_note,
     stance_of,
     twin_in_force,
 )
-from rejoint.session.controllers import ControllerLike, Factory, choice, make_factories
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -465,18 +468,17 @@ class ArmDriver:
         about: dict[str, Any] = {"sent": self._sent, "limits": self.limits, "give_up": give_up}
         self._seen_through(lambda see: move(self.robot, posture, settle=0.5, on_cycle=see, **about))
 
+    def _see(self, cycle: Cycle, *watches: OnCycle) -> None:
+        self._last = cycle
+        for watch in (*watches, self.observer.cycle, *self.watching):
+            watch(cycle)
+        for ask in self.beside:
+            ask()
+
     def _seen_through(self, motion: Callable[[OnCycle], Recording], *watches: OnCycle) -> Recording:
         """Do a motion that observers see, and keep its last command, also after an error."""
-
-        def see(cycle: Cycle) -> None:
-            self._last = cycle
-            for watch in (*watches, self.observer.cycle, *self.watching):
-                watch(cycle)
-            for ask in self.beside:
-                ask()
-
         try:
-            recording = motion(see)
+            recording = motion(lambda cycle: self._see(cycle, *watches))
         except BaseException as error:
             partial = recording_of(error)
             if partial is not None:

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from rejoint.control.seeing import Eye
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-    from rejoint.session.context import PayloadLike
-    from rejoint.session.controllers import ControllerLike
+    from rejoint.session.context import ControllerLike, PayloadLike
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"

@@ -16,11 +16,20 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Arm, Array, Displacement, JointTrajectory
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.correction import TrueError
-from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of, judge
 from rejoint.control.loop import Schedule
-from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected, missed
-from rejoint.control.moving.drive import judge as judge_pass
-from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.drive import (
+    REACHED,
+    Deployed,
+    Deployment,
+    Followed,
+    Pass,
+    Repetition,
+    corrected,
+    deployed_of,
+    judge,
+    judge_targets,
+    missed,
+)
 from rejoint.control.moving.reference import (
     LEAD_IN,
     Guide,
@@ -31,7 +40,7 @@ from rejoint.control.moving.reference import (
     read_path,
     standard_path,
 )
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_of
 from rejoint.control.recording import Cycle, Observer, Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
@@ -50,6 +59,7 @@ from rejoint.system.stopping import noted
 if TYPE_CHECKING:
     from rejoint.control.seeing import Eye
     from rejoint.twin.twin import Twin
+
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -157,7 +167,7 @@ def _deployed(
         if done is not None:
             session.observer.partial(with_sightings(done, seen))
         raise
-    found = with_sightings(judge(arm, recording, job, session.calibration), seen)
+    found = with_sightings(judge_targets(arm, recording, job, session.calibration), seen)
     asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if job.turns else None
     found = replace(found, log=recording.log(0, f"deploy/{job.controller}", asked))
     with saving(found):
@@ -342,7 +352,7 @@ class PathDrive:
             last = self._carry(motion, make(), PathReference(arm, [aimed], home), number)
             if motion.ended.is_set():
                 return None
-            passes.append(replace(judge_pass(arm, last, guide, model=session.calibration), log=last.log(0, label)))
+            passes.append(replace(judge(arm, last, guide, model=session.calibration), log=last.log(0, label)))
             if isinstance(guide, Path) and isinstance(aimed, Path):
                 lesson = lesson or Repetition(guide.aimed)
                 aimed = replace(guide, aim=lesson.learn(aimed.aimed, *missed(arm, last, guide)))

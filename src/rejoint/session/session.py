@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controllers.posture import PostureController, PostureGains
-from rejoint.control.controllers.unloading import OFF, PlannedWay, UnloadedWay, Unloading
-from rejoint.control.goal import with_ways
+from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, UnloadedWay, Unloading
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, brake
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
-from rejoint.control.reference import Reference, TargetSequence
+from rejoint.control.reference import Reference, TargetSequence, with_ways
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
@@ -35,8 +33,7 @@ from rejoint.system.results import Readable
 from rejoint.system.stopping import noted, pause
 
 if TYPE_CHECKING:
-    from rejoint.control.deployment import Deployed
-    from rejoint.control.moving.drive import Followed
+    from rejoint.control.moving.drive import Deployed, Followed
     from rejoint.control.moving.reference import Stream
     from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
@@ -427,7 +424,10 @@ class ArmSession(ArmDriver):
             self._goals = None
             self.robot.stop()
             if motion is not None and self._last is not None:
-                self._sent = brake(self.robot, self._last)
+                braking = brake(self.robot, self._last)
+                if braking is not self._last:
+                    self._sent = braking.command
+                    self._see(braking, self.recorder.see)
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""

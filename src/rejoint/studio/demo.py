@@ -22,7 +22,7 @@ from rejoint.logs.runlog import read_log
 from rejoint.session.inputs import FIRST_ROBOT
 
 if TYPE_CHECKING:
-    from rejoint.control.deployment import Deployed
+    from rejoint.control.moving.drive import Deployed
     from rejoint.pages.live.view import LiveView
 
 POINTS = ((0.17, -0.06, 0.21), (0.20, 0.06, 0.19), (0.18, 0.0, 0.23))

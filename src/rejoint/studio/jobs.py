@@ -15,7 +15,7 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.deployment import Deployed
+from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
 from rejoint.control.robot import JointState
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge

@@ -5,12 +5,12 @@ import pytest
 
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.arms.postures import missed_pose
-from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import (
     Path,
     read_path,
     standard_path,
 )
+from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.targets import Pose, placed
 from rejoint.system.errors import InputError
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, solve_position
-from rejoint.control.goal import nearest_postures
+from rejoint.control.reference import nearest_postures
 from rejoint_lab.research.rivals import PidController
 from standin import inputs_of, state_of
 

@@ -3,7 +3,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
-from rejoint.control.goal import nearest_postures
+from rejoint.control.reference import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
 from rejoint_lab.research.rivals import AdaptiveController, Gain, Rival, ScheduledController, make_rival, tune

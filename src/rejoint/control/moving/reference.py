@@ -21,7 +21,7 @@ from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
-from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.control.targets import (

@@ -33,12 +33,16 @@ from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
+    Controllers,
+    Factory,
     correction_of,
     guard_limits,
+    is_name,
+    make_factories,
+    named,
     say_heavy,
     stance_of,
 )
-from rejoint.session.controllers import Controllers, Factory, is_name, make_factories, named
 from rejoint.session.inputs import (
     ArmLike,
     Borrowed,

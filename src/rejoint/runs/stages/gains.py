@@ -6,7 +6,7 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
-from rejoint.session.controllers import choice
+from rejoint.session.context import choice
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError

@@ -11,8 +11,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.runs.run import exclusive, mark_quick
-from rejoint.session.context import twin_under
-from rejoint.session.controllers import tuned_gains
+from rejoint.session.context import tuned_gains, twin_under
 from rejoint.session.inputs import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_seed

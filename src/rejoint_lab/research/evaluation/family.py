@@ -22,9 +22,8 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import Ways, with_ways
 from rejoint.control.loop import run
-from rejoint.control.reference import TargetSequence
+from rejoint.control.reference import TargetSequence, Ways, with_ways
 from rejoint.control.robot import ControlInput, Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration

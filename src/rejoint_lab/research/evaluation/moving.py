@@ -12,7 +12,6 @@ from rejoint.arms import Arm
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
-from rejoint.control.moving.posture import PathPostures, Servos, command_for, home_of
 from rejoint.control.moving.reference import (
     LAG,
     LEAD_IN,
@@ -23,7 +22,7 @@ from rejoint.control.moving.reference import (
     Stream,
     standard_path,
 )
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, command_for, home_of
 from rejoint.control.recording import Recording
 from rejoint.system.progress import Progress, part
 from rejoint.system.statistics import Spread, spread
