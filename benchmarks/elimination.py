@@ -30,7 +30,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import StageMotion
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
-from rejoint.session.context import contenders, make_factories
+from rejoint.session.context import ControllerMaker
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)
@@ -76,12 +76,13 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     address = f"emulated:worn?seed={number}"
     diagnosed = rejoint.diagnose(address, settings=rejoint.Settings(period=PERIOD, seed=number))
     twin = rejoint.identify([diagnosed.excitation, diagnosed.targets])
-    names = contenders(ARM, PERIOD, None, twin, real=True, posed=False)
+    maker = ControllerMaker(ARM, PERIOD, twin=twin)
+    names = maker.contenders(real=True, posed=False)
     given: dict[str, Path | str] = {name: name for name in names if name != DEFAULT}
     if policy is not None:
         del given["shelf"]
         given["policy"] = policy
-    factories = make_factories(given, ARM, PERIOD, twin=twin)
+    factories = maker.factories(given)
 
     def connect(count: int, seed: int) -> Robot:
         return open_robot(address, count=count, seed=seed, period=PERIOD, threads=1)

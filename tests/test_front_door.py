@@ -11,7 +11,7 @@ from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.logs.runlog import write_log
-from rejoint.session.context import make_factories
+from rejoint.session.context import ControllerMaker
 
 ARM = mycobot280()
 TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]]
@@ -95,14 +95,14 @@ def test_an_open_robot_stays_open(monkeypatch):
 
 def test_controllers_come_in_every_form():
     own = IntegratorController(ARM)
-    found = make_factories(["default", own, lambda arm: IntegratorController(arm)], ARM, None)
+    found = ControllerMaker(ARM, None).factories(["default", own, lambda arm: IntegratorController(arm)])
     assert list(found) == ["default", "integrator", "controller"]
     assert found["integrator"](ARM) is own
     assert isinstance(found["controller"](ARM), IntegratorController)
-    assert list(make_factories([own, IntegratorController], ARM, None)) == ["integrator", "integrator-2"]
-    assert list(make_factories({"mine": "integrator"}, ARM, None)) == ["mine"]
+    assert list(ControllerMaker(ARM, None).factories([own, IntegratorController])) == ["integrator", "integrator-2"]
+    assert list(ControllerMaker(ARM, None).factories({"mine": "integrator"})) == ["mine"]
     with pytest.raises(rejoint.InputError, match="known controllers"):
-        make_factories(["magic"], ARM, None)
+        ControllerMaker(ARM, None).factories(["magic"])
 
 
 def test_a_command_and_its_function_write_the_same_files(motion, tmp_path, monkeypatch, cli):

@@ -10,7 +10,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
 from rejoint.control.controllers.contract import check_period
 from rejoint.robots import place_of
-from rejoint.session.context import make_factories
+from rejoint.session.context import ControllerMaker
 from rejoint.system.errors import ContractError
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 from rejoint_lab.research.shelf import RECIPES
@@ -32,12 +32,12 @@ def test_it_is_for_any_unit_of_its_build_at_every_period_of_its_wires(name):
 
 def test_it_takes_part_wherever_it_suits():
     arm = load_arm("mycobot280")
-    assert SHELF in make_factories((), arm, (0.020, 0.030))
-    assert SHELF in make_factories((), arm, None)
-    assert SHELF not in make_factories((), arm, (0.200, 0.200))
-    assert SHELF not in make_factories((), dataclasses.replace(arm, mass=1.1 * arm.mass), None)
+    assert SHELF in ControllerMaker(arm, (0.020, 0.030)).factories(())
+    assert SHELF in ControllerMaker(arm, None).factories(())
+    assert SHELF not in ControllerMaker(arm, (0.200, 0.200)).factories(())
+    assert SHELF not in ControllerMaker(dataclasses.replace(arm, mass=1.1 * arm.mass), None).factories(())
     with pytest.raises(ContractError, match="control period is 200 ms"):
-        make_factories((SHELF,), arm, (0.200, 0.200))
+        ControllerMaker(arm, (0.200, 0.200)).factories((SHELF,))
 
 
 @pytest.mark.parametrize(("name", "near", "farthest"), [("mycobot280", 1e-3, 5e-3), ("so101", 1.5e-3, 5e-3)])

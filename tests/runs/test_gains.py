@@ -17,7 +17,7 @@ from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
-from rejoint.session import context, controllers
+from rejoint.session import context
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT
@@ -187,14 +187,14 @@ def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stif
 
 def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch)
-    names = controllers.contenders(ARM, (0.02, 0.02), run, run.twin, real=True, posed=False)
+    names = context.ControllerMaker(ARM, (0.02, 0.02), run, run.twin).contenders(real=True, posed=False)
     assert {"servo-gains+policy", "servo-gains+predictive"} <= set(names)
-    without = controllers.contenders(ARM, (0.02, 0.02), run, None, real=True, posed=False)
+    without = context.ControllerMaker(ARM, (0.02, 0.02), run, None).contenders(real=True, posed=False)
     assert "servo-gains+predictive" not in without, "without a twin"
     assert not {"policy", "predictive", "shelf"} & set(names), "on a real arm the own policy takes the shelf's place"
-    assert controllers.choice(run, ARM, None)[0] == "servo-gains+policy"
+    assert context.ControllerMaker(ARM, run=run).choice()[0] == "servo-gains+policy"
     run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
-    assert "policy" in controllers.contenders(ARM, (0.02, 0.02), run, run.twin, real=True, posed=False)
-    assert controllers.choice(run, ARM, None)[0] == "policy"
+    assert "policy" in context.ControllerMaker(ARM, (0.02, 0.02), run, run.twin).contenders(real=True, posed=False)
+    assert context.ControllerMaker(ARM, run=run).choice()[0] == "policy"
     with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
-        controllers.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)
+        context.ControllerMaker(ARM, (0.02, 0.02), run=run).factories(["servo-gains+policy"])

@@ -76,10 +76,14 @@ def gains_in_force(robot: Robot) -> ServoGains | None:
     return None if servos is None else servos.servo_gains()
 
 
+def own_gains(controller: object) -> ServoGains | None:
+    """Gains that a ``controller`` drives under; None: those in force."""
+    return getattr(controller, "servo_gains", None)
+
+
 def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
     """Servos and gains of ``robot``; InputError if none can be set."""
-    servos = part_of(robot, Tunable)
-    before = None if servos is None else servos.servo_gains()
+    servos, before = part_of(robot, Tunable), gains_in_force(robot)
     if servos is None or before is None:
         raise InputError(f"{robot.address} has no servo gains that could be set; an SO-101 on its own bus has")
     return servos, before
@@ -89,7 +93,7 @@ def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     """Drive under the ``controller``'s gains, then restore the others; ContractError, InputError."""
     require_gains(robot, controller)
-    wanted: ServoGains | None = getattr(controller, "servo_gains", None)
+    wanted = own_gains(controller)
     if wanted is None or not differing(wanted, tunable(robot)[1]):
         yield
         return
@@ -120,7 +124,7 @@ def put_back(servos: Tunable, before: ServoGains) -> Iterator[None]:
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
     """Limits under the gains of ``controller``."""
-    gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
+    gains = own_gains(controller) or gains_in_force(robot)
     if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
         return limits
     now = {**limits.gains, **gains}
@@ -135,17 +139,15 @@ def require_gains(robot: Robot, controller: object) -> None:
     contract = getattr(controller, "contract", None)
     if not isinstance(contract, PolicyContract) or contract.servo_gains is None:
         return
-    found: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
-    if found is None:
+    found = own_gains(controller) or gains_in_force(robot)
+    if found is None or not (other := differing(contract.servo_gains, found)):
         return
-    other = differing(contract.servo_gains, found)
-    if other:
-        name, joint = other[0]
-        ours, theirs = contract.servo_gains[name][joint], found[name][joint]
-        raise ContractError(
-            f"the policy was trained for servos with {name}={ours} at {robot.arm.joint_names[joint]}, and {name} is "
-            f"{theirs} there; set it back ({in_words(contract.servo_gains)}), or repair the arm again"
-        )
+    name, joint = other[0]
+    ours, theirs = contract.servo_gains[name][joint], found[name][joint]
+    raise ContractError(
+        f"the policy was trained for servos with {name}={ours} at {robot.arm.joint_names[joint]}, and {name} is "
+        f"{theirs} there; set it back ({in_words(contract.servo_gains)}), or repair the arm again"
+    )
 
 
 def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
@@ -213,8 +215,6 @@ SHAKES = np.radians(2.0)
 LABOURS = 1.0
 """[s] beyond `HEAVIEST` that end it"""
 
-Values = dict[str, tuple[int, ...]]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Round:
@@ -235,11 +235,11 @@ class GainsFound(Readable):
     arm: str
     robot: str
     """address"""
-    found: Values
+    found: ServoGains
     """before and after the search"""
-    under: Values
+    under: ServoGains
     """best below a controller"""
-    alone: Values
+    alone: ServoGains
     """best for the servos alone"""
     before: Round
     with_under: Round
@@ -254,7 +254,7 @@ def search(
     """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError."""
     servos, before = tunable(robot)
     found = {name: tuple(values) for name, values in before.items()}
-    climb = _Climb(robot, servos, targets, limits, dict(found), on_progress)
+    climb = _Climb(robot, servos, targets, limits, found, on_progress)
     with put_back(servos, found):
         start = begin(robot, limits)
         climb.sent = start.command[-1]
@@ -267,10 +267,8 @@ def search(
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
         climb.error = first.error
-        climb.rungs(first, alone=False)
-        under, middle = climb.confirm(found, first)
-        climb.rungs(first, alone=True)
-        alone, end = climb.confirm(under, middle)
+        under, middle = climb.climb(first, found, first, alone=False)
+        alone, end = climb.climb(first, under, middle, alone=True)
     return GainsFound(
         arm=robot.arm.name,
         robot=robot.address,
@@ -290,18 +288,29 @@ class _Climb:
     servos: Tunable
     targets: Array
     limits: GuardLimits | None
-    gains: Values
+    gains: ServoGains
     on_progress: Progress
     sent: Array | None = None
     error: Array = field(init=False)
     """(n,) [rad] least so far"""
     rounds: int = 0
 
-    def rungs(self, first: Round, *, alone: bool) -> None:
-        """Climb those for servos alone, or the others."""
+    def climb(self, first: Round, last: ServoGains, before: Round, *, alone: bool) -> tuple[ServoGains, Round]:
+        """Climb the rungs for servos alone, or the others, and drive once more under all that was found.
+
+        Returns that, or the ``last`` gains and the round ``before`` where it is not better.
+        """
         for rung in self.servos.rungs():
             if rung.alone == alone:
                 self.rung(rung, first)
+        if self.gains == last:
+            return last, before
+        seen, _ = self.drive(self.gains)
+        if seen is None or seen.error.sum() > before.error.sum():
+            self.gains, seen = last, before
+            self.servos.tune(last)
+        self.error = seen.error
+        return self.gains, seen
 
     def rung(self, rung: Rung, first: Round) -> None:
         """Give each joint the best value; it ends where it is loud or bad, and after two values that do not help."""
@@ -328,18 +337,7 @@ class _Climb:
             self.servos.tune(self.gains)
             self.error = np.where(taken, seen.error, self.error)
 
-    def confirm(self, last: Values, before: Round) -> tuple[Values, Round]:
-        """Drive once more under all that was found; return that, or what was before where it is not better."""
-        if self.gains == last:
-            return last, before
-        seen, _ = self.drive(self.gains)
-        if seen is None or seen.error.sum() > before.error.sum():
-            self.gains, seen = last, before
-            self.servos.tune(last)
-        self.error = seen.error
-        return dict(self.gains), seen
-
-    def drive(self, gains: Values, targets: Array | None = None) -> tuple[Round | None, Mask]:
+    def drive(self, gains: ServoGains, targets: Array | None = None) -> tuple[Round | None, Mask]:
         """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
         if gains != self.gains:
             try:
@@ -394,7 +392,7 @@ class _RoundWatch:
         return np.array([bool(self.joints.any())])
 
 
-def _with(gains: Values, rung: Rung, value: int, joints: Mask) -> Values:
+def _with(gains: ServoGains, rung: Rung, value: int, joints: Mask) -> ServoGains:
     set_to = {**dict.fromkeys(rung.names, value), **dict(rung.beside)}
     return {
         name: tuple(set_to[name] if name in set_to and take else old for old, take in zip(values, joints, strict=True))

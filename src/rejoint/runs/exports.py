@@ -23,7 +23,7 @@ from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep
-from rejoint.session.context import choice, quick_note
+from rejoint.session.context import ControllerMaker, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
@@ -154,7 +154,7 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
     from rejoint.pages.html import templates
     from rejoint.runs.controllergraph import controller_graph, memory_slots
 
-    name, why = choice(run, run.arm, None) if wanted is None else (wanted, "as asked for")
+    name, why = ControllerMaker(run.arm, run=run).choice() if wanted is None else (wanted, "as asked for")
     design = design_of(run, name)
     # lower case, digits and underscores
     package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())

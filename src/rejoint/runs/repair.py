@@ -25,7 +25,7 @@ from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.train import TrainedPolicy, train
-from rejoint.session.context import Controllers, named, require_possible
+from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -184,7 +184,8 @@ def repair(
         load_preset(what.preset)
     posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None
     tunable = _is_tunable(robot, built)
-    require_possible(what.controllers, built, period_of(robot, chosen.period), tunable=tunable, posed=posed)
+    maker = ControllerMaker(built, period_of(robot, chosen.period))
+    maker.require_possible(what.controllers, tunable=tunable, posed=posed)
     folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed)) if run is None else run
     about = run_about(folder, address_of(robot), built, chosen.seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
@@ -325,88 +325,137 @@ def tuned_gains(run: Run | None) -> GainsFound | None:
     return read_json(run.folder.gains, GainsFound)
 
 
-def trained_for_tuned(run: Run | None) -> bool:
-    """Whether the policy of a run was trained for its tuned gains."""
-    found, policy = tuned_gains(run), None if run is None else run.policy
-    gains = None if policy is None else policy.contract.servo_gains
-    return found is not None and gains is not None and not differing(gains, found.under)
+@dataclass(frozen=True, eq=False)
+class ControllerMaker:
+    """Makes controllers of an arm by name; a run with policy and gains, and a twin, make more of them possible."""
 
+    arm: Arm
+    period: Period | None = None
+    """[s] None: not known yet"""
+    run: Run | None = None
+    twin: Twin | None = None
+    """gives the feed-forward its stiffness"""
 
-def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
-    """Return the controller that drives by default, and why.
+    @property
+    def usual(self) -> float:
+        """Middle of the control periods [s]; NaN: not known yet."""
+        return float("nan") if self.period is None else sum(self.period) / 2
 
-    In this order: the run's recommendation, its policy, the generic policy if it suits arm and ``period`` [s],
-    feed-forward.
-    """
-    comparison = None if run is None else run.comparison
-    if run is not None and comparison is not None:
-        return recommend(comparison).controller, f"{run.path} recommends it"
-    if run is not None and run.folder.policy.exists():
-        own = GEARED_POLICY if trained_for_tuned(run) else POLICY
-        return own, f"the policy of {run.path}, which has no comparison yet"
-    lacks = "without a run" if run is None else f"{run.path} has no policy yet"
-    if _on_shelf(arm, usual(period)):
-        return SHELF, f"the policy that comes with rejoint; {lacks}"
-    return FeedforwardController.name, f"no policy suits this arm; {lacks}"
+    @property
+    def suits_shelf(self) -> bool:
+        """Whether a generic policy suits arm and control period."""
+        try:
+            check_controller_period(shelf_policy(self.arm), self.usual)
+        except ContractError:
+            return False
+        return True
 
+    @property
+    def policy_file(self) -> Path | None:
+        """Policy of the run."""
+        return self.run.folder.policy if self.run is not None and self.run.folder.policy.exists() else None
 
-def contenders(
-    arm: Arm, period: Period | None, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
-) -> tuple[str, ...]:
-    """Name the controllers that are compared by default; a real arm gets the generic policy until it has its own."""
-    tuned, own = tuned_gains(run) is not None, run is not None and run.folder.policy.exists() and not posed
-    geared = own and trained_for_tuned(run)
-    left_out = {
-        SHELF: posed or (real and own) or not _on_shelf(arm, usual(period)),
-        POLICY: geared or not own,
-        PREDICTIVE: posed or tuned or twin is None,
-        **dict.fromkeys(RIVALS, not tuned),
-        GEARED_POLICY: not geared,
-        GEARED_PREDICTIVE: posed or not tuned or twin is None,
-    }
-    return tuple(name for name in (*CONTROLLERS, *RIVALS) if not left_out.get(name))
+    @property
+    def trained_for_tuned(self) -> bool:
+        """Whether the policy of the run was trained for its tuned gains."""
+        found, policy = tuned_gains(self.run), None if self.run is None else self.run.policy
+        gains = None if policy is None else policy.contract.servo_gains
+        return found is not None and gains is not None and not differing(gains, found.under)
 
+    def choice(self) -> tuple[str, str]:
+        """Return the controller that drives by default, and why.
 
-def make_factories(
-    given: Controllers,
-    arm: Arm,
-    period: Period | None,
-    *,
-    run: Run | None = None,
-    twin: Twin | None = None,
-    real: bool = False,
-    posed: bool = False,
-) -> dict[str, Factory]:
-    """Return factories by name; ``twin`` gives the feed-forward its stiffness.
+        In this order: the run's recommendation, its policy, the generic policy if it suits, feed-forward.
+        """
+        run, lacks = self.run, "without a run"
+        if run is not None:
+            if (comparison := run.comparison) is not None:
+                return recommend(comparison).controller, f"{run.path} recommends it"
+            if self.policy_file is not None:
+                own = GEARED_POLICY if self.trained_for_tuned else POLICY
+                return own, f"the policy of {run.path}, which has no comparison yet"
+            lacks = f"{run.path} has no policy yet"
+        if self.suits_shelf:
+            return SHELF, f"the policy that comes with rejoint; {lacks}"
+        return FeedforwardController.name, f"no policy suits this arm; {lacks}"
 
-    Default: the `contenders` for a ``real`` arm or virtual time. ``posed`` targets need controllers that turn the tool.
-    """
-    asked = given or contenders(arm, period, run, twin, real=real, posed=posed)
-    factories = {name: _factory(one, run, twin, usual(period)) for name, one in named(asked).items()}
-    for name, make in factories.items():
-        controller = make(arm)
-        if not (hasattr(controller, "reset") and hasattr(controller, "command")):
-            raise InputError(
-                f"controller {name}: expected a name, an object with reset and command, or a function of an Arm that "
-                f"returns one; it returned {type(controller).__name__}"
+    def contenders(self, *, real: bool, posed: bool) -> tuple[str, ...]:
+        """Name the controllers compared by default; a real arm gets the generic policy until it has its own."""
+        tuned, own = tuned_gains(self.run) is not None, self.policy_file is not None and not posed
+        geared = own and self.trained_for_tuned
+        left_out = {
+            SHELF: posed or (real and own) or not self.suits_shelf,
+            POLICY: geared or not own,
+            PREDICTIVE: posed or tuned or self.twin is None,
+            **dict.fromkeys(RIVALS, not tuned),
+            GEARED_POLICY: not geared,
+            GEARED_PREDICTIVE: posed or not tuned or self.twin is None,
+        }
+        return tuple(name for name in (*CONTROLLERS, *RIVALS) if not left_out.get(name))
+
+    def factories(self, given: Controllers, *, real: bool = False, posed: bool = False) -> dict[str, Factory]:
+        """Return factories by name; default: the `contenders` for a ``real`` arm or virtual time.
+
+        ``posed`` targets need controllers that turn the tool.
+        """
+        asked = given or self.contenders(real=real, posed=posed)
+        factories = {name: self._factory(one) for name, one in named(asked).items()}
+        for name, make in factories.items():
+            controller = make(self.arm)
+            if not (hasattr(controller, "reset") and hasattr(controller, "command")):
+                raise InputError(
+                    f"controller {name}: expected a name, an object with reset and command, or a function of an Arm "
+                    f"that returns one; it returned {type(controller).__name__}"
+                )
+            check_controller_period(controller, self.usual)
+            if posed and not heeds_turn(controller):
+                raise _turns_nothing(name)
+        return factories
+
+    def require_possible(self, given: Controllers, *, tunable: bool, posed: bool) -> None:
+        """Refuse what `factories` would, before the run has twin, policy and gains."""
+        for name, one in named(given).items():
+            if one in RIVALS and not tunable:
+                raise InputError(f"{one} needs servo gains that can be tuned; an SO-101 on its own bus has them")
+            if one not in (POLICY, PREDICTIVE, *RIVALS):
+                self.factories({name: one}, posed=posed)
+            elif posed and inner_name(str(one)) in (POLICY, PREDICTIVE):
+                raise _turns_nothing(name)
+
+    def _factory(self, given: ControllerLike) -> Factory:
+        if is_name(given):
+            return partial(self._by_name, given)
+        one = as_policy(given) if isinstance(given, Path | str) else given
+        if hasattr(one, "controller"):
+            return one.controller
+        if hasattr(one, "reset") and not isinstance(one, type):
+            return lambda _: cast(Controller, one)
+        return cast("Factory", one)
+
+    def _by_name(self, name: str, arm: Arm) -> Controller:
+        if name in RIVALS:
+            return self._geared(name, arm)
+        stiffness = None if self.twin is None else self.twin.parameters.stiffness
+        if name == PREDICTIVE and self.twin is not None:
+            from rejoint.twin.predictive import PredictiveController
+
+            holder = shelf_controller(arm) if self.suits_shelf else FeedforwardController(arm, stiffness)
+            return PredictiveController.of(arm, [self.twin], holder)
+        return make_controller(name, arm, policy=self.policy_file, stiffness=stiffness)
+
+    def _geared(self, name: str, arm: Arm) -> Controller:
+        run, found = self.run, tuned_gains(self.run)
+        if run is None or found is None:
+            where = "RUN" if run is None else str(run.path)
+            raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
+        if name == GEARED_POLICY and not self.trained_for_tuned:
+            raise ContractError(
+                f"{run.path} has no policy for the gains that its search found ({in_words(found.under)}); train one "
+                f"with: rejoint train {run.path}"
             )
-        check_controller_period(controller, usual(period))
-        if posed and not heeds_turn(controller):
-            raise _turns_nothing(name)
-    return factories
-
-
-def require_possible(
-    given: Controllers, arm: Arm, period: Period | None, *, tunable: bool, posed: bool = False
-) -> None:
-    """Refuse what `make_factories` would, before a run has twin, policy and gains."""
-    for name, one in named(given).items():
-        if one in RIVALS and not tunable:
-            raise InputError(f"{one} needs servo gains that can be tuned; an SO-101 on its own bus has them")
-        if one not in (POLICY, PREDICTIVE, *RIVALS):
-            make_factories({name: one}, arm, period, posed=posed)
-        elif posed and inner_name(str(one)) in (POLICY, PREDICTIVE):
-            raise _turns_nothing(name)
+        stiffer = None if self.twin is None else twin_under(self.twin, found.found, found.under)
+        inner = replace(self, twin=stiffer)._by_name(inner_name(name), arm)
+        return geared(inner, found.alone if name == GEARED else found.under)
 
 
 def _turns_nothing(name: str) -> InputError:
@@ -414,56 +463,3 @@ def _turns_nothing(name: str) -> InputError:
         f"{name} brings the tool to its place and does not turn it; for targets with an orientation take "
         f"{FeedforwardController.name}, integrator or default"
     )
-
-
-def usual(period: Period | None) -> float:
-    """Middle of the control periods [s]; NaN: not known yet."""
-    return float("nan") if period is None else sum(period) / 2
-
-
-def _on_shelf(arm: Arm, period: float) -> bool:
-    """Whether a generic policy suits arm and control ``period`` [s]; NaN: not known yet."""
-    try:
-        check_controller_period(shelf_policy(arm), period)
-    except ContractError:
-        return False
-    return True
-
-
-def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: float) -> Factory:
-    if is_name(given):
-        return partial(_by_name, given, run, twin, period)
-    one = as_policy(given) if isinstance(given, Path | str) else given
-    if hasattr(one, "controller"):
-        return one.controller
-    if hasattr(one, "reset") and not isinstance(one, type):
-        return lambda _: cast(Controller, one)
-    return cast("Factory", one)
-
-
-def _by_name(name: str, run: Run | None, twin: Twin | None, period: float, arm: Arm) -> Controller:
-    if name in RIVALS:
-        return _geared(name, run, twin, period, arm)
-    stiffness = None if twin is None else twin.parameters.stiffness
-    if name == PREDICTIVE and twin is not None:
-        from rejoint.twin.predictive import PredictiveController
-
-        holder = shelf_controller(arm) if _on_shelf(arm, period) else FeedforwardController(arm, stiffness)
-        return PredictiveController.of(arm, [twin], holder)
-    file = run.folder.policy if run is not None and run.folder.policy.exists() else None
-    return make_controller(name, arm, policy=file, stiffness=stiffness)
-
-
-def _geared(name: str, run: Run | None, twin: Twin | None, period: float, arm: Arm) -> Controller:
-    found = tuned_gains(run)
-    if run is None or found is None:
-        where = "RUN" if run is None else str(run.path)
-        raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
-    if name == GEARED_POLICY and not trained_for_tuned(run):
-        raise ContractError(
-            f"{run.path} has no policy for the gains that its search found ({in_words(found.under)}); train one with: "
-            f"rejoint train {run.path}"
-        )
-    stiffer = None if twin is None else twin_under(twin, found.found, found.under)
-    inner = _by_name(inner_name(name), run, stiffer, period, arm)
-    return geared(inner, found.alone if name == GEARED else found.under)

@@ -41,13 +41,12 @@ from rejoint.robots import is_virtual, open_robot
 from rejoint.runs.run import Run, exclusive, staged
 from rejoint.session.context import (
     ControllerLike,
+    ControllerMaker,
     Factory,
     calibration_of,
-    choice,
     correction_of,
     equipped,
     guard_limits,
-    make_factories,
     quick_note,
     stance_of,
     twin_in_force,
@@ -391,8 +390,8 @@ class ArmDriver:
     def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
         """Name and object of the controller to points, or to ``posed`` targets; a message says why."""
         if posed not in self._chosen:
-            asked = self.settings.controller
-            wanted, why = choice(self._named, self.arm, self.period) if asked is None else (asked, "as asked for")
+            asked, own = self.settings.controller, ControllerMaker(self.arm, self.period, self._named)
+            wanted, why = own.choice() if asked is None else (asked, "as asked for")
             name, make = self.maker(wanted, self.twin)
             if posed and not heeds_turn(make(self.arm)):
                 why = f"{name} does not turn the tool"
@@ -404,7 +403,8 @@ class ArmDriver:
 
     def maker(self, given: ControllerLike, twin: Twin | None, *, posed: bool = False) -> tuple[str, Factory]:
         """Return the name of a controller, and what makes it; refuses what does not fit."""
-        ((name, make),) = make_factories([given], self.arm, self.period, run=self.run, twin=twin, posed=posed).items()
+        own = ControllerMaker(self.arm, self.period, self.run, twin)
+        ((name, make),) = own.factories([given], posed=posed).items()
         return name, make
 
     def announce(self, name: str, why: str) -> None:

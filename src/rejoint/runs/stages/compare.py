@@ -33,12 +33,12 @@ from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
+    ControllerMaker,
     Controllers,
     Factory,
     correction_of,
     guard_limits,
     is_name,
-    make_factories,
     named,
     say_heavy,
     stance_of,
@@ -176,7 +176,7 @@ class ComparisonJob:
     def runner_of(self, name: str) -> TrialRunner:
         """Runner of a named controller's trials, in another process."""
         posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
-        return self.runner(make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed))
+        return self.runner(ControllerMaker(self.arm, period, self.run, self.twin).factories([name], posed=posed))
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
         """Compare; in a run, resume and write. Closes ``helper``."""
@@ -410,7 +410,7 @@ def comparison_job(
         robot=robot,
         arm=arm,
         run=run,
-        factories=make_factories(controllers, arm, session.period, run=run, twin=twin, real=real, posed=posed),
+        factories=ControllerMaker(arm, session.period, run, twin).factories(controllers, real=real, posed=posed),
         targets=points,
         settings=trials,
         period=settings.period,

@@ -6,7 +6,7 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
-from rejoint.session.context import choice
+from rejoint.session.context import ControllerMaker
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
@@ -80,7 +80,7 @@ def gains_to_keep(run: Run) -> ServoGains:
     if not run.folder.gains.exists():
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
     found = read_json(run.folder.gains, GainsFound)
-    best = choice(run, run.arm, None)[0] if run.folder.comparison.exists() else GEARED
+    best = ControllerMaker(run.arm, run=run).choice()[0] if run.folder.comparison.exists() else GEARED
     if best not in RIVALS:
         raise InputError(f"{run.path} recommends {best}, under the gains that the servos had; there is nothing to keep")
     return found.alone if best == GEARED else found.under
