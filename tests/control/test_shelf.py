@@ -1,6 +1,7 @@
 """Policies from the shelf: who may be driven by them, who not, and that they repair a worn arm that they never met."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from rejoint.arms import CATALOGUE, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
-from rejoint.control.controllers.contract import check_period
+from rejoint.control.controllers.contract import check_controller_period
 from rejoint.robots import place_of
 from rejoint.session.context import ControllerMaker
 from rejoint.system.errors import ContractError
@@ -26,7 +27,7 @@ def test_it_is_for_any_unit_of_its_build_at_every_period_of_its_wires(name):
     assert contract.arm == name
     assert contract.twin_digest == ""  # of no single arm
     for address in ("tcp://arm", "serial:///dev/arm", "emulated:worn", "feetech:///dev/arm"):
-        check_period(contract, np.mean(place_of(address).default_period))
+        check_controller_period(SimpleNamespace(contract=contract), np.mean(place_of(address).default_period))
     assert shelf_path(name).stat().st_size < 150e3
 
 

@@ -59,9 +59,9 @@ def elsewhere(before: Array, command: Array, position: Array) -> Mask:
     return np.logical_or.reduce((position < low) | (position > high), axis=-1)
 
 
-def in_force(state: JointState, sent: Array) -> Array:
-    """``sent`` (B, n) [rad], or the measured positions of arms that others moved."""
-    known = np.array(sent, dtype=float)
+def in_force(state: JointState, sent: Array | None) -> Array:
+    """``sent`` (B, n) [rad], or the measured positions where it is unknown, or others moved the arm."""
+    known = np.array(state.position if sent is None else sent, dtype=float)
     return known if state.elsewhere is None else np.where(state.elsewhere[:, None], state.position, known)
 
 
@@ -188,8 +188,7 @@ class RunState:
         shown = part_of(robot, LookedAt)
         self.look = None if shown is None else shown.onlooker(self.controller.name)
         self.state = state = own(robot.read())
-        told = np.array(state.position if sent is None else sent, dtype=float)
-        self.sent = in_force(state, told)
+        self.sent = in_force(state, sent)
         self.following = Following(limits.arm, state, self.sent, limits.bands)
         flicker = [1.5 * limits.arm.encoder_step, 0.0]  # of a reading, and of a command
         self.stillness = Stillness(np.repeat(flicker, limits.arm.joints))
@@ -207,7 +206,7 @@ class RunState:
         self.reference.begin(self.active, self.index, self.sent, state.position)
         self._ask()
         if state.elsewhere is not None:
-            self._ease(state.elsewhere, told)
+            self._ease(state.elsewhere, self.sent if sent is None else sent)
 
     def recording(self) -> Recording:
         """Return all cycles so far."""

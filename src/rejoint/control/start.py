@@ -186,7 +186,7 @@ def move(
     From ``sent`` (B, n) [rad], or the measured position of moved arms.
     """
     state = robot.read()
-    start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)
+    start = in_force(state, sent)
     way = posture - start
     duration = max(float(np.abs(way).max()) / speed, 1e-3)
 

@@ -84,10 +84,6 @@ RUBBING = 0.1
 _NAMED = 5  # targets that a line names
 
 
-def silent(line: str) -> None:
-    """Report nothing."""
-
-
 def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
     """Arm with payload, tool and boxes of the settings.
 
@@ -260,7 +256,7 @@ def correction_of(
 
 
 def calibration_of(
-    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, say: Say = silent
+    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, say: Say
 ) -> Calibration | None:
     """Calibration given, or that of the run for its own robot, where it helps; ``say`` receives why not.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -154,24 +155,19 @@ RESTS, JITTER = 0.8, float(np.radians(0.3))
 
 
 class ArmMotion:
-    """``work`` drives and returns its result; `ended` asks it to end."""
+    """``work`` drives; its result, or what ended it early, is the `outcome`; `ended` asks it to end."""
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
         self.goal, self._work = goal, work
         """where the arm is on its way to, in words"""
-        self.ended, self.over = threading.Event(), threading.Event()
-        self.result: object = None
-        self.error: BaseException | None = None
-        """what ended it early"""
+        self.ended, self.outcome = threading.Event(), Future[Any]()
 
     def run(self) -> None:
         """Drive until the end."""
         try:
-            self.result = self._work(self)
+            self.outcome.set_result(self._work(self))
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
-            self.error = error
-        finally:
-            self.over.set()
+            self.outcome.set_exception(error)
 
     def give_up(self, _: ControlInput) -> Mask:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""

@@ -36,9 +36,7 @@ from rejoint.control.moving.reference import (
     Path,
     PathReference,
     Stream,
-    is_standard,
     read_path,
-    standard_path,
 )
 from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_of
 from rejoint.control.recording import Cycle, Observer, Recording
@@ -395,7 +393,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
     if isinstance(given, Path):
         path = given
     elif isinstance(given, str | FilePath):
-        path = standard_path(str(given), arm, seed) if is_standard(str(given)) else read_path(FilePath(given), arm)
+        path = read_path(given, arm, seed)
     else:
         points = as_floats("path", given, "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
         if points.ndim != 2 or points.shape[-1] != 4:

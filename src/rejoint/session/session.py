@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from concurrent import futures
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
@@ -124,7 +125,7 @@ class ArmSession(ArmDriver):
 
     @property
     def _moving(self) -> bool:
-        return self._motion is not None and not self._motion.over.is_set()
+        return self._motion is not None and not self._motion.outcome.done()
 
     @property
     def motors(self) -> Motors | None:
@@ -272,7 +273,7 @@ class ArmSession(ArmDriver):
         self._start(motion, wait=False)
         self._goals = goals
         for _ in range(round(STARTING / _LOOK)):
-            if self._last is not None or motion.over.wait(_LOOK):
+            if self._last is not None or futures.wait([motion.outcome], _LOOK).done:
                 break
         if not self._moving:
             self._tell_last()
@@ -322,7 +323,7 @@ class ArmSession(ArmDriver):
         self._require_free()
         motion = ArmMotion("its targets", to_targets(self, targets))
         self._start(motion, wait=True)
-        return cast("Deployed", motion.result)
+        return cast("Deployed", motion.outcome.result())
 
     # --- what looks at motions and ends them ----------------------------------------------------
 
@@ -398,13 +399,13 @@ class ArmSession(ArmDriver):
             return self.state
         try:
             with noted():
-                while not motion.over.is_set() and (timeout_s is None or waited < timeout_s):
+                while not motion.outcome.done() and (timeout_s is None or waited < timeout_s):
                     pause(_LOOK)
                     waited += _LOOK
         except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
             self.stop()
             raise
-        if not motion.over.is_set():
+        if not motion.outcome.done():
             raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
         self._tell_last()
         return self.state
@@ -420,7 +421,7 @@ class ArmSession(ArmDriver):
                 return
             if motion is not None:
                 motion.ended.set()
-                motion.over.wait()
+                motion.outcome.exception()  # when it is over
             self._goals = None
             self.robot.stop()
             if motion is not None and self._last is not None:
@@ -454,8 +455,8 @@ class ArmSession(ArmDriver):
                     self.observer.message(self.rehearsal.summary())
             finally:
                 self._stack.__exit__(kind, error, trace)
-        if error is None and motion is not None and motion.error is not None:
-            raise motion.error
+        if error is None and motion is not None:
+            motion.outcome.result()
 
     def _require_open(self) -> None:
         if self._closed:
@@ -471,8 +472,8 @@ class ArmSession(ArmDriver):
 
     def _tell_last(self) -> None:
         motion, self._motion = self._motion, None
-        if motion is not None and motion.error is not None:
-            raise motion.error
+        if motion is not None:
+            motion.outcome.result()
 
     def _start(self, motion: ArmMotion, *, wait: bool) -> ArmState | None:
         with self._asking:  # two threads may have looked before either started

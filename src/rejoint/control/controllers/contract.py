@@ -157,8 +157,11 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
         raise ContractError(f"the policy was trained for a {arm.name} with another {', '.join(other)}; {remedy}")
 
 
-def check_period(contract: PolicyContract, period: float) -> None:
-    """Raise ContractError for an untrained mean control period [s]."""
+def check_controller_period(controller: object, period: float) -> None:
+    """Raise ContractError for a policy untrained for the mean control ``period`` [s]; NaN: unknown."""
+    contract = getattr(controller, "contract", None)
+    if not isinstance(contract, PolicyContract) or np.isnan(period):
+        return
     low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
     if not low <= period <= high:
         raise ContractError(
@@ -166,13 +169,6 @@ def check_period(contract: PolicyContract, period: float) -> None:
             f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f} ms; "
             "choose --period within that, or train for this robot"
         )
-
-
-def check_controller_period(controller: object, period: float) -> None:
-    """Raise ContractError unless ``period`` [s] suits; NaN: unknown."""
-    contract = getattr(controller, "contract", None)
-    if isinstance(contract, PolicyContract) and np.isfinite(period):
-        check_period(contract, period)
 
 
 def _constants(law: CommandLaw) -> list[tuple[str, float]]:

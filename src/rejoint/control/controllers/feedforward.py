@@ -84,10 +84,14 @@ class FeedforwardController:
         self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
         if not (self._stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
-        self._goal = self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
-        self._pushed = self._eager = self._came = self._asked = self._position
-        self._idle: Array = np.zeros((0, arm.joints, arm.joints))  # (B, n, n) projection onto the null space
         self._pace = Pace()
+        self._clear(0)
+
+    def _clear(self, count: int) -> None:
+        n = self._arm.joints
+        self._goal, self._raised, self._correction, self._speed, self._position = np.zeros((5, count, n))
+        self._pushed, self._eager, self._came, self._asked = np.zeros((4, count, n))
+        self._idle = np.zeros((count, n, n))  # projection onto the null space
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new goals of ``where`` (B,); corrections stay. Far from the target their null-space parts go."""
@@ -186,9 +190,7 @@ class FeedforwardController:
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Clear corrections of ``where`` (B,); call `reset` next."""
         if len(self._position) != len(inputs.sent):
-            self._goal, self._raised, self._correction, self._speed, self._position = np.zeros((5, *inputs.sent.shape))
-            self._pushed, self._eager, self._came, self._asked = np.zeros((4, *inputs.sent.shape))
-            self._idle = np.zeros((*inputs.sent.shape, self._arm.joints))
+            self._clear(len(inputs.sent))
         self._correction[where] = self._speed[where] = self._pushed[where] = 0.0
         self._asked[where] = inputs.sent[where]
         self._position = np.where(where[:, None], inputs.state.position, self._position)

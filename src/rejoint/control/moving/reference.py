@@ -200,8 +200,11 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
         )
 
 
-def read_path(file: FilePath, arm: Arm) -> Path:
-    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations, for the tool of ``arm``; FileError."""
+def read_path(given: FilePath | str, arm: Arm, seed: int = 0) -> Path:
+    """Make a standard path, or read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations; FileError."""
+    if _NAME.fullmatch(str(given)):
+        return standard_path(str(given), arm, seed)
+    file = FilePath(given)
     if not file.exists():
         remedy = "standard are circle-8s, random-0.2hz and the like"
         raise FileError(file, "no such file, and no standard path", remedy)
@@ -228,11 +231,6 @@ LENGTH = 20.0
 _SINES, _FILL = 5, 0.7
 """waves per coordinate, and their share of the region"""
 _NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
-
-
-def is_standard(name: str) -> bool:
-    """Whether it is standard."""
-    return _NAME.fullmatch(name) is not None
 
 
 def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
