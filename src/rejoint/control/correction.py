@@ -267,5 +267,4 @@ class Apparent:
         jacobian = position_kinematics(self.arm, position)[1]
         turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
         both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
-        step: Array = dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(np.linalg.norm(way)))
-        return step
+        return dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(np.linalg.norm(way)))

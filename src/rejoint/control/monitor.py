@@ -61,8 +61,7 @@ class Bands:
 
     def balance(self, arm: Arm, position: Array) -> Array:
         """Leads (..., n) [rad] against gravity at ``position`` (..., n) [rad]."""
-        balance: Array = self.slope * gravity_torque(arm, position) + self.offset
-        return balance
+        return self.slope * gravity_torque(arm, position) + self.offset
 
 
 class Following:
@@ -125,8 +124,7 @@ class Following:
         begins = several & (now - self._excused_last > EXCUSED)
         self._excused_since = np.where(begins, now, self._excused_since)
         self._excused_last = np.where(several, now, self._excused_last)
-        excused: Mask = several & (now - self._excused_since < EXCUSED)
-        return excused
+        return several & (now - self._excused_since < EXCUSED)
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
         """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings."""

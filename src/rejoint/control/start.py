@@ -59,8 +59,7 @@ class Stance:
     def away(self, arm: Arm, position: Array, command: Array) -> Array:
         """Distances (..., n) [rad] of ``position`` (..., n) under ``command``."""
         expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
-        away: Array = np.abs(position - expected)
-        return away
+        return np.abs(position - expected)
 
     def check(self, arm: Arm, state: JointState, command: Array) -> None:
         """Raise NotReadyError unless ``state`` matches under ``command`` (B, n) [rad]."""

@@ -193,9 +193,10 @@ def _standing(log: RunLog) -> NDArray[Any]:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Guard's limits, with friction bands if ``robot`` is the run's own."""
     limits = GuardLimits.of(arm)
-    paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
-    told = None if run is None else run.diagnosis
-    if run is None or told is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
+    if run is None or not _is_own(run, robot) or (told := run.diagnosis) is None:
+        return limits
+    paths = [run.folder.log(name) for name in ("excitation", "targets")]
+    if not all(path.exists() for path in paths):
         return limits
     bands = standing_bands(laden(run), [read_log(path) for path in paths], *told.measurement.balance)
     return replace(limits, bands=bands, gains=told.servo_gains)
@@ -214,8 +215,7 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
     if twin is None:
         return None
     stance = _expected(twin)
-    path = None if run is None else run.folder.log("targets")
-    if run is None or path is None or not path.exists():
+    if run is None or not (path := run.folder.log("targets")).exists():
         return stance
     log, then = read_log(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
     rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)

@@ -334,8 +334,9 @@ def keep(run: Run, settings: Settings) -> None:
 
 def kept(run: Run | None) -> KeptSettings:
     """Return what ``run`` keeps; FileError where that is damaged."""
-    there = run is not None and run.folder.settings.exists()
-    return read_json(run.folder.settings, KeptSettings) if run is not None and there else KeptSettings()
+    if run is None or not run.folder.settings.exists():
+        return KeptSettings()
+    return read_json(run.folder.settings, KeptSettings)
 
 
 def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) -> tuple[Settings, str]:

@@ -20,7 +20,6 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, brake
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence, with_ways
-from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
@@ -95,13 +94,12 @@ class ArmSession(ArmDriver):
     """of the last path"""
     _motion: ArmMotion | None = None
     _goals: GoalStream | None = None
-    _seen: JointState | Cycle | None = None
+    _seen: Cycle | None = None
     _closed = False
 
     def open(self) -> Self:
         """Connect now; nothing moves. AddressError if no robot answers."""
-        self._require_open()
-        self._seen = self.robot.read()
+        self.state  # noqa: B018 - it asks the robot
         return self
 
     @contextmanager
@@ -334,13 +332,11 @@ class ArmSession(ArmDriver):
             self._require_open()
             moving = self._moving
             if not moving or self._seen is None:  # else the robot is the motion's to ask
-                self._seen = self.robot.read()
-                if self.watching:
-                    cycle = cycle_at_rest(self._seen, self.robot.true_tcp(), self._sent)
-                    for see in self.watching:
-                        see(cycle)
+                self._seen = cycle_at_rest(self.robot.read(), self.robot.true_tcp(), self._sent)
+                for see in self.watching:
+                    see(self._seen)
             newest = self._last if moving and self._last is not None else self._seen
-            return self._state(float(newest.time[0]), newest.position[0], moving=moving)
+            return self._state(newest, moving=moving)
 
     @contextmanager
     def recording(self, name: str = "record") -> Iterator[RunRecorder]:
@@ -491,14 +487,15 @@ class ArmSession(ArmDriver):
         self._tell_last()
         return self.state
 
-    def _state(self, time: float, joints: Array, *, moving: bool) -> ArmState:
-        tool, target, error, turned, cycle = tcp_position(self.arm, joints), None, None, None, self._last
-        if cycle is not None and np.isfinite(cycle.aim[0]).all():
-            target, error = cycle.target[0].copy(), float(np.linalg.norm(cycle.aim[0] - tool))
-        if cycle is not None and np.isfinite(cycle.turned[0]):
-            turned = float(cycle.turned[0])
+    def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
+        joints, sent = newest.position[0], self._last
+        tool, target, error, turned = tcp_position(self.arm, joints), None, None, None
+        if sent is not None and np.isfinite(sent.aim[0]).all():
+            target, error = sent.target[0].copy(), float(np.linalg.norm(sent.aim[0] - tool))
+        if sent is not None and np.isfinite(sent.turned[0]):
+            turned = float(sent.turned[0])
         return ArmState(
-            time_s=time,
+            time_s=float(newest.time[0]),
             joints_rad=joints.copy(),
             tool_m=tool,
             moving=moving,

@@ -76,9 +76,9 @@ def recommend(comparison: Comparison) -> Recommendation:
     return Recommendation(controller=chosen.controller, why=(*why, *_geared(chosen)), tied=names)
 
 
-def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
-    """Mean of ``first`` minus ``second`` in a metric, with interval; None: no common result."""
-    a, b = (comparison.array(name, one).ravel() for one in (first, second))
+def difference(comparison: Comparison, first: str, second: str) -> Estimate | None:
+    """Mean settled error of ``first`` minus that of ``second``, with interval; None: no common result."""
+    a, b = (comparison.array("settled", one).ravel() for one in (first, second))
     return paired_difference(a, b, cluster(comparison.shape)[1])
 
 

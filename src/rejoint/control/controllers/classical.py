@@ -49,8 +49,7 @@ def fade(error: Array, distance: float) -> Array:
 
 def between(values: Array, low: Array | float, high: Array | float) -> Array:
     """Clip to [low, high]; faster than `numpy.clip` for small arrays."""
-    limited: Array = np.minimum(np.maximum(values, low), high)
-    return limited
+    return np.minimum(np.maximum(values, low), high)
 
 
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:

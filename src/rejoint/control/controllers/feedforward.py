@@ -103,13 +103,11 @@ class FeedforwardController:
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
         """Arms (B,) with moving goals."""
-        moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
-        return moved
+        return np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
 
     def _unneeded(self) -> Array:
         """Null-space parts (B, n) [rad] of the corrections."""
-        part: Array = (self._idle @ self._correction[..., None])[..., 0]
-        return part
+        return (self._idle @ self._correction[..., None])[..., 0]
 
     def _far(self, distance: Array) -> Array:
         """Share (B,), from 0 near to 1 far, at ``distance`` (B,) [m]."""

@@ -145,8 +145,7 @@ def load_policy(path: Path, arm: Arm) -> PolicyController:
 
 
 def _act(session: Any, observation: Observation) -> Array:  # noqa: ANN401
-    answer: Array = session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
-    return answer
+    return session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
 
 
 def _open(source: str, data: bytes) -> Any:  # noqa: ANN401
