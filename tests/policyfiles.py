@@ -4,7 +4,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from rejoint.control.controllers.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, UNSEALED, seal
+from rejoint.control.controllers.policy import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, UNSEALED, seal
 
 
 def chained(layers):

@@ -14,7 +14,7 @@ import typer.main
 from rejoint.arms import load_arm
 from rejoint.cli import app
 from rejoint.cli.console import with_place
-from rejoint.control.controllers.contract import DIGEST_KEY, METADATA_KEY
+from rejoint.control.controllers.policy import DIGEST_KEY, METADATA_KEY
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import PARAMETERS
 

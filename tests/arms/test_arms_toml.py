@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, Box, differing, load_arm, mycobot280, read_arm, so101, tcp_pose, write_arm_toml
-from rejoint.control.controllers.contract import law_digests
+from rejoint.control.controllers.policy import law_digests
 
 SHOULDER = """name = "two"
 rest_deg = [0, -40, 80]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Box, mycobot280
-from rejoint.control.controllers.contract import (
+from rejoint.control.controllers.feedforward import CommandLaw
+from rejoint.control.controllers.policy import (
+    PolicyController,
     check_contract,
 )
-from rejoint.control.controllers.policy import PolicyController
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.controllers.contract import PolicyContract
+from rejoint.control.controllers.policy import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import Bands
 from rejoint.control.servogains import (

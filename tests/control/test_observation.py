@@ -1,8 +1,8 @@
 import numpy as np
 
 from rejoint.arms import dls, mycobot280, position_kinematics, tcp_position
+from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.observation import Observer, layout_slots, look
-from rejoint.control.controllers.residual import CommandLaw
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

@@ -8,14 +8,14 @@ import pytest
 from commandline import python
 from policyfiles import chained, sealed
 from rejoint.arms import mycobot280
-from rejoint.control.controllers.contract import (
+from rejoint.control.controllers.feedforward import CommandLaw
+from rejoint.control.controllers.observation import Observer, layout_slots
+from rejoint.control.controllers.policy import (
     check_controller_period,
     encode_contract,
+    load_policy,
     probe_observations,
 )
-from rejoint.control.controllers.observation import Observer, layout_slots
-from rejoint.control.controllers.policy import load_policy
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract

@@ -12,8 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from test_policy import ARM, contract, write
 
 from policyfiles import sealed
-from rejoint.control.controllers.contract import LAYERS, MOST_LAYERS, encode_contract
-from rejoint.control.controllers.policy import LARGEST_FILE, load_policy, ort
+from rejoint.control.controllers.policy import LARGEST_FILE, LAYERS, MOST_LAYERS, encode_contract, load_policy, ort
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
 from rejoint.training.ppo import perceptron

@@ -7,8 +7,8 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.workspace import heaviest_load
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import look
-from rejoint.control.controllers.residual import Commander, CommandLaw
 from rejoint.control.reference import nearest_postures
 from rejoint.system.errors import InputError
 from standin import inputs_of, state_of

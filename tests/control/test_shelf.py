@@ -9,7 +9,7 @@ import pytest
 from rejoint.arms import CATALOGUE, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
-from rejoint.control.controllers.contract import check_controller_period
+from rejoint.control.controllers.policy import check_controller_period
 from rejoint.robots import place_of
 from rejoint.session.context import ControllerMaker
 from rejoint.system.errors import ContractError

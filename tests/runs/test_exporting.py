@@ -20,10 +20,9 @@ from torch import nn
 from commandline import python
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.controllers.catalogue import shelf_controller
-from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
 from rejoint.control.controllers.observation import layout_slots
 from rejoint.control.controllers.policy import Policy
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.loop import Schedule, run
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run

@@ -10,7 +10,7 @@ import pytest
 
 import rejoint
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.controllers.contract import decode_contract, encode_contract
+from rejoint.control.controllers.policy import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, OverloadedError, Round
 from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of

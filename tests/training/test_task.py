@@ -5,8 +5,8 @@ import pytest
 
 from modelfiles import ur5e
 from rejoint.arms import gravity_torque, heights, mycobot280
+from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.policy import PolicyController
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges

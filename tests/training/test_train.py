@@ -6,9 +6,8 @@ import pyarrow.parquet as pq
 import torch
 
 from rejoint.arms import mycobot280
-from rejoint.control.controllers.contract import INPUT, OUTPUT
-from rejoint.control.controllers.policy import load_policy
-from rejoint.control.controllers.residual import CommandLaw
+from rejoint.control.controllers.feedforward import CommandLaw
+from rejoint.control.controllers.policy import INPUT, OUTPUT, load_policy
 from rejoint.logs.runfolder import RunFolder
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner

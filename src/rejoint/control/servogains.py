@@ -16,7 +16,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.control.controllers.catalogue import POLICY, PREDICTIVE
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.controllers.contract import PolicyContract
+from rejoint.control.controllers.policy import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import ControlInput, Controller, Robot, part_of

@@ -27,6 +27,7 @@ from rejoint.control.controllers.feedforward import (
     LEAST_PUSH,
     SPEED_SMOOTHING,
     TAKEN_BACK,
+    CommandLaw,
 )
 from rejoint.control.controllers.observation import (
     HISTORY,
@@ -37,7 +38,6 @@ from rejoint.control.controllers.observation import (
     PERIOD_SMOOTHING,
     layout_factors,
 )
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.training.export import to_onnx
 
 F = TypeVar("F")
@@ -304,7 +304,7 @@ class _CycleGraph(nn.Module):
         return _answer(self.design.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
 
     def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Integrated parts of step and action (n,) [rad] (`rejoint.control.controllers.residual.Commander`)."""
+        """Integrated parts of step and action (n,) [rad] (`rejoint.control.controllers.feedforward.Commander`)."""
         law, largest, ratio = self.law, step.abs().max(), distance / self.law.load_penalty_distance
         push = _clip_norm(step, float(law.step_limit)) * (distance / (distance + law.learning.fade))
         push = push * (1.0 - self.spared / (ratio * ratio + 1.0))

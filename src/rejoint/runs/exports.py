@@ -14,9 +14,8 @@ from rejoint.arms import Arm, Displacement
 from rejoint.arms.loading import unit_arm, write_urdf
 from rejoint.arms.workspace import posture_grid, torque_size
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
-from rejoint.control.controllers.contract import check_contract
-from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, FeedforwardController
-from rejoint.control.controllers.residual import CommandLaw
+from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, CommandLaw, FeedforwardController
+from rejoint.control.controllers.policy import check_contract
 from rejoint.control.servogains import ServoGains, in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing

@@ -27,8 +27,8 @@ from rejoint.control.controllers.catalogue import (
     shelf_policy,
 )
 from rejoint.control.controllers.classical import NOMINAL_PERIOD
-from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands

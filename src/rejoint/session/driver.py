@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
-from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.guard import GuardLimits, clear_by

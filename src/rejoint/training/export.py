@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from rejoint.arms import Arm
 from rejoint.control.controllers.catalogue import shelf_policy
-from rejoint.control.controllers.contract import (
+from rejoint.control.controllers.policy import (
     DIGEST_KEY,
     INPUT,
     METADATA_KEY,
@@ -25,10 +25,10 @@ from rejoint.control.controllers.contract import (
     UNSEALED,
     PolicyContract,
     encode_contract,
+    ort,
     probe_observations,
     seal,
 )
-from rejoint.control.controllers.policy import ort
 from rejoint.system.errors import ContractError
 from rejoint.system.files import write_whole
 from rejoint.training.presets import Preset

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from rejoint.control.controllers.feedforward import FeedforwardGains
-from rejoint.control.controllers.residual import CommandLaw
+from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardGains
 from rejoint.system.errors import InputError
 from rejoint.training.task import ReachTask, TaskSettings
 

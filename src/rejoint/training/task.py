@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import ALL, Layout, Observation, Observer, Rows
-from rejoint.control.controllers.residual import Commander, CommandLaw
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.training.ranges import Ranges

@@ -13,8 +13,8 @@ from torch import Tensor
 from rejoint.arms import Arm
 from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.contract import PolicyContract, law_digests
 from rejoint.control.controllers.observation import layout_slots
+from rejoint.control.controllers.policy import PolicyContract, law_digests
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import write_parquet
 from rejoint.system.progress import Progress, no_progress

@@ -6,11 +6,11 @@ import numpy as np
 
 from madetwin import made_twin
 from policyfiles import chained, sealed
-from rejoint.control.controllers.contract import (
+from rejoint.control.controllers.observation import layout_slots
+from rejoint.control.controllers.policy import (
     encode_contract,
     probe_observations,
 )
-from rejoint.control.controllers.observation import layout_slots
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
 from rejoint.twin.parameters import nominal_parameters

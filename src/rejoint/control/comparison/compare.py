@@ -34,7 +34,7 @@ from rejoint.control.comparison.result import (
     row_of,
 )
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.controllers.contract import check_controller_period
+from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import run

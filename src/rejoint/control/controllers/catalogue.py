@@ -8,9 +8,8 @@ from pathlib import Path
 
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
-from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.controllers.policy import Policy, PolicyController, load_policy
+from rejoint.control.controllers.policy import Policy, PolicyController, check_contract, load_policy
 from rejoint.control.robot import Controller
 from rejoint.system.errors import ContractError, InputError
 

@@ -1,37 +1,266 @@
-"""A learned policy as a controller. Needs ONNX Runtime, not torch; without its telemetry, which 0 allows."""
+"""A learned policy as a controller, and the contract of its file, checked before the arm moves.
+
+JSON in the metadata of the ONNX file, which must be a bounded chain of known layers. Fields: ``onnx.proto`` of ONNX
+1.17. Needs ONNX Runtime, not torch; without its telemetry, which 0 allows.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from google.protobuf.empty_pb2 import Empty
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
 
 from rejoint.arms import Arm, Array, Mask
-from rejoint.control.controllers.contract import (
-    DIGEST_KEY,
-    INPUT,
-    METADATA_KEY,
-    OUTPUT,
-    PROBE_TOLERANCE,
-    PolicyContract,
-    check_contract,
-    content_digest,
-    decode_contract,
-    probe_observations,
-    read_metadata,
-    shown,
-)
-from rejoint.control.controllers.observation import Observation, Observer
-from rejoint.control.controllers.residual import Commander
+from rejoint.arms.inertia import bare
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
+from rejoint.control.controllers.observation import Layout, Observation, Observer, Slot, layout_slots
 from rejoint.control.robot import ControlInput
-from rejoint.system.errors import ContractError, FileError, InputError
+from rejoint.system.errors import ContractError, FileError, InputError, first_line
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
 from rejoint.system.results import Readable
 from rejoint.system.shell import Late
+
+FORMAT = 3
+"""Version; others are refused"""
+
+METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
+
+INPUT, OUTPUT = "observation", "action"
+"""(B, size) and (B, n), float32"""
+
+PROBE_TOLERANCE = 1e-4
+"""Largest difference of probe answers (chosen: ten times float32 rounding)"""
+
+PERIOD_MARGIN = 1.25
+"""on trained periods (chosen)"""
+
+LARGEST_TEXT = 1 << 20
+"""[characters] (chosen)"""
+
+LARGEST_CONSTANT = 1e6
+"""in SI units (chosen)"""
+
+_PROBE_ROWS = 8
+_SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyContract:
+    """Common properties of policy and arm."""
+
+    arm: str
+    arm_digests: dict[str, str]
+    """by field, see `law_digests`"""
+    joint_names: tuple[str, ...]
+    lower: tuple[float, ...]
+    """[rad]"""
+    upper: tuple[float, ...]
+    """[rad]"""
+    layout: Layout
+    observation: tuple[Slot, ...]
+    law: CommandLaw
+    min_period: float
+    """[s] in training"""
+    max_period: float
+    """[s] in training"""
+    probe: tuple[tuple[float, ...], ...]
+    """answers to `probe_observations`"""
+    twin_digest: str
+    preset: str
+    seed: int
+    software: str
+    servo_gains: dict[str, tuple[int, ...]] | None = None
+    """of the servos in training; None: any"""
+    format: int = FORMAT
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the observation vector."""
+        return sum(slot.size for slot in self.observation)
+
+
+def probe_observations(size: int) -> Array:
+    """Return fixed observations (8, size) in [-1, 1]."""
+    index = np.arange(_PROBE_ROWS * size, dtype=float).reshape(_PROBE_ROWS, size)
+    return np.sin(1.0 + index**1.5)
+
+
+def law_digests(arm: Arm) -> dict[str, str]:
+    """Digests of arm fields for laws, rounded to 1e-9."""
+    read = {
+        "offset": arm.offset,
+        "axis": arm.axis,
+        "tip": arm.tip[:3, 3],
+        "mass": arm.mass,
+        "com": arm.com,
+        "rest": arm.rest,
+        "targets": np.stack([arm.targets.lower, arm.targets.upper]),
+    }
+    rounded = {name: np.round(array, 9) + 0.0 for name, array in read.items()}  # + 0.0 turns -0.0 into 0.0
+    return {name: hashlib.sha256(array.astype("<f8").tobytes()).hexdigest()[:16] for name, array in rounded.items()}
+
+
+def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
+    """Fields of `law_digests` in this law."""
+    if law.anchor == "goal":
+        return ("offset", "axis", "tip", "mass", "com", "rest", "targets")
+    return ("offset", "axis", "tip", *(["rest"] if layout != "residual" else []))
+
+
+def encode_contract(contract: PolicyContract) -> str:
+    """JSON text."""
+    return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
+
+
+def decode_contract(text: str) -> PolicyContract:
+    """Decode JSON text; ContractError."""
+    if len(text) > LARGEST_TEXT:
+        raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
+    try:
+        content = msgspec.json.decode(text, type=dict[str, Any])
+        version = content.get("format")
+        if version != FORMAT:
+            raise ContractError(
+                f"the policy's contract has format {shown(repr(version))}, expected {FORMAT}; train it again"
+            )
+        return msgspec.convert(content, type=PolicyContract)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        reason = shown(first_line(error))
+        raise ContractError(f"the policy's contract cannot be read ({reason}); train it again") from error
+
+
+def check_contract(contract: PolicyContract, arm: Arm) -> None:
+    """Raise ContractError unless the policy suits this arm; payload and tool do not count."""
+    arm = bare(arm)
+    remedy = "train a policy for this arm"
+    expected = {
+        "arm": (contract.arm, arm.name),
+        "joint order": (contract.joint_names, arm.joint_names),
+        "observation layout": (_parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),
+        "joint range [deg]": (_degrees(contract.lower, contract.upper), _degrees(arm.lower, arm.upper)),
+    }
+    for what, (found, wanted) in expected.items():
+        if found != wanted:
+            raise ContractError(f"the policy's {what} is {shown(found)}, expected {shown(wanted)}; {remedy}")
+    strange = [name for name, value in _constants(contract.law) if not 0.0 <= value <= LARGEST_CONSTANT]
+    if strange:
+        raise ContractError(
+            f"the constants {shown(', '.join(strange))} of the policy's law are not between 0 and "
+            f"{LARGEST_CONSTANT:g}; train it again"
+        )
+    own, read = law_digests(arm), fields_read(contract.law, contract.layout)
+    other = [name for name in read if contract.arm_digests.get(name) != own[name]]
+    if other:
+        raise ContractError(f"the policy was trained for a {arm.name} with another {', '.join(other)}; {remedy}")
+
+
+def check_controller_period(controller: object, period: float) -> None:
+    """Raise ContractError for a policy untrained for the mean control ``period`` [s]; NaN: unknown."""
+    contract = getattr(controller, "contract", None)
+    if not isinstance(contract, PolicyContract) or np.isnan(period):
+        return
+    low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
+    if not low <= period <= high:
+        raise ContractError(
+            f"the robot's control period is {1e3 * period:.0f} ms, the policy was trained for "
+            f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f} ms; "
+            "choose --period within that, or train for this robot"
+        )
+
+
+def _constants(law: CommandLaw) -> list[tuple[str, float]]:
+    plain = {**asdict(law), **asdict(law.learning)}
+    numbers = [(name, value) for name, value in plain.items() if isinstance(value, int | float)]
+    return numbers + [("stiffness", value) for value in law.stiffness]
+
+
+def _parts(slots: tuple[Slot, ...]) -> list[tuple[str, int]]:
+    return [(slot.name, slot.size) for slot in slots]
+
+
+def _degrees(*limits: Sequence[float] | Array) -> list[list[float]]:
+    return [[round(float(np.degrees(angle)), 4) for angle in angles] for angles in limits]
+
+
+def shown(value: object) -> str:
+    """Print a value in one short line."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+LAYERS = (b"Gemm", b"Elu", b"Tanh", b"Clip")
+"""Allowed operators"""
+
+MOST_LAYERS = 64
+"""(chosen)"""
+
+_GRAPH, _PROPERTY, _NODE = 7, 14, 1
+_ATTRIBUTE_FIELDS = dict.fromkeys((1, 2, 3, 4, 13, 20, 21))  # numbers and text: no tensors and no graphs inside
+_NODE_FIELDS = {**dict.fromkeys((1, 2, 3, 6)), 4: LAYERS, 5: _ATTRIBUTE_FIELDS, 7: (b"",)}  # of no other library
+_WEIGHT_FIELDS = dict.fromkeys((1, 2, 4, 8, 9, 12))  # float32 inside the file: no segments, no other file
+_MODEL_FIELDS = {
+    **dict.fromkeys((1, 2, 3, 4, 5, 6)),  # no training, functions and devices
+    _GRAPH: {**dict.fromkeys((2, 10, 11, 12, 13)), _NODE: _NODE_FIELDS, 5: _WEIGHT_FIELDS},  # all weights dense
+    8: {1: (b"",), 2: None},
+    _PROPERTY: {1: None, 2: None},
+}
+"""Allowed fields by number: with fields inside, with these values, or with any"""
+_GROUP = 3  # wire type of an obsolete kind of message
+
+UNSEALED = "0" * 64
+"""Digest of a file that has none yet"""
+
+
+def read_metadata(data: bytes) -> dict[str, str]:
+    """Metadata of an ONNX file; ValueError."""
+    _check(data, _MODEL_FIELDS)
+    parts = _fields(data)
+    layers = sum(field == _NODE for number, graph in parts if number == _GRAPH for field, _ in _fields(graph))
+    if not 0 < layers <= MOST_LAYERS:
+        raise ValueError(f"{layers} layers, expected 1 to {MOST_LAYERS}")
+    pairs = (dict(_fields(value)) for number, value in parts if number == _PROPERTY)
+    return {pair.get(1, b"").decode(): pair.get(2, b"").decode() for pair in pairs}
+
+
+def content_digest(data: bytes, recorded: str) -> str:
+    """Digest of an ONNX file in which this one is ``recorded``."""
+    return hashlib.sha256(data.replace(recorded.encode(), b"", 1)).hexdigest()
+
+
+def seal(data: bytes) -> bytes:
+    """Put its digest in the place of `UNSEALED`."""
+    return data.replace(UNSEALED.encode(), content_digest(data, UNSEALED).encode(), 1)
+
+
+def _check(data: bytes, allowed: Mapping[int, Any]) -> None:
+    for number, value in _fields(data):
+        inside = allowed.get(number, ())
+        if isinstance(inside, dict):
+            _check(value, inside)
+        elif inside is not None and value not in inside:
+            raise ValueError(f"a field {number} that no policy has: {shown(value)}")
+
+
+def _fields(message: bytes) -> list[tuple[int, Any]]:
+    """Numbers and values of a message's fields: each one that an empty message does not know."""
+    try:
+        fields = list(UnknownFieldSet(Empty.FromString(message)))
+    except DecodeError as error:
+        raise ValueError(first_line(error)) from error
+    if any(field.wire_type == _GROUP for field in fields):
+        raise ValueError("a group of fields, which no policy has")
+    return [(field.field_number, field.data) for field in fields]
+
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is imported
 ort = Late("onnxruntime")

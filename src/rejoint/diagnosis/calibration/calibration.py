@@ -14,7 +14,7 @@ from rejoint.arms import Arm, Array, Displacement, position_kinematics, tcp_posi
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.inertia import bare
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.controllers.contract import law_digests
+from rejoint.control.controllers.policy import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, scatter, vector_of
 from rejoint.system.errors import ContractError, InputError

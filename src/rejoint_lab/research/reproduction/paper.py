@@ -8,8 +8,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, collides
 from rejoint.arms.workspace import length_size, torque_size
+from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.observation import SUCCESS_DISTANCE
-from rejoint.control.controllers.residual import CommandLaw
 from rejoint.training.presets import PpoSettings, Preset
 from rejoint.training.ranges import Interval
 from rejoint.training.task import ReachTask, TaskSettings
