@@ -113,7 +113,7 @@ def _hold(
     robot, sent = _robot(arm, seed, true, told)
     recording = run(robot, make(robot.arm, twin), targets, Schedule(dwell=DWELL, sent=sent))
     holds = metrics_of(arm, recording, targets, Protocol(hold=DWELL))
-    seems = noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
+    seems, _ = noticed_load(robot.arm, twin, recording.log(0, "hold")) or (np.nan, np.nan)
     return holds["settled"][0], holds[Protocol().stay_names[NARROW]][0], seems
 
 

@@ -196,7 +196,7 @@ class RunState:
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
         self.index: Index = np.zeros(count, dtype=np.intp)
         self.doubted: Index = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
-        self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
+        self.set_at = state.time.copy()  # [s] of the target, shifted by gaps
         self.begun = self.set_at.copy()  # [s] the same with gaps and waits
         self.active: Mask = np.ones(count, dtype=bool)
         self.gap: Mask = np.zeros(count, dtype=bool)  # whether the state came after a gap
@@ -257,7 +257,7 @@ class RunState:
 
     def _stepped(self, state: JointState, command: Array, speed: Array) -> None:
         self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
-        elapsed = state.time - self.last_time
+        elapsed = state.time - self.state.time
         self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
         late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
         # A repeated answer has no news of the clock: the last period stands.
@@ -267,20 +267,20 @@ class RunState:
         if np.count_nonzero(self.gap):
             self._wait(self.gap, elapsed)
             moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
-        left_out = self.reference.left_out(self.last_time - self.set_at, self.state.position, state.position)
+        left_out = self.reference.left_out(self.state.time - self.set_at, self.state.position, state.position)
         self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
-        self.state, self.last_time = state, state.time
+        self.state = state
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap, moved)
         self._ask()
 
-    def _go_on(self, where: Mask) -> None:
+    def _go_on(self, where: Mask, since: Array) -> None:
+        """Go on after a flagged joint was pulled back ``since`` (B,) [s]."""
         self.doubted = self.doubted + where
         if self.unbelieved is not None:
             self.following.believe(self.state, self.sent, self.unbelieved & where[:, None])
-        self._wait(where, self.state.time - self.last_time)
-        self.last_time = np.where(where, self.state.time, self.last_time)
+        self._wait(where, self.state.time - since)
         self.gap = self.gap | where
         self._begin_again(where, np.zeros(len(where), dtype=bool))
         self._ask()
@@ -384,6 +384,7 @@ class RunState:
         trips = reasons & np.uint16(TRIPS)
         if not trips.any():
             return False
+        since = self.state.time
         alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING)
         trips = trips * ~alive
         self.tripped = self.tripped | trips
@@ -395,7 +396,7 @@ class RunState:
         newest = self.cycles.pop()  # what an arm that goes on reads there is the next cycle's
         if (newest.active & ~alive).any():
             self.cycles.append(replace(newest, active=newest.active & ~alive))
-        self._go_on(alive)
+        self._go_on(alive, since)
         return True
 
     def _release(self, trips: Reasons) -> Mask:

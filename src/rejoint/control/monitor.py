@@ -69,25 +69,33 @@ class Following:
 
     def __init__(self, arm: Arm, state: JointState, sent: Array, bands: Bands | None = None) -> None:
         """Begin at ``state`` after ``sent`` (B, n) [rad]."""
-        self._bands = bands
-        shape = state.position.shape
-        self._arm, self._last = arm, state.time.copy()
-        self._tracks = np.zeros(shape, compiled.TRACK)
-        self._tracks["position"] = self._tracks["home"] = state.position
-        self._tracks["held"] = sent
+        count, joints = state.position.shape
+        self._arm, self._bands, self._last = arm, bands, np.zeros(count)
+        self._tracks = np.zeros((count, joints), compiled.TRACK)
+        self._tracks["home"] = state.position
         self._tracks["reach"] = self._tracks["width"] = np.inf
-        self._tracks["since"] = state.time[:, None]
         if bands is not None:  # a stuck joint may go from one end of its band to the other
             self._tracks["reach"], self._tracks["width"], self._tracks["stuck"] = (
                 bands.reach,
                 bands.width,
                 2 * bands.width,
             )
-        self._sent_at = np.repeat(state.time[:, None], compiled.HISTORY, axis=1)
-        self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], compiled.HISTORY, axis=1)
-        self._verdict = np.zeros(shape, dtype=np.int64)
-        self._nothing = np.zeros(shape)
-        self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
+        self._sent_at, self._sent = np.zeros((count, compiled.HISTORY)), np.zeros((count, compiled.HISTORY, joints))
+        self._verdict, self._nothing = np.zeros((count, joints), dtype=np.int64), np.zeros((count, joints))
+        self._excused_since, self._excused_last = np.full((2, count), -np.inf)
+        self._restart(np.ones(count, dtype=bool), state, sent)
+
+    def _restart(self, where: Mask, state: JointState, sent: Array) -> None:
+        """Begin at ``state`` after ``sent`` (B, n) [rad] for the arms in ``where`` (B,)."""
+        tracks = self._tracks
+        tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
+        tracks["since"][where] = state.time[where, None]
+        for name in ("travel", "pushed", "due", "still", "late"):
+            tracks[name][where] = 0
+        self._verdict[where] = compiled.FINE
+        self._last = np.where(where, state.time, self._last)
+        self._sent_at[where] = state.time[where, None]
+        self._sent[where] = sent[where, None]
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
         """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
@@ -137,20 +145,13 @@ class Following:
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
-        tracks, where = self._tracks, joints.any(axis=-1)
-        push, width, load = tracks["push"], tracks["width"], self._loads()
+        tracks, load = self._tracks, self._loads()
+        push, width = tracks["push"], tracks["width"]
         lifted = 0.0 if self._bands is None else self._bands.lifted
         weak = joints & (push * load > 0.0) & (np.abs(load) > lifted)
         tracks["reach"] = np.where(weak, np.minimum(tracks["reach"], np.abs(load) + width), tracks["reach"])
         tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
-        tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
-        tracks["since"][where] = state.time[where, None]
-        for name in ("travel", "pushed", "due", "still", "late"):
-            tracks[name][where] = 0
-        self._verdict[where] = compiled.FINE
-        self._last = np.where(where, state.time, self._last)
-        self._sent_at[where] = state.time[where, None]
-        self._sent[where] = sent[where, None]
+        self._restart(np.logical_or.reduce(joints, axis=-1), state, sent)
 
     def balance(self, joints: Mask, sent: Array) -> Array:
         """Return holding commands (B, n) [rad]: ``sent``, or the last equilibrium of ``joints`` (B, n)."""

@@ -143,23 +143,21 @@ def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None
     return over & (joint_weights(arm) <= 1.0) & known
 
 
-def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
-    """Estimate an unreported mass [kg] at the tool and its standard error; NaN if the arm never stood."""
+def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:
+    """Estimate an unreported mass [kg] at the tool and its standard error; None if the arm never stood."""
     rows = _standing(log)
-    if not len(rows):
-        return float("nan"), float("nan")
     position, own = log.position[rows], twin.parameters
     torque = own.stiffness * (log.command[rows] + own.offset - position)
     missing = torque - gravity_torque(arm, position)
     lever = -position_kinematics(arm, position)[1].swapaxes(-1, -2) @ GRAVITY  # [m^2/s^2]: torque per mass
     free = np.abs(torque) < 0.9 * own.torque_limit  # at its limit a motor gives less than its stiffness says
     # Friction holds anything between plus and minus its size, all equally likely.
-    least = 0.02 * np.abs(gravity_torque(arm, position)).max()
+    least = 0.02 * np.abs(gravity_torque(arm, position)).max(initial=0.0)
     doubt = np.broadcast_to(np.maximum(own.coulomb, least) / np.sqrt(3.0), missing.shape)
     weight = np.where(free, 1.0 / doubt, 0.0)
     total = float(((lever * weight) ** 2).sum())
     if total <= 0.0:
-        return float("nan"), float("nan")
+        return None
     doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
@@ -168,13 +166,13 @@ def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> No
     """Report an unexpected load that the sag of a ``log`` shows."""
     if twin is None or log is None:
         return
-    mass, doubt = noticed_load(arm, twin, log)
-    if not mass > max(LEAST, SURE * doubt):
+    found = noticed_load(arm, twin, log)
+    if found is None or not found[0] > max(LEAST, SURE * found[1]):
         return
     more = " more than was told" if isinstance(arm, LoadedArm) else ""
     say(
-        f"The joints sag as if the hand carried about {1e3 * mass:.0f} g{more}: tell it with --payload, or identify "
-        "again if the arm itself has changed."
+        f"The joints sag as if the hand carried about {1e3 * found[0]:.0f} g{more}: tell it with --payload, or "
+        "identify again if the arm itself has changed."
     )
 
 
