@@ -9,8 +9,8 @@ from rejoint.arms import mycobot280
 from rejoint.control.start import move
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
-from rejoint.session import recorder
-from rejoint.session.recorder import RunRecorder
+from rejoint.session import driver
+from rejoint.session.driver import RunRecorder
 from rejoint.system.errors import FileError
 
 ARM = mycobot280()
@@ -22,7 +22,7 @@ def run(tmp_path):
 
 
 def test_motions_of_one_connection_come_in_pieces(run, monkeypatch):
-    monkeypatch.setattr("rejoint.session.recorder.PIECE", 4.0)
+    monkeypatch.setattr("rejoint.session.driver.PIECE", 4.0)
     with rejoint.connect("emulated:worn", run=run.path, settings=rejoint.Settings(controller="default")) as arm:
         for y in (0.03, -0.03, 0.03, -0.03):
             arm.move_to([0.17, y, 0.2], within_m=0.1)
@@ -38,7 +38,7 @@ def test_motions_of_one_connection_come_in_pieces(run, monkeypatch):
 
 def test_a_full_disk_is_told_once_and_the_next_piece_tries_again(run, monkeypatch):
     said: list[str] = []
-    begin = recorder.start_journal
+    begin = driver.start_journal
     full = FileError(run.path, "49 MB free on that disk, 50 MB needed", "free some space")
     outcomes = iter([None, full, full, None])
 
@@ -47,7 +47,7 @@ def test_a_full_disk_is_told_once_and_the_next_piece_tries_again(run, monkeypatc
             raise error
         return begin(*given)
 
-    monkeypatch.setattr(recorder, "start_journal", sometimes)
+    monkeypatch.setattr(driver, "start_journal", sometimes)
     robot = open_robot("emulated:worn", arm=ARM)
     log = RunRecorder(run, said.append)
     log.begin(robot, "serve", "serve/posture")

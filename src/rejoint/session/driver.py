@@ -1,17 +1,17 @@
-"""What holds an arm, or a simulation in its place, and drives it; the only caller of the control loop."""
+"""What holds an arm or its simulation, drives it, and writes its logs; the only caller of the control loop."""
 
 from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
-from rejoint.control.recording import Cycle, Observer, OnCycle, Recording, recording_of
+from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import (
     ControlInput,
@@ -36,10 +36,12 @@ from rejoint.control.robot import (
     turned_off,
 )
 from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
-from rejoint.control.start import begin, check_ready, move
+from rejoint.control.start import Playback, begin, check_ready, move
+from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import is_virtual, open_robot
-from rejoint.runs.run import Run, exclusive, staged
+from rejoint.runs.run import Run, dated, exclusive, staged, start_journal
 from rejoint.session.context import (
     ControllerLike,
     ControllerMaker,
@@ -64,8 +66,7 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.session.recorder import RunRecorder
-from rejoint.system.errors import InputError, NotReachedError
+from rejoint.system.errors import FileError, InputError, NotReachedError, RejointError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import RateLimit
@@ -75,6 +76,111 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.session.inputs import Period
     from rejoint.twin.twin import Twin
+
+
+LogKind: TypeAlias = tuple[Robot, str, str]
+"""Robot, name of the file before its date, and label of a log"""
+
+
+class RunRecorder:
+    """Writes ``logs/NAME-DATE.parquet`` of a run, one log for motions of a kind, a new one every `PIECE`.
+
+    FileError without disk space before the arm moves; later ``say`` reports it once.
+    """
+
+    log: RunLog | None = None
+    """newest one that has ended"""
+    error: RejointError | None = None
+    """why a reading failed"""
+
+    def __init__(self, run: Run | None, say: Callable[[str], object]) -> None:
+        self._run, self._say = run, say
+        self._kind: LogKind | None = None
+        self._journal: Journal | None = None
+        self._cycles: list[Cycle] = []
+        self._told = False
+
+    @property
+    def seconds(self) -> float:
+        """Length of what was seen [s]."""
+        return float(self._cycles[-1].time[0] - self._cycles[0].time[0]) if self._cycles else 0.0
+
+    def begin(self, robot: Robot, name: str, label: str) -> None:
+        """Start or continue a log of this kind."""
+        kind = (robot, name, label)
+        if self._kind != kind:
+            self.end()
+            self._start(kind)
+        elif self.seconds > PIECE:
+            self.turn()
+
+    def see(self, cycle: Cycle) -> None:
+        """Take a control cycle."""
+        self._cycles.append(cycle)
+        if self._journal is not None:
+            self._journal.see(cycle)
+
+    def turn(self, *, keep: bool = True) -> None:
+        """Write what was seen if it is worth it, and continue in a new log."""
+        kind = self._kind
+        try:
+            self.end(keep=keep)
+            if kind is not None:
+                self._start(kind)
+        except FileError as error:
+            self._kind = kind
+            if not self._told:
+                self._say(f"{error}; until then the arm goes on without a log of its motion")
+                self._told = True
+
+    def end(self, *, keep: bool = True, extra: Mapping[str, str] | None = None) -> None:
+        """Write what was seen; FileError where that fails."""
+        journal, cycles, kind = self._ended()
+        self.log = _log(kind, cycles, extra=extra) if kind is not None and cycles and keep else None
+        if journal is not None and self.log is not None:
+            journal.finish(self.log)
+        elif journal is not None:
+            journal.discard()
+
+    def rescue(self, error: BaseException) -> None:
+        """Write what was seen until ``error``; its note says where."""
+        journal, cycles, kind = self._ended()
+        partial = recording_of(error)
+        if self._run is None or kind is None:
+            return
+        if journal is None:
+            error.add_note("The disk had no room for what was recorded until then.")
+        elif cycles:
+            error.add_note(journal.keep(_log(kind, cycles, "/stopped")))
+        elif partial is not None:
+            label = f"{kind[1]}/begin" if partial.controller == Playback.name else kind[2]
+            error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
+        else:
+            journal.discard()
+
+    def _ended(self) -> tuple[Journal | None, list[Cycle], LogKind | None]:
+        ended = self._journal, self._cycles, self._kind
+        self._journal, self._cycles, self._kind = None, [], None
+        return ended
+
+    def _start(self, kind: LogKind) -> None:
+        self._kind = kind
+        if self._run is not None:
+            require_space(self._run.path)  # some is left for other programs
+            robot, name, label = kind
+            self._journal = start_journal(dated(self._run, name), robot, label)
+
+
+def _log(kind: LogKind, cycles: list[Cycle], end: str = "", extra: Mapping[str, str] | None = None) -> RunLog:
+    """Log of what was seen; before the first command the positions count as commands, if any came."""
+    robot, _, label = kind
+    _, controller, *_ = (*label.split("/"), label)
+    found = recorded(robot, controller, cycles, np.zeros(1, dtype=np.uint16))
+    sent = np.isfinite(found.command)
+    if sent.any():
+        found = replace(found, command=np.where(sent, found.command, found.position))
+    return found.log(0, label + end, extra)
+
 
 PERIOD = (0.02, 0.03)
 """[s] default control periods (chosen)"""
@@ -331,12 +437,11 @@ class ArmDriver:
                 robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period)
             self._stack.enter_context(self._gains)
             self._limit(robot)
-            if self._pace is None:
-                return self.observer.watch(robot, twin=self.twin, within=self.settings.within)
-            pace = self._pace
-            if self.rehearsal is not None or (isinstance(self.given, str) and is_virtual(self.address)):
+            pace, paced = self._pace, None if self._pace is None else False
+            virtual = self.rehearsal is not None or (isinstance(self.given, str) and is_virtual(self.address))
+            if pace is not None and virtual:
                 robot = WallClock(robot, lambda: pace)
-            return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=False)
+            return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
 
     def _limit(self, robot: Robot) -> None:
         self._base = guard_limits(self.run, self.arm, self.address)

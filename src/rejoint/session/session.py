@@ -24,8 +24,7 @@ from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
 from rejoint.session.context import believed_motors
-from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
-from rejoint.session.recorder import RunRecorder
+from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream, RunRecorder
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit

@@ -155,8 +155,9 @@ class TrialRunner:
         self._step = settings.block or count
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}
         self._out: dict[str, str] = {}  # why a controller is not driven any further, or never took part
-        kinds = 1 if settings.block else len(KINDS)
-        self._done, self._total, self._text = 0, len(self.controllers) * kinds * int(np.prod(self.shape)), ""
+        self._kinds: tuple[Kind, ...] = ("hold",) if settings.block else KINDS  # a hold tells of the crossing as well
+        self._total = len(self.controllers) * len(self._kinds) * int(np.prod(self.shape))
+        self._done, self._text = 0, ""
         self._sent: Array | None = None
         self._rng = np.random.default_rng(settings.seed)
 
@@ -217,7 +218,6 @@ class TrialRunner:
     def _in_turns(self) -> None:
         (sets, repetitions, count), block = self.shape, self.settings.block
         places, firsts = [(s, r) for r in range(repetitions) for s in range(sets)], range(0, count, self._step)
-        kinds: tuple[Kind, ...] = ("hold",) if block else KINDS  # a hold tells of the crossing as well
         tests = max(len(firsts) * len(places) * (len(self.controllers) - 1), 1)
         with closing(self.open_robot(1, self.settings.seed)) as robot:
             if self.measured is not None:
@@ -227,7 +227,7 @@ class TrialRunner:
                 left = self._left()
                 if not left or (block and len(left) == 1 and np.isfinite(self._in_order("crossed", left[0])).any()):
                     break
-                for name, kind in product(map(str, self._rng.permutation(left)), kinds):
+                for name, kind in product(map(str, self._rng.permutation(left)), self._kinds):
                     self._try(robot, Key(name, kind, (place,), first))
                 if block:
                     self._out |= worse({name: self._in_order("settled", name) for name in self._left()}, tests)
