@@ -79,8 +79,8 @@ class Schedule:
     """(B, n) [rad] command in force before the run; None: the measured position"""
     stands_for: float | None = None
     """[s] stationary after which a dwell ends; None: never"""
-    give_up: Callable[[ControlInput], Mask] | None = None
-    """called once per cycle: arms (B,) that are done, and hold"""
+    give_up: Callable[[ControlInput], bool] | None = None
+    """called once per cycle: whether the arms are done, and hold"""
 
 
 def run(
@@ -309,11 +309,8 @@ class RunState:
             self._leave_out(self.schedule.stands_for)
         before, target, aim = self.inputs, self.place, self.aim
         fresh, index = self.active, self.index
-        if self.schedule.give_up is not None:
-            done = self.schedule.give_up(before) & (
-                servo_trips(self.limits, before.state) == 0
-            )  # else the guard says it
-            self.active = fresh & ~done
+        if self.schedule.give_up is not None and self.schedule.give_up(before):
+            self.active = fresh & (servo_trips(self.limits, before.state) != 0)  # the guard says it
         renewed = self._advance(self.active & self._finished(before, aim))
         command, reasons, speed = self._decide(renewed)
         cycle = Cycle(

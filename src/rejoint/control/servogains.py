@@ -373,8 +373,8 @@ class _RoundWatch:
         self._seen: list[tuple[float, Array]] = []
         self._last = np.inf
 
-    def bad(self, inputs: ControlInput) -> Mask:
-        """Whether the round ends, (1,)."""
+    def bad(self, inputs: ControlInput) -> bool:
+        """Whether the round ends."""
         state, now = inputs.state, float(inputs.state.time[0])
         elapsed, self._last = max(now - self._last, 0.0), now
         if state.temperature is not None:
@@ -389,7 +389,7 @@ class _RoundWatch:
             self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
             if inputs.since_target[0] > 2 * LOOKED:  # it is long there
                 self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
-        return np.array([bool(self.joints.any())])
+        return bool(self.joints.any())
 
 
 def _with(gains: ServoGains, rung: Rung, value: int, joints: Mask) -> ServoGains:

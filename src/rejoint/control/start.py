@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, gravity_torque
+from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
@@ -163,7 +163,7 @@ def play(
     *,
     sent: Array | None = None,
     limits: GuardLimits | None = None,
-    give_up: Callable[[ControlInput], Mask] | None = None,
+    give_up: Callable[[ControlInput], bool] | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
     """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded; ``sent`` as in `Schedule`."""

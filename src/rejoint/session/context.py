@@ -110,13 +110,17 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
         say(f"Too heavy for {_named(arm, points, over)}. The arm tries, but may not come there.")
 
 
-def believed_motors(twin: Twin) -> Motors:
-    """Motors of a twin; unseen limits may be three times as high, friction at rest counts twice."""
+def _limits_seen(twin: Twin) -> NDArray[Any]:
+    """Whether the motion that was fitted showed the torque limits (n,) of a twin."""
     from rejoint.twin.parameters import Layout
 
+    return twin.identified[Layout(len(twin.joint_names)).at("torque_limit")]
+
+
+def believed_motors(twin: Twin) -> Motors:
+    """Motors of a twin; unseen limits may be three times as high, friction at rest counts twice."""
     own = twin.parameters
-    seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
-    limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
+    limit = np.where(_limits_seen(twin), own.torque_limit, UNSEEN * own.torque_limit)
     usable = (own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
     usable = np.maximum(usable, 0.1 * own.torque_limit)
     late = float(own.delay) + 0.5 * NOMINAL_PERIOD
@@ -134,13 +138,10 @@ def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
 
 def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
     """Which joints (K, n) are too weak at ``targets`` (K, 3) [m] by their torque limit; light ones do not count."""
-    from rejoint.twin.parameters import Layout
-
-    known = twin.identified[Layout(arm.joints).at("torque_limit")]
     start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
     load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
     over = load > believed_motors(twin).usable
-    return over & (joint_weights(arm) <= 1.0) & known
+    return over & (joint_weights(arm) <= 1.0) & _limits_seen(twin)
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:

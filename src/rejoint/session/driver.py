@@ -275,9 +275,9 @@ class ArmMotion:
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
             self.outcome.set_exception(error)
 
-    def give_up(self, _: ControlInput) -> Mask:
+    def give_up(self, _: ControlInput) -> bool:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
-        return np.array([self.ended.is_set()])
+        return self.ended.is_set()
 
 
 @dataclass(eq=False)
@@ -301,7 +301,7 @@ class GoalCheck:
         """Whether it was close for long enough at the last look."""
         return self._now - self._since >= CALM
 
-    def __call__(self, inputs: ControlInput) -> Mask:
+    def __call__(self, inputs: ControlInput) -> bool:
         """See `rejoint.control.loop.Schedule`."""
         self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
         if self.joints is None:
@@ -315,7 +315,7 @@ class GoalCheck:
             near = away[worst] < self.within_turn
             self._left = f"{np.degrees(away[worst]):.1f} deg at {self.arm.joint_names[worst]}"
         self._since = min(self._since, self._now) if near else np.inf
-        return self.motion.give_up(inputs) | self.reached
+        return self.motion.give_up(inputs) or self.reached
 
     def require(self, wanted: str, seconds: float) -> None:
         """Raise NotReachedError unless it arrived or was asked to end."""
@@ -564,7 +564,7 @@ class ArmDriver:
             lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), *recorded
         )
 
-    def go(self, posture: Array, give_up: Callable[[ControlInput], Mask] | None = None) -> None:
+    def go(self, posture: Array, give_up: Callable[[ControlInput], bool] | None = None) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
         about: dict[str, Any] = {"sent": self._sent, "limits": self.limits, "give_up": give_up}
         self._seen_through(lambda see: move(self.robot, posture, settle=0.5, on_cycle=see, **about))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint.arms import Mask, choose_postures, tcp_position
+from rejoint.arms import choose_postures, tcp_position
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
@@ -161,10 +161,10 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
     def watch(cycle: Cycle) -> None:
         served.held_back = " and ".join(reason_names(cycle.reasons[0] & OBSTACLES))
 
-    def give_up(inputs: ControlInput) -> Mask:
+    def give_up(inputs: ControlInput) -> bool:
         lasted = inputs.state.time[0] - began
         rests = lasted > PIECE and not served.moving
-        return np.array([rests or lasted > LONGEST_PIECE or over()])
+        return rests or lasted > LONGEST_PIECE or over()
 
     reference: Reference = served
     if session.settings.controller is None:
