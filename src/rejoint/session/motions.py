@@ -136,7 +136,7 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
         with opened_eye(settings.eye, session.robot, session.run, session.seed) as eye:
             session.recorder.begin(session.robot, "deploy", f"deploy/{name}")
             done = _deployed(session, job, controller, ways, eye)
-        say_noticed(arm, session.twin, done.log, session.observer.message)
+        say_noticed(arm, session.twin_now, done.log, session.observer.message)
         return done
 
     return work
