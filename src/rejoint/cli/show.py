@@ -11,13 +11,12 @@ from rejoint.arms import Array
 from rejoint.cli.console import Terminal
 from rejoint.control.comparison.recommend import Recommendation, failure
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.servogains import in_words
+from rejoint.control.servogains import GainsFound, in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.moving.drive import Deployed, Followed
-    from rejoint.control.servogains import GainsFound
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult

@@ -219,14 +219,18 @@ class Observer:
         """Receive a control cycle."""
 
     def watch(
-        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
+        self,
+        robot: Robot,
+        *,
+        twin: object = None,  # noqa: ARG002 - for those who show it
+        within: float | None = None,  # noqa: ARG002
+        paced: bool | None = None,  # noqa: ARG002
     ) -> Robot:
         """Return the robot to drive, perhaps wrapped.
 
         ``twin``: the `Twin` or None; ``within`` [m]: accepted error; ``paced``: virtual time may be slowed (None: by
         the address).
         """
-        del twin, within, paced
         return robot
 
 

@@ -20,7 +20,7 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish, newest_or_new
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
@@ -51,7 +51,6 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
-    from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 

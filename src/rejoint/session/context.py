@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inertia import LoadedArm, Payload, loaded
+from rejoint.arms.inertia import LoadedArm, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
@@ -52,19 +52,23 @@ from rejoint.control.start import Stance
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
-from rejoint.session.inputs import CalibrationLike, Period, RobotLike, as_calibration, as_policy, laden
+from rejoint.session.inputs import (
+    CalibrationLike,
+    ControllerLike,
+    Period,
+    RobotLike,
+    Settings,
+    as_calibration,
+    as_policy,
+    laden,
+)
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
 from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
-    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
-    from rejoint.session.inputs import Settings
     from rejoint.twin.twin import Twin
 
-
-PayloadLike: TypeAlias = "float | Payload"
-"""[kg] at the tool centre point, or with its centre of mass"""
 
 Say: TypeAlias = Callable[[str], object]
 """Receives sentences for the user"""
@@ -277,9 +281,6 @@ def quick_note(run: Run | None) -> str:
     """Remark on a run of a quick try, or nothing."""
     return f"{run.path} is a quick try, which is no result." if run is not None and run.folder.quick.exists() else ""
 
-
-ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
-"""A controller, its name, a policy or its file, or a factory"""
 
 Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike] | str | Path"
 """Controllers, a mapping from their names, or a single name or file"""

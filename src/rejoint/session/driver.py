@@ -43,7 +43,6 @@ from rejoint.logs.runlog import RunLog
 from rejoint.robots import is_virtual, open_robot
 from rejoint.runs.run import Run, dated, exclusive, staged, start_journal
 from rejoint.session.context import (
-    ControllerLike,
     ControllerMaker,
     Factory,
     calibration_of,
@@ -56,6 +55,8 @@ from rejoint.session.context import (
 )
 from rejoint.session.inputs import (
     ArmLike,
+    ControllerLike,
+    Period,
     RobotLike,
     RunLike,
     Settings,
@@ -74,7 +75,6 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.calibration import Calibration
-    from rejoint.session.inputs import Period
     from rejoint.twin.twin import Twin
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import CATALOGUE, Arm, Array, Box, load_arm
 from rejoint.arms.inertia import Payload, loaded
-from rejoint.control.robot import Robot, RobotWrapper
+from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, describe, read_log
@@ -24,14 +24,11 @@ from rejoint.system.files import read_json, write_json
 from rejoint.system.numbers import as_floats, as_period, as_seconds, as_seed, as_within
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from rejoint.arms.rotations import Orientation
     from rejoint.control.controllers.policy import Policy
     from rejoint.control.seeing import Eye
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-    from rejoint.session.context import ControllerLike, PayloadLike
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
@@ -42,6 +39,12 @@ RobotLike: TypeAlias = "Robot | str"
 
 LogsLike: TypeAlias = "RunLog | Path | str | Sequence[RunLog | Path | str]"
 """Run logs, their files, or a folder of them"""
+
+PayloadLike: TypeAlias = "float | Payload"
+"""[kg] at the tool centre point, or with its centre of mass"""
+
+ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
+"""A controller, its name, a policy or its file, or a factory"""
 
 TwinLike: TypeAlias = "Twin | Path | str"
 PolicyLike: TypeAlias = "Policy | Path | str"

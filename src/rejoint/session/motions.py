@@ -42,7 +42,7 @@ from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_o
 from rejoint.control.recording import Cycle, Observer, Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
-from rejoint.control.seeing import Finishing, Seen
+from rejoint.control.seeing import Eye, Finishing, Seen
 from rejoint.control.targets import require_reachable
 from rejoint.runs.run import Run
 from rejoint.session.context import correction_of, say_heavy, say_noticed
@@ -55,7 +55,6 @@ from rejoint.system.numbers import as_floats, as_seconds, as_within
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
-    from rejoint.control.seeing import Eye
     from rejoint.twin.twin import Twin
 
 

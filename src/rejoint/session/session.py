@@ -8,7 +8,7 @@ from concurrent import futures
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -320,7 +320,7 @@ class ArmSession(ArmDriver):
         self._require_free()
         motion = ArmMotion("its targets", to_targets(self, targets))
         self._start(motion, wait=True)
-        return cast("Deployed", motion.outcome.result())
+        return motion.outcome.result()
 
     # --- what looks at motions and ends them ----------------------------------------------------
 
