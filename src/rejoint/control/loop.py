@@ -360,7 +360,7 @@ class RunState:
         aimed = np.isfinite(inputs.target[:, 0])
         self.unbelieved = self.following.check(self.state, self.sent, aimed)
         asked = self.controller.command(inputs)
-        self.wanted = wanted = self.following.bound(asked, self.state.position, aimed)
+        self.wanted, wanted = asked, self.following.bound(asked, self.state.position, aimed)
         eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
         ease = np.where(eased, EASE_SHARE, 1.0)
         last, period = self.speed / ease[:, None], ease * self.period
