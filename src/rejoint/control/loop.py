@@ -135,7 +135,7 @@ def brake(robot: Robot, last: Cycle) -> Cycle:
 
 
 def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str:
-    """Stop the robot after an ``error``; returns what became of it."""
+    """Stop the robot; returns what became of it."""
     with shielded():
         try:
             robot.stop()
@@ -276,7 +276,7 @@ class RunState:
         self._ask()
 
     def _go_on(self, where: Mask, since: Array) -> None:
-        """Go on after a flagged joint was pulled back ``since`` (B,) [s]."""
+        """Go on after a release ``since`` (B,) [s]."""
         self.doubted = self.doubted + where
         if self.unbelieved is not None:
             self.following.believe(self.state, self.sent, self.unbelieved & where[:, None])

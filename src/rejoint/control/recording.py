@@ -48,7 +48,7 @@ class Cycle:
     """(B,) [rad] orientation error"""
 
     def later(self, robot: Robot, state: JointState, command: Array) -> Cycle:
-        """Cycle at a later ``state`` of ``robot`` and its ``command`` (B, n) [rad], with the same target."""
+        """Cycle at a later ``state``, with another ``command`` (B, n) [rad]."""
         return replace(
             self,
             time=state.time,

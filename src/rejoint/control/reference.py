@@ -1,7 +1,7 @@
 """References: where arms are to be over time, and the ways to far goals.
 
-A way is a joint trajectory from the last posture, along which goal and target move, so that controllers work close to
-their target. Paths and streams of targets: `rejoint.control.moving`.
+A way is a joint trajectory along which goal and target move: controllers work close to their target. Paths and streams:
+`rejoint.control.moving`.
 """
 
 from __future__ import annotations

@@ -296,10 +296,7 @@ class _Climb:
     rounds: int = 0
 
     def climb(self, first: Round, last: ServoGains, before: Round, *, alone: bool) -> tuple[ServoGains, Round]:
-        """Climb the rungs for servos alone, or the others, and drive once more under all that was found.
-
-        Returns that, or the ``last`` gains and the round ``before`` where it is not better.
-        """
+        """Climb rungs and drive once more; returns what was found, or ``last`` and ``before`` if not better."""
         for rung in self.servos.rungs():
             if rung.alone == alone:
                 self.rung(rung, first)

@@ -323,7 +323,7 @@ def tuned_gains(run: Run | None) -> GainsFound | None:
 
 @dataclass(frozen=True, eq=False)
 class ControllerMaker:
-    """Makes controllers of an arm by name; a run with policy and gains, and a twin, make more of them possible."""
+    """Makes controllers of an arm by name."""
 
     arm: Arm
     period: Period | None = None
