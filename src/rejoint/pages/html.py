@@ -102,7 +102,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    plain = ("cycles", "day_and_time", "measured_with", "number", "parameter_name", "plural", "sentence")
+    plain = ("cycles", "day_and_time", "number", "parameter_name", "plural", "sentence")
     found.filters |= {name: getattr(words, name) for name in plain}
     found.filters |= {
         "cell": words.measured,
@@ -116,7 +116,7 @@ def _environment() -> jinja2.Environment:
         name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
         for name, key in (("light", "colour"), ("dark", "dark"))
     }
-    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "words": words}
+    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval}
     found.globals |= {"theme": theme} | known
     found.globals["m"] = found.get_template("macros.html").module
     return found

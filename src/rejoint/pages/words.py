@@ -74,60 +74,11 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
     return Cell(number(one.value * factor, digits), interval(one.low, one.high, digits, factor=factor))
 
 
-CONTROLLERS = {
-    "default": "target sent once, as the arm does by itself",
-    "integrator": "moves the command until the measured error is gone",
-    "feedforward": "raises the command against gravity, then integrates",
-    "servo-gains": "target sent once, under better gains of the servos themselves",
-    "servo-gains+integrator": "integrator, under better gains of the servos",
-    "servo-gains+feedforward": "feedforward, under better gains of the servos",
-    "servo-gains+policy": "policy, trained for better gains of the servos and driven under them",
-    "servo-gains+predictive": "predictive, under better gains of the servos",
-    "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
-    "policy": "learned in simulation of this arm",
-    "predictive": "plans on the twin of this arm, leaves the last millimetre to another",
-}
-"""What each controller does"""
-
-KINDS = {
-    "weak_gain": "soft",
-    "friction": "stiff to turn",
-    "hysteresis": "stops short",
-    "play_in_loop": "hunts",
-    "torque_limit": "out of torque",
-    "low_damping": "rings",
-    "lag": "late",
-    "offset": "offset",
-    "noise": "restless readings",
-}
-"""Names of findings"""
-
-PARAMETERS_SHOWN: dict[str, tuple[str, float]] = {
-    "offset": ("deg", math.degrees(1.0)),
-    "delay": ("ms", 1e3),
-    "ramp_speed": ("deg/s", math.degrees(1.0)),
-}
-"""Displayed units of twin parameters, and factors"""
-
-SOURCES = {
-    "touch": "touch, typed in by hand",
-    "camera": "a camera that sees a board",
-    "tracker": "a tracker",
-    "emulated": "the emulator's own knowledge of its tool, and the noise of a ruler",
-}
-"""Sources of tool measurements"""
-
-
 def parameter_name(element: str) -> str:
     """Name of a twin parameter: ``dry friction of joint1`` for ``coulomb.joint1``."""
     name, _, joint = element.partition(".")
     called = "dry friction" if name == "coulomb" else name.replace("_", " ")
     return f"{called} of {joint}" if joint else called
-
-
-def measured_with(source: str) -> str:
-    """Name of a measuring source; unknown ones unchanged."""
-    return SOURCES.get(source, source)
 
 
 def day_and_time(text: str) -> str:

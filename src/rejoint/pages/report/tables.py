@@ -109,63 +109,6 @@ def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
     return rows
 
 
-class Quantity(NamedTuple):
-    """A measured quantity of a joint."""
-
-    field: str
-    """of `JointMetrics`"""
-    name: str
-    unit: str
-    meaning: str
-    """plain words"""
-    factor: float = 1.0
-    """from SI to ``unit``"""
-    signed: bool = False
-    """may be negative"""
-    parameter: str = ""
-    """of a twin, if the same property"""
-
-    def healthy(self, estimate: Estimate | None) -> str:
-        """Range of a healthy joint."""
-        if estimate is None or estimate.low is None:
-            return UNKNOWN
-        low = estimate.low if self.signed else max(estimate.low, 0.0)
-        return interval(low, estimate.high, 2, factor=self.factor) or UNKNOWN
-
-
-QUANTITIES = (
-    Quantity(
-        "stiffness_nm_per_rad",
-        "stiffness",
-        "N m/rad",
-        "how strongly the servo holds its position; soft joints sag",
-        parameter="stiffness",
-    ),
-    Quantity(
-        "hysteresis_rad",
-        "hysteresis",
-        "deg",
-        "how far apart the joint stops when it comes from below and from above",
-        DEG,
-    ),
-    Quantity("coulomb_nm", "dry friction", "N m", "torque that is lost before anything moves", parameter="coulomb"),
-    Quantity("lag_s", "lag", "ms", "how far the joint trails behind its command in motion", 1e3),
-    Quantity("damping_ratio", "damping ratio", "1", "1 comes to rest at once, 0.3 rings"),
-    Quantity("overshoot", "overshoot", "%", "how far it shoots beyond after a step", 1e2),
-    Quantity(
-        "offset_rad",
-        "offset",
-        "deg",
-        "how far the joint rests from its command where nothing loads it",
-        DEG,
-        parameter="offset",
-        signed=True,
-    ),
-    Quantity("hunting_rad", "unrest", "deg", "motion while nothing is asked of the joint", DEG),
-    Quantity("noise_rad", "noise", "deg", "scatter of single readings at rest", DEG),
-)
-
-
 def ranked(judgement: Judgement, where: str) -> dict[str, tuple[Estimate, Array]]:
     """Mean error [mm] with 95 % interval over motions of every prediction, the best first, ``free`` or in ``contact``.
 
