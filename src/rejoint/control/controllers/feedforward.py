@@ -78,12 +78,13 @@ class FeedforwardController:
         loosen: float = LOOSEN,
     ) -> None:
         """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`, larger for arms longer than a myCobot 280."""
-        self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen * max(length_size(arm), 1.0)
-        self._close, self._gentle = np.array([CLOSE, GENTLE]) * length_size(arm)
+        self._arm, self._gains = arm, gains or FeedforwardGains()
+        self.loosen = loosen * max(length_size(arm), 1.0)
+        self.close, self.gentle = np.array([CLOSE, GENTLE]) * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
-        self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
-        if not (self._stiffness > 0.0).all():
-            raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
+        self.stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
+        if not (self.stiffness > 0.0).all():
+            raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self.stiffness.tolist()}")
         self._goal = self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
         self._pushed = self._eager = self._came = self._asked = self._position
         self._idle: Array = np.zeros((0, arm.joints, arm.joints))  # (B, n, n) projection onto the null space
@@ -115,7 +116,7 @@ class FeedforwardController:
     def _take(self, inputs: ControlInput, where: Mask) -> None:
         goal = self._goal[where] = inputs.goal[where]
         self._eager[where], self._came[where] = 1.0, 0.0
-        stiffness = np.broadcast_to(self._stiffness, self._goal.shape)[where]
+        stiffness = np.broadcast_to(self.stiffness, self._goal.shape)[where]
         self._raised[where] = goal + gravity_torque(self._arm, goal) / stiffness
         turn = None if inputs.turn is None else inputs.turn[where]
         jacobian = task(self._arm, goal, inputs.target[where], turn)[1]
@@ -142,14 +143,9 @@ class FeedforwardController:
         stays = ~self.on_the_way(inputs)[:, None]
         sticks = stays & (moved == 0.0)
         most = np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-9)
-        strength = between(distance / self._gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
+        strength = between(distance / self.gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
         added = (
-            elapsed
-            * self._loosen
-            * strength
-            * self._eager
-            * (step / most)
-            * (sticks & (distance > self._close)[:, None])
+            elapsed * self.loosen * strength * self._eager * (step / most) * (sticks & (distance > self.close)[:, None])
         )
         loose = stays & (moved * self._pushed > 0.0)
         taken, back = np.where(loose, TAKEN_BACK * self._pushed, 0.0), loose * np.sign(self._pushed)

@@ -89,8 +89,8 @@ class Commander(FeedforwardController):
             raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
         super().__init__(arm, np.array(law.stiffness) if law.anchor == "goal" else None, law.learning, law.loosen)
         load, self.law = heaviest_load(arm), law
-        self._moves = moves_tool(arm).astype(float)
-        self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
+        self.moves = moves_tool(arm).astype(float)
+        self.spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
 
     def commands(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
@@ -99,8 +99,8 @@ class Commander(FeedforwardController):
             return law.command(self._arm, view, inputs.state.position, action)
         near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
-        step = step * (1.0 - near[:, None] * self._spared)
-        extra = law.authority(view.step) * self._moves * between(action, -1.0, 1.0)
+        step = step * (1.0 - near[:, None] * self.spared)
+        extra = law.authority(view.step) * self.moves * between(action, -1.0, 1.0)
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
