@@ -227,8 +227,9 @@ def design_of(run: Run, best: str) -> Design:
     elif best != name and run.folder.policy.exists():
         policy, name = as_policy(run.folder.policy), POLICY
     if policy is None:
-        (stiffness,) = FeedforwardController(arm, run.twin and run.twin.parameters.stiffness).stiffness.tolist()
-        law = CommandLaw(anchor="goal", stiffness=tuple(stiffness), envelope_margin=2.0 * np.pi)
+        twin = run.twin
+        own = FeedforwardController(arm, None if twin is None else twin.parameters.stiffness)
+        law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
         design = Design(arm=arm, law=law, network=None, name=name)
     else:
         contract = policy.contract
