@@ -23,17 +23,6 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     return f"{value:z.{_places(value, digits)}f}{_suffix(unit)}"
 
 
-def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "") -> str:
-    """``mean ± std`` with the mean's decimals."""
-    if mean is None or not math.isfinite(mean):
-        return UNKNOWN
-    places = _places(mean, digits)
-    text = f"{mean:.{places}f}"
-    if std is not None and math.isfinite(std):
-        text += f" ± {std:.{places}f}"
-    return text + _suffix(unit)
-
-
 def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
     """``low to high`` times ``factor``; empty if an end is missing or both are equal."""
     if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):

@@ -87,8 +87,8 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
 
 FONT = 9.5
 """[pt] (chosen: legible at half size)"""
-WIDE, HALF = 10.4, 5.2
-"""[inch] figure widths, one and two columns"""
+WIDE = 10.4
+"""[inch] figure width"""
 VIEWS = {"from above": (1, 0), "from the side": (0, 2), "from the front": (1, 2)}
 """Axes drawn to the right and upwards; y points left, as one sees it over the base"""
 _DASHED = (0, (4, 3))

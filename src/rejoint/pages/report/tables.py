@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
+from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
 from rejoint.twin.twin import FEWEST, NO_TWIN, Judgement, smaller
 
@@ -65,7 +64,12 @@ def _success(row: ControllerRow) -> Cell:
 
 
 def _crossing(found: Spread | None) -> str:
-    return UNKNOWN if found is None else spread(MM * found.mean.value, MM * (found.std or math.nan))
+    """Mean and deviation, with three digits of the mean."""
+    if found is None:
+        return UNKNOWN
+    mean = number(MM * found.mean.value)
+    places = len(mean.partition(".")[2])
+    return f"{mean} ± {MM * found.std:.{places}f}" if found.std else mean
 
 
 def _settled(row: ControllerRow, block: int) -> Cell:
