@@ -97,9 +97,9 @@ def cycles(count: float) -> str:
     return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
 
 
-def short(name: str, width: int = 24) -> str:
-    """Cut a name to ``width`` characters."""
-    return name if len(name) <= width else f"{name[: width - 1]}…"
+def short(name: str) -> str:
+    """Cut a name to 24 characters."""
+    return name if len(name) <= 24 else f"{name[:23]}…"
 
 
 def sentence(text: str) -> str:
