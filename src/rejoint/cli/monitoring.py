@@ -26,7 +26,7 @@ from rejoint.system.extras import require
 from rejoint.system.files import write_text
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.campaign import FleetResult
+    from rejoint.runs.fleet.campaign import Executor, FleetResult
     from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
@@ -154,7 +154,7 @@ def fleet(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
         )
 
-    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[RayExecutor]:
+    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
         return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
     trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
@@ -24,9 +24,6 @@ from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain, require
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.stopping import Interrupted, check, noted, shielded
-
-if TYPE_CHECKING:
-    from rejoint.runs.fleet.rayexecutor import RayExecutor
 
 Step: TypeAlias = Literal["check"] | StageName
 
@@ -125,6 +122,19 @@ DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
 _ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
 
 
+class Executor(Protocol):
+    """Runs tasks in processes here or elsewhere."""
+
+    def begin(self, work: Work) -> None:
+        """Start a task and return at once."""
+
+    def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome]]:
+        """Return ended tasks within ``timeout`` [s]."""
+
+    def hold(self, work: Work) -> None:
+        """Ask an arm to hold and its task to end."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CampaignInfo:
     """Description of a call."""
@@ -215,7 +225,7 @@ class Campaign:
         write_json(self.file, replace(self.info, finished=finished))
         return finished
 
-    def drive(self, executor: RayExecutor, tell: Callable[[str], object]) -> None:
+    def drive(self, executor: Executor, tell: Callable[[str], object]) -> None:
         """Work until nothing is left for this call."""
         self._executor, self._tell = executor, tell
         with noted():
@@ -405,7 +415,7 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
     )
 
 
-MakeExecutor: TypeAlias = "Callable[[Sequence[FleetArm]], AbstractContextManager[RayExecutor]]"
+MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
 
 
 def run_fleet(
