@@ -11,12 +11,11 @@ from rejoint.arms.workspace import reach
 from rejoint.control.comparison import protocols
 from rejoint.control.comparison import recommend as advising
 from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
-from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.servogains import own_policy
 from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.procedure import reversals
-from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
+from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.logs.runfolder import LOGS, cost
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
@@ -25,7 +24,7 @@ from rejoint.pages.report.figures import Gallery, in_base
 from rejoint.pages.words import plural
 from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, above_zero, spread
+from rejoint.system.statistics import above_zero, spread
 from rejoint.twin import parameters
 from rejoint.twin.parameters import Parameter
 from rejoint.twin.twin import Judgement, Twin
@@ -60,42 +59,13 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
     """Fill page and gallery."""
-    it, advice = contents, None if contents.comparison is None else advising.recommend(contents.comparison)
-    robot = it.info.robot
-    return render(
-        "report.html",
-        it=it,
-        advice=advice,
-        errors=before_after(it),
-        source=f"From logs in {robot.removeprefix(LOGS)}" if robot.startswith(LOGS) else f"Robot {robot}",
-        quick=it.folder.quick.exists(),
-        commands=commands(it),
-        next_steps=next_steps(it),
-        draw=gallery,
-        version=__version__,
-        **_NAMES,
-    )
-
-
-def mean_error(diagnosis: Diagnosis) -> Estimate | None:
-    """Mean error [mm] of the uncorrected arm: at ten targets, or at rest in logs."""
-    if diagnosis.open_loop is not None:
-        return diagnosis.open_loop.error_mm
-    return None if diagnosis.evidence is None else diagnosis.evidence.rest_error_mm
+    return render("report.html", it=contents, draw=gallery, logs=LOGS, version=__version__, **_NAMES)
 
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
     """Errors of a controller at the first set's targets, means over repetitions."""
     names = ("settled", "settled_true", *MODELLED)
     return TargetErrors.of({name: comparison.array(name, controller)[0] for name in names})
-
-
-def errors_as_found(comparison: Comparison) -> TargetErrors | None:
-    """Errors of the uncorrected arm, or None."""
-    own = DefaultController.name
-    if comparison.calibration or own not in comparison.controllers:
-        return comparison.as_found
-    return target_errors(comparison, own)
 
 
 def tilt(found: Calibration) -> float:
@@ -108,16 +78,18 @@ def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
     return [name.split(".")[-1] for name in twin.unknown if name.split(".")[0] == parameter.name]
 
 
-_FUNCTIONS = (mean_error, target_errors, errors_as_found, tilt, unidentified, above_zero, colour_number, cost, in_base)
+_FUNCTIONS = (
+    *(before_after, commands, found, next_steps, target_errors, tilt, unidentified),
+    *(above_zero, colour_number, cost, in_base, own_policy, reach, reversals, ringing_most),
+)
 _MODULES = (advising, calibration, fit, parameters, protocols, tables)
-_NAMES = {one.__name__.rpartition(".")[2]: one for one in (*_FUNCTIONS, *_MODULES, own_policy, reversals, ringing_most)}
-"""What the templates of the report call"""
+_NAMES = {one.__name__.rpartition(".")[2]: one for one in (*_FUNCTIONS, *_MODULES)}
+"""What the templates of report and data sheet call"""
 
 
 def write_datasheet(folder: Path, out: Path) -> Path:
     """Write the data sheet of a run's arm; FileError."""
     it = read_contents(folder)
-    best = None if it.comparison is None else it.comparison.row(advising.recommend(it.comparison).controller)
     measured, back = it.measurements, np.zeros(0)
     if it.calibration is not None and measured is not None:
         back = np.array(reversals(it.arm, measured, it.calibration.frame))
@@ -125,10 +97,7 @@ def write_datasheet(folder: Path, out: Path) -> Path:
         out,
         "datasheet.html",
         it=it,
-        best=best,
-        found=found(it),
-        period=None if it.diagnosis is None else it.diagnosis.measurement.period_s,
-        reach=reach(it.arm),
         version=__version__,
         reversal=spread(back, np.arange(len(back))) if len(back) else None,
+        **_NAMES,
     )
