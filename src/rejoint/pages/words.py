@@ -79,11 +79,11 @@ def day_and_time(text: str) -> str:
     return f"{when.day} {when:%B %Y, %H:%M}"
 
 
-def listed(words: Sequence[str], last: str) -> str:
-    """Join words with commas and ``last`` (and, or)."""
+def listed(words: Sequence[str]) -> str:
+    """Join words with commas, the last one with "and"."""
     if len(words) < 2:
         return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def plural(count: int, noun: str) -> str:

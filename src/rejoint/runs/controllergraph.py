@@ -202,8 +202,8 @@ class _CycleGraph(nn.Module):
         learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
             -gains.learned_limit, gains.learned_limit
         )
-        command, margin = torch.clamp(raised + learned, *self.limits), law.envelope_margin
-        command = torch.clamp(torch.clamp(command, goal - margin, goal + margin), *self.limits)
+        margin = law.envelope_margin
+        command = torch.clamp(torch.clamp(raised + learned, goal - margin, goal + margin), *self.limits)
         actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
         memory = (
             known

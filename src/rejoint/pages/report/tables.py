@@ -148,11 +148,11 @@ def _free(judgement: Judgement) -> Iterator[str]:
         yield f"Trust none of them: the command alone predicts better ({within})."
     else:
         yield f"Trust “{best}” in free space: it predicts the tool within {within}."
-    yield f"The others: {listed([f'{name} {_mean(one)}' for name, (one, _) in others], 'and')}."
+    yield f"The others: {listed([f'{name} {_mean(one)}' for name, (one, _) in others])}."
     both = {name: np.isfinite(errors + theirs) for name, (_, theirs) in others}
     close = [f"“{name}”" for name, rows in both.items() if not smaller(errors[rows], found[name][1][rows])]
     if close:
-        yield f"Not measurably worse in these motions: {listed(close, 'and')}."
+        yield f"Not measurably worse in these motions: {listed(close)}."
 
 
 def _contact(judgement: Judgement) -> str:
