@@ -130,16 +130,11 @@ Remark: TypeAlias = tuple[str, str]
 """A doubt about a log and its remedy; or a note, without one"""
 
 
-def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
-    """Overridden doubts of a log."""
-    return tuple(extra[FORCED].split(BETWEEN)) if FORCED in extra else ()
-
-
 def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
     """Name logs imported by force."""
     found: dict[str, list[str]] = {}
     for log in logs:
-        for reason in forced_reasons(log.extra):
+        for reason in filter(None, log.extra.get(FORCED, "").split(BETWEEN)):
             found.setdefault(reason, []).append(log.label)
     return [
         f"{labels[0]}{f' and {len(labels) - 1} more' * (len(labels) > 1)}: imported by force, although {reason}"
