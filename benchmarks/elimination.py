@@ -29,7 +29,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import StageMotion
-from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
+from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, open_loop_trials
 from rejoint.session.context import ControllerMaker
 
 ARM = mycobot280()
@@ -87,7 +87,7 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     def connect(count: int, seed: int) -> Robot:
         return open_robot(address, count=count, seed=seed, period=PERIOD, threads=1)
 
-    before = trials(ARM, diagnosed.targets, ONE_ARM_PROTOCOL)
+    before = open_loop_trials(ARM, diagnosed.targets, ONE_ARM_PROTOCOL)
     assert before is not None
     targets, short = draw_targets(ARM, sets=SETS, seed=number), []
     targets[0] = before.targets

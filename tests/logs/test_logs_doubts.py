@@ -14,7 +14,6 @@ from test_logs_checks import motion
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.columns import read_motion
-from rejoint.logs.consistency import forced_reasons
 from rejoint.logs.importing import READERS, to_log
 from rejoint.system.errors import FileError
 
@@ -50,8 +49,8 @@ def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: boo
     with pytest.raises(FileError, match=said):
         to_log(found, ARM)
     log, notes = to_log(found, ARM, FORCE)
-    assert "the states follow their commands best" in forced_reasons(log.extra)[0]
-    assert notes[-1] == f"imported by force, although {forced_reasons(log.extra)[0]}"
+    assert "the states follow their commands best" in log.extra["forced"]
+    assert notes[-1] == f"imported by force, although {log.extra['forced']}"
 
 
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
@@ -150,5 +149,5 @@ def test_what_is_forced_is_kept_in_the_file(tmp_path: Path):
     found = shifted(worn_sample(), 20)
     source = write_table(tmp_path / "wave.csv", found)
     imported = import_logs(source, ARM, out=tmp_path / "logs", options=FORCE)
-    assert "before them" in forced_reasons(imported.logs[0].extra)[0]
+    assert "before them" in imported.logs[0].extra["forced"]
     assert any(note.startswith("wave: imported by force, although the states") for note in imported.notes)

@@ -10,7 +10,6 @@ import pytest
 from log_samples import ARM
 
 from rejoint.logs import ImportOptions, detect, import_logs
-from rejoint.logs.consistency import forced_reasons
 from rejoint.system.errors import FileError
 
 DATASET = Path(__file__).parent / "lerobot_v3" / "dataset"
@@ -48,7 +47,7 @@ def test_a_robot_that_repeats_its_commands_is_none(tmp_path: Path):
         import_logs(DATASET, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg"))
     forced = import_logs(DATASET, ARM, out=tmp_path / "logs", options=DEGREES)
     for log in forced.logs:
-        assert "copies of the commands" in forced_reasons(log.extra)[0]
+        assert "copies of the commands" in log.extra["forced"].split(" | ")[0]
 
 
 def test_the_unit_has_to_be_declared(tmp_path: Path):

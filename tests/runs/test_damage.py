@@ -22,7 +22,7 @@ from rejoint.control.targets import read_targets
 from rejoint.logs import runlog
 from rejoint.logs.runfolder import FORMAT, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.pages.report.contents import read_curves
+from rejoint.pages.report.page import read_curves
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json

@@ -97,7 +97,7 @@ def repair(
     page = Path(os.path.relpath(found.page))
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
-    from rejoint.pages.report.contents import before_after, next_steps, read_contents
+    from rejoint.pages.report.page import before_after, next_steps, read_contents
 
     contents = read_contents(job.path)
     errors, steps = before_after(contents), next_steps(contents)

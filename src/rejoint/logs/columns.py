@@ -21,7 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.joints import COUNTS_PER_TURN, TIME_UNITS, ImportOptions, Linear, half_ranges, joint_of, match_joints
+from rejoint.logs.joints import (
+    COUNTS_PER_TURN,
+    TIME_UNITS,
+    ImportOptions,
+    half_ranges,
+    joint_of,
+    match_joints,
+    read_linear,
+)
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
@@ -312,22 +320,22 @@ class _GroupedColumns:
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
-        linear = Linear.of(theirs, {*titles, *(column.name for column in self.columns.values())})
+        given, factor, shift = read_linear(theirs, {*titles, *(column.name for column in self.columns.values())})
         first, _, last = theirs.partition("..")
         if first in titles and last in titles:
             places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
             if joint is not None or len(places) != len(names):
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
         else:
-            places = [titles.index(linear.column)] if linear.column in titles else []
+            places = [titles.index(given)] if given in titles else []
             if joint is not None and not places:
-                places = [i for i, column in self.columns.items() if column.name == linear.column]
+                places = [i for i, column in self.columns.items() if column.name == given]
             names = (joint or (own or ("",) * 3)[2],) * len(places)
         found = []
         for place, name in zip(places, names, strict=True):
             unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
             column = self.columns.get(place) or Column(place, titles[place], "position", "", unit)
-            scale, offset, unit = linear.scale, linear.offset, own and own[3]
+            scale, offset, unit = factor, shift, own and own[3]
             if own is not None and joint is None:
                 column = column._replace(group=own[1])
             elif column.group in MOTION:

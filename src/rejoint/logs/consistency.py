@@ -1,14 +1,12 @@
 """Consistency checks of logs.
 
-Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. Thresholds are chosen.
+Impossible numbers raise an error; unlikely ones are doubts; others give a note. Thresholds are chosen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -128,35 +126,15 @@ FORCED, BETWEEN = "forced", " | "
 """Key in ``extra`` of overridden reasons, and what parts them"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LogFindings:
-    """What the checks of a log found."""
-
-    path: Path
-    force: bool = False
-    """import all the same"""
-    notes: list[str] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
-    """overridden doubts"""
-
-    def doubt(self, problem: str, remedy: str) -> None:
-        """Raise FileError, or store the problem by force."""
-        if not self.force:
-            raise FileError(self.path, problem, f"{remedy}; or go on with --force, which keeps this reason in the log")
-        if problem not in self.reasons:
-            self.reasons.append(problem)
-
-
-def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
-    """Overridden doubts of a log."""
-    return tuple(extra[FORCED].split(BETWEEN)) if FORCED in extra else ()
+Remark: TypeAlias = tuple[str, str]
+"""A doubt about a log and its remedy; or a note, without one"""
 
 
 def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
     """Name logs imported by force."""
     found: dict[str, list[str]] = {}
     for log in logs:
-        for reason in forced_reasons(log.extra):
+        for reason in filter(None, log.extra.get(FORCED, "").split(BETWEEN)):
             found.setdefault(reason, []).append(log.label)
     return [
         f"{labels[0]}{f' and {len(labels) - 1} more' * (len(labels) > 1)}: imported by force, although {reason}"
@@ -208,9 +186,9 @@ LOST = 0.05
 _TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that says one), or take another file"
 
 
-def clean(motion: RecordedMotion, found: LogFindings) -> RecordedMotion:
-    """Check the clock; returns the motion without doubled stamps. FileError."""
-    steps, rows = np.diff(motion.time), len(motion)
+def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
+    """Check the clock; returns the motion without doubled stamps, and remarks. FileError."""
+    steps, rows, found = np.diff(motion.time), len(motion), list[Remark]()
     if not (steps >= 0).all():
         late = int(np.argmin(steps >= 0)) + 1
         raise FileError(
@@ -229,27 +207,27 @@ def clean(motion: RecordedMotion, found: LogFindings) -> RecordedMotion:
         raise FileError(motion.path, said, _TIME_REMEDY)
     if period * 0.99 * SLOWEST > 1.0:
         said = f"state: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
-        found.doubt(f"{said}: too few to show friction or lag", "record faster")
+        found.append((f"{said}: too few to show friction or lag", "record faster"))
     if lost > LOST * rows:
         said = f"state: {lost} of {rows} samples have the stamp of the one before and are lost"
-        found.doubt(said, "record finer stamps")
+        found.append((said, "record finer stamps"))
     if lost:
         first = motion.where(int(np.argmin(fresh)))
-        found.notes.append(f"state: {lost} samples with a doubled stamp left out, first at {first}")
+        found.append((f"state: {lost} samples with a doubled stamp left out, first at {first}", ""))
         motion = motion.take(fresh)
-    return motion
+    return motion, found
 
 
 GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+OFFSET"
 
 
-def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: LogFindings) -> None:
-    """Check the declared unit of angles."""
+def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Iterator[Remark]:
+    """Check the declared unit of angles; FileError."""
     angles, unit = motion.position, motion.angle_unit
     extent = float(np.rad2deg(np.abs(angles).max()))
     if unit == "deg" and (bits := turn_bits(np.rad2deg(angles))):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
-        found.doubt(f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY)
+        yield f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY
     for what, values in {"state": angles, "command": motion.command}.items():
         if values is None or np.abs(values).max() <= TWO_TURNS:
             continue
@@ -264,7 +242,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found:
         )
     if unit == "deg" and extent <= 2 * np.pi:
         said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"
-        found.doubt(said, "set --angle-unit rad, or correct the column's name where that says a unit")
+        yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
     # no other program normalises, and other encoders have other steps
     lerobot, declared = motion.extra.get("format") == "lerobot", options.angle_unit
     if declared in ("deg", "normalised") and (lerobot or options.calibration is not None):
@@ -272,11 +250,11 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found:
         kind, why = unit_by_steps(raw)
         if kind is None and lerobot and np.abs(raw).max() <= NORMALISED_MOST:
             unsaid = "nothing in the file tells degrees from normalised values: compare with what the arm did"
-            found.notes.append(unsaid)
+            yield unsaid, ""
         if kind not in (None, declared):
             said = {"deg": "degrees", "normalised": "normalised values (-100 to 100)"}[str(kind)]
             remedy = f"set --angle-unit {kind}" + " with --calibration" * (kind == "normalised")
-            found.doubt(f"the states are {said}, but --angle-unit says {declared}: {why}", remedy)
+            yield f"the states are {said}, but --angle-unit says {declared}: {why}", remedy
 
 
 SPIKE = 0.05
@@ -293,7 +271,7 @@ LIMIT_MARGIN = 0.35
 """[rad] beyond calibration and zero offsets"""
 
 
-def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
+def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check angles against limits and speeds of the arm."""
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position)
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
@@ -302,16 +280,16 @@ def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
         if far[joint] > FAR_OUT:
             limits = f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad)"
             said = f"{beyond} {limits} in {100 * far[joint]:.0f} % of the samples, by up to {worst[joint]:.3g} rad"
-            found.doubt(said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}")
+            yield said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
         out = int((excess[:, joint] > 0).sum())
-        found.notes.append(f"{beyond} in {out} samples, by up to {worst[joint]:.3g} rad")
+        yield f"{beyond} in {out} samples, by up to {worst[joint]:.3g} rad", ""
     if len(motion) >= SPEED_ROWS:
-        _check_motion(motion, arm, found)
+        yield from _check_motion(motion, arm)
     if not np.ptp(motion.position, axis=0).any():
-        found.notes.append("state: no joint moves in this log")
+        yield "state: no joint moves in this log", ""
 
 
-def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
+def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     value, time, long = motion.position, motion.time[:, None], len(motion) > 4 * SPEED_ROWS
     way, steps = np.diff(value, axis=0), np.diff(time, axis=0)
     out = np.abs(way[:-1] - way[1:]) / 2
@@ -323,8 +301,8 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
             f" in {motion.where(row + 1)}, {motion.columns[joint]}"
         )
         if long and single.mean() > SPIKED:
-            found.doubt(f"{said}: as if the samples of two arms took turns", "give each arm a file of its own")
-        found.notes.append(f"{said}; is the file damaged?")
+            yield f"{said}: as if the samples of two arms took turns", "give each arm a file of its own"
+        yield f"{said}; is the file damaged?", ""
     if long:
         speed = np.abs(value[SPEED_ROWS:] - value[:-SPEED_ROWS]) / (time[SPEED_ROWS:] - time[:-SPEED_ROWS])
         usual = np.percentile(speed, 90, axis=0)
@@ -332,13 +310,13 @@ def _check_motion(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
         if usual[joint] > TOO_FAST * arm.max_speed[joint]:
             said = f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
             said += f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}"
-            found.doubt(said, _TIME_REMEDY)
+            yield said, _TIME_REMEDY
     far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))[1:-1]
     jumped = far[1:-1] > SPIKE + 0.25 * SHARPEST * steps**2 + 3.0 * np.maximum(far[:-2], far[2:])
     jumped &= far[:-2].any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
     if jumped.any():
         row, joint = _largest(far[1:-1] * jumped)
-        found.doubt(
+        yield (
             f"state: {int(jumped.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, farthest "
             f"{motion.columns[joint]} by {way[row + 1, joint]:.3g} rad in {steps[row, 0]:.3g} s at "
             f"{motion.where(row + 2)}: no joint moves so",
@@ -373,7 +351,7 @@ APART = 0.5
 """[rad] median following error beyond any sag"""
 
 
-def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
+def check_agreement(motion: RecordedMotion) -> Iterator[Remark]:
     """Check states against the commands in force.
 
     FileError for exchanged joints; doubts for duplicates, implausible lags and scales.
@@ -381,7 +359,7 @@ def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
     error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
-    _check_copies(motion, command, found)
+    yield from _check_copies(motion, command)
     for joint, name in enumerate(motion.columns):
         own, best = highest[joint, joint], int(np.argmax(highest[joint]))
         other = highest[joint, best]
@@ -392,29 +370,29 @@ def check_agreement(motion: RecordedMotion, found: LogFindings) -> None:
             raise FileError(motion.path, said, "give the true joint order of states and commands")
         if own < RELATED[0] and lowest[joint, joint] < -RELATED[1]:
             said = f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f})"
-            found.notes.append(f"{said}; is its axis turned around?")
+            yield f"{said}; is its axis turned around?", ""
         left = np.abs(error[:, joint])
         left -= np.minimum.accumulate(left)
         if left.max() > LEFT and not np.ptp(command[:, joint]):
             said = f"the command of {name} never changes, yet it moves away from it by {left.max():.3g} rad"
             remedy = "give what was sent, or leave the columns of the commands out"
-            found.doubt(f"{said}: not this command moved the arm", remedy)
+            yield f"{said}: not this command moved the arm", remedy
         if len(motion) < FEWEST_MOVING:
             continue
         gain = float(gains[joint])
         if own > RELATED[1] and not 1 / GAIN < gain < GAIN:
             said = f"{name} moves {gain:.3g} times as far as its command: not one unit"
-            found.doubt(said, "give states and commands in one unit")
+            yield said, "give states and commands in one unit"
         low, apart, high = np.percentile(error[:, joint], (10, 50, 90))
         if abs(apart) > APART:
             said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median)"
             if high - low < abs(apart) / 2 and gain > FOLLOWED:
-                found.doubt(said, "check unit, joint order and zero of states and commands")
-            found.notes.append(f"state: {said}: a weak servo, or another zero")
-    _check_lag(motion, command, found)
+                yield said, "check unit, joint order and zero of states and commands"
+            yield f"state: {said}: a weak servo, or another zero", ""
+    yield from _check_lag(motion, command)
 
 
-def _check_copies(motion: RecordedMotion, command: Array, found: LogFindings) -> None:
+def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
     rows = len(motion)
     reach = min(int(np.clip(round(PLAUSIBLE[1] / float(np.median(np.diff(motion.time)))), 1, 50)), rows // 2)
     changing = np.abs(np.diff(command, axis=0, prepend=command[:1])) > SAME
@@ -428,11 +406,11 @@ def _check_copies(motion: RecordedMotion, command: Array, found: LogFindings) ->
             names = "all joints" if copied.all() else ", ".join(np.array(motion.columns)[copied])
             when = f"{abs(lag)} row(s) {'later' if lag > 0 else 'earlier'}" if lag else "in the same row"
             said = f"the states of {names} are copies of the commands, {when}: such a log shows no arm"
-            found.doubt(said, "record what the encoders say and what was sent")
+            yield said, "record what the encoders say and what was sent"
             return
 
 
-def _check_lag(motion: RecordedMotion, command: Array, found: LogFindings) -> None:
+def _check_lag(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
     lag = find_lag(motion.time, motion.position, command)
     if lag is None or lag.plausible:
         return
@@ -440,9 +418,9 @@ def _check_lag(motion: RecordedMotion, command: Array, found: LogFindings) -> No
     said = f"best {abs(lag.best):.2g} s {side}{more} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
     if not lag.sure:
         shows = "this motion does not tell surely whether the clocks differ"
-        found.notes.append(f"state: follows its commands {said}; {shows}")
+        yield f"state: follows its commands {said}; {shows}", ""
         return
     cause = "commands are goals that something else moves to, or the clocks differ"
     if lag.best < 0:
         cause = "states are stamped before their commands or on another clock, or both are exchanged"
-    found.doubt(f"the states follow their commands {said}: {cause}", "record both with the stamps of one clock")
+    yield f"the states follow their commands {said}: {cause}", "record both with the stamps of one clock"

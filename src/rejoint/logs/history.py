@@ -180,15 +180,14 @@ CHECKS = "checks"
 """Folder of the checks, by arm"""
 
 
-def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
-    """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
+def find_rows(folder: Path) -> tuple[list[HistoryRow], tuple[str, ...]]:
+    """Summary rows below a folder, oldest first, and unreadable files."""
     rows, problems = list[HistoryRow](), list[str]()
     for path in _files(folder):
-        if _is_of(path.relative_to(folder), arm):
-            try:
-                rows += read_rows(path)
-            except FileError as error:
-                problems.append(_plain(str(error)))
+        try:
+            rows += read_rows(path)
+        except FileError as error:  # whose path may have bytes that are no text
+            problems.append(str(error).encode(errors="backslashreplace").decode())
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), tuple(problems)  # joints stay in their order
 
 
@@ -203,12 +202,3 @@ def _files(folder: Path) -> list[Path]:
             found.append(Path(where, SUMMARY))
         seen.add(real)
     return sorted(path for path in found if path.exists())
-
-
-def _plain(text: str) -> str:
-    return text.encode(errors="backslashreplace").decode()
-
-
-def _is_of(path: Path, arm: str | None) -> bool:
-    parts = path.parts
-    return arm is None or CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

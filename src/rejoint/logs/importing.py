@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
 from rejoint.logs.consistency import (
     BETWEEN,
     FORCED,
-    LogFindings,
+    Remark,
     check_agreement,
     check_states,
     check_units,
@@ -91,26 +91,37 @@ NO_COMMANDS = (
 
 
 def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
-    """Check a motion; FileError for a doubt in `LogFindings`."""
-    options = options or ImportOptions()
-    found = LogFindings(path=motion.path, force=options.force, notes=list(motion.notes))
-    motion = clean(motion, found)
+    """Check a motion; FileError for a doubt, unless it is imported by force."""
+    options, notes, reasons = options or ImportOptions(), list(motion.notes), list[str]()
+
+    def take(remarks: Iterable[Remark]) -> None:
+        for said, remedy in remarks:
+            if not remedy:
+                notes.append(said)
+            elif not options.force:
+                remedy += "; or go on with --force, which keeps this reason in the log"
+                raise FileError(motion.path, said, remedy)
+            elif said not in reasons:
+                reasons.append(said)
+
+    motion, remarks = clean(motion)
+    take(remarks)
     extra, origin = motion.extra, float(np.floor(motion.time[0]))
     if origin >= _EPOCH:
         motion = replace(motion, time=motion.time - origin)
         extra = extra | {"clock_origin_s": f"{origin:.0f}"}
-    check_units(motion, arm, options, found)
-    check_states(motion, arm, found)
+    take(check_units(motion, arm, options))
+    take(check_states(motion, arm))
     rows = len(motion)
     if motion.command is None:
-        found.notes.append(NO_COMMANDS)
+        notes.append(NO_COMMANDS)
     else:
         powered = (motion.more.get("gain", np.ones((rows, 1))) != 0).any(axis=-1)
-        check_agreement(motion.take(powered), found)
+        take(check_agreement(motion.take(powered)))
         if not powered.all():
-            found.notes.append(f"state: {int((~powered).sum())} rows without torque")
+            notes.append(f"state: {int((~powered).sum())} rows without torque")
     off, unknown = options.torque_off or (), np.full((rows, 3), np.nan)
-    told = {FORCED: BETWEEN.join(found.reasons), UNPOWERED: ",".join(off)}
+    told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(off)}
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -124,10 +135,10 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         **{"target": unknown, "true_tcp": unknown, **motion.more},
     )
     silent = [joint for joint in unpowered_joints(log) if joint not in off]
-    found.notes.extend(
+    notes.extend(
         f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent
     )
-    return log, [*found.notes, *(f"imported by force, although {reason}" for reason in found.reasons)]
+    return log, [*notes, *(f"imported by force, although {reason}" for reason in reasons)]
 
 
 @dataclass(frozen=True, kw_only=True)

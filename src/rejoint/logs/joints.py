@@ -33,26 +33,20 @@ _LINEAR = re.compile(
 """``6.33*m0-0.646``, ``-m0/6.33 + 0.1`` or ``m0``"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Linear:
-    """``scale`` times a column, plus ``offset`` in its unit."""
+def read_linear(text: str, known: Collection[str]) -> tuple[str, float, float]:
+    """Column of ``6.33*m0-0.646``, its scale, and the offset in its unit; ``known`` names stay names.
 
-    column: str
-    scale: float = 1.0
-    offset: float = 0.0
-
-    @classmethod
-    def of(cls, text: str, known: Collection[str]) -> Linear:
-        """Read ``6.33*m0-0.646``; ``known`` names stay names. InputError for a scale of 0."""
-        found = _LINEAR.fullmatch(text)
-        if text in known or found is None:
-            return cls(column=text)
-        scale = float(found["scale"] or 1.0) * (-1.0 if found["sign"] == "-" else 1.0)
-        factor = float(found["factor"] or 1.0)
-        if not scale or not factor:
-            raise InputError(f"--map: {text!r} has a scale of 0")
-        scale = scale / factor if found["op"] == "/" else scale * factor
-        return cls(column=found["column"], scale=scale, offset=float((found["offset"] or "0").replace(" ", "")))
+    InputError for a scale of 0.
+    """
+    found = _LINEAR.fullmatch(text)
+    if text in known or found is None:
+        return text, 1.0, 0.0
+    scale = float(found["scale"] or 1.0) * (-1.0 if found["sign"] == "-" else 1.0)
+    factor = float(found["factor"] or 1.0)
+    if not scale or not factor:
+        raise InputError(f"--map: {text!r} has a scale of 0")
+    scale = scale / factor if found["op"] == "/" else scale * factor
+    return found["column"], scale, float((found["offset"] or "0").replace(" ", ""))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +215,7 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
     """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
     motors = read_homing(source, turned=True)
-    mapped = {Linear.of(theirs, motors).column: ours for ours, theirs in (options.columns or {}).items()}
+    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in (options.columns or {}).items()}
     names = [mapped.get(name, name) for name in motors]
     chosen = [[*motors.values()][column] for column in match_joints(names, arm, source, "calibration").columns]
     counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]

@@ -77,21 +77,18 @@ class Journal:
             raise
         self.file.unlink(missing_ok=True)
 
-    def keep(self, log: RunLog) -> str:
-        """Write a failed run's log; returns a message."""
+    def rescue(self, log: RunLog | None = None) -> str:
+        """Write the log of a failed run, by default what is in its journal; returns a message."""
+        path: Path | None = self.path
         try:
-            self.finish(log)
+            if log is None:
+                self.close()
+                path = _convert(self.file, self.path)
+            else:
+                self.finish(log)
         except FileError as error:
-            return "\n".join((f"What was recorded until then: {error}", *getattr(error, "__notes__", ())))
-        return f"What was recorded until then: {self.path}"
-
-    def rescue(self) -> str:
-        """Make a failed run's log of its journal; returns a message."""
-        self.close()
-        try:
-            path = _convert(self.file, self.path)
-        except FileError as error:
-            return f"What was recorded until then is in {self.file}, but: {error}"
+            kept = f"What was recorded until then is in {self.file}; the next command in this folder makes a log of it."
+            return f"{kept} {error}"
         return "Nothing was recorded." if path is None else f"What was recorded until then: {path}"
 
     def discard(self) -> None:

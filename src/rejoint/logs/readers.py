@@ -104,10 +104,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
         number=sheet.lines,
         place="line",
         found=sheet.found,
-        notes=[
-            *[f"read as {sheet.found}"] * (not sheet.plain),
-            *["the last line does not end and may be cut: left out"] * (not sheet.ends),
-        ],
+        notes=sheet.remarks,
     )
     return [RawMotion(file.stem, [frame])]
 

@@ -41,9 +41,8 @@ BLUE = Look("#0069a8", "#56b4e9", "-")
 BROWN = Look("#7a5c2e", "#c9a56b", (0, (2, 1)))
 INDIGO = Look("#5a52c4", "#a9a3f5", (0, (6, 1, 1, 1)))
 TEAL = Look("#0f7c86", "#4cc3cd", (0, (2, 1, 4, 1)))
-OLIVE = Look("#6f7a00", "#bcc73e", (0, (5, 1, 1, 1, 5, 1)))
 
-LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL, OLIVE)
+LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL)
 
 CONTROLLERS = {
     "default": GREY,
@@ -102,21 +101,20 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    plain = ("cycles", "day_and_time", "measured_with", "number", "parameter_name", "plural", "sentence")
+    plain = ("cycles", "day_and_time", "listed", "number", "parameter_name", "plural", "sentence")
     found.filters |= {name: getattr(words, name) for name in plain}
     found.filters |= {
         "cell": words.measured,
         "degrees": np.degrees,
         "ends": lambda one, digits, factor=1.0, unit="": words.interval(one.low, one.high, digits, unit, factor),
-        "listed": lambda names: words.listed(names, "and"),
         "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
-        "quoted": lambda names: words.listed([f"“{name}”" for name in names], "and"),
+        "quoted": lambda names: words.listed([f"“{name}”" for name in names]),
     }
     theme = {
         name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
         for name, key in (("light", "colour"), ("dark", "dark"))
     }
-    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "words": words}
+    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval}
     found.globals |= {"theme": theme} | known
     found.globals["m"] = found.get_template("macros.html").module
     return found

@@ -23,17 +23,6 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     return f"{value:z.{_places(value, digits)}f}{_suffix(unit)}"
 
 
-def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "") -> str:
-    """``mean ± std`` with the mean's decimals."""
-    if mean is None or not math.isfinite(mean):
-        return UNKNOWN
-    places = _places(mean, digits)
-    text = f"{mean:.{places}f}"
-    if std is not None and math.isfinite(std):
-        text += f" ± {std:.{places}f}"
-    return text + _suffix(unit)
-
-
 def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
     """``low to high`` times ``factor``; empty if an end is missing or both are equal."""
     if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):
@@ -74,60 +63,11 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
     return Cell(number(one.value * factor, digits), interval(one.low, one.high, digits, factor=factor))
 
 
-CONTROLLERS = {
-    "default": "target sent once, as the arm does by itself",
-    "integrator": "moves the command until the measured error is gone",
-    "feedforward": "raises the command against gravity, then integrates",
-    "servo-gains": "target sent once, under better gains of the servos themselves",
-    "servo-gains+integrator": "integrator, under better gains of the servos",
-    "servo-gains+feedforward": "feedforward, under better gains of the servos",
-    "servo-gains+policy": "policy, trained for better gains of the servos and driven under them",
-    "servo-gains+predictive": "predictive, under better gains of the servos",
-    "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
-    "policy": "learned in simulation of this arm",
-    "predictive": "plans on the twin of this arm, leaves the last millimetre to another",
-}
-"""What each controller does"""
-
-KINDS = {
-    "weak_gain": "soft",
-    "friction": "stiff to turn",
-    "hysteresis": "stops short",
-    "play_in_loop": "hunts",
-    "torque_limit": "out of torque",
-    "low_damping": "rings",
-    "lag": "late",
-    "offset": "offset",
-    "noise": "restless readings",
-}
-"""Names of findings"""
-
-PARAMETERS_SHOWN: dict[str, tuple[str, float]] = {
-    "offset": ("deg", math.degrees(1.0)),
-    "delay": ("ms", 1e3),
-    "ramp_speed": ("deg/s", math.degrees(1.0)),
-}
-"""Displayed units of twin parameters, and factors"""
-
-SOURCES = {
-    "touch": "touch, typed in by hand",
-    "camera": "a camera that sees a board",
-    "tracker": "a tracker",
-    "emulated": "the emulator's own knowledge of its tool, and the noise of a ruler",
-}
-"""Sources of tool measurements"""
-
-
 def parameter_name(element: str) -> str:
     """Name of a twin parameter: ``dry friction of joint1`` for ``coulomb.joint1``."""
     name, _, joint = element.partition(".")
     called = "dry friction" if name == "coulomb" else name.replace("_", " ")
     return f"{called} of {joint}" if joint else called
-
-
-def measured_with(source: str) -> str:
-    """Name of a measuring source; unknown ones unchanged."""
-    return SOURCES.get(source, source)
 
 
 def day_and_time(text: str) -> str:
@@ -139,11 +79,11 @@ def day_and_time(text: str) -> str:
     return f"{when.day} {when:%B %Y, %H:%M}"
 
 
-def listed(words: Sequence[str], last: str) -> str:
-    """Join words with commas and ``last`` (and, or)."""
+def listed(words: Sequence[str]) -> str:
+    """Join words with commas, the last one with "and"."""
     if len(words) < 2:
         return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def plural(count: int, noun: str) -> str:
@@ -157,9 +97,9 @@ def cycles(count: float) -> str:
     return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
 
 
-def short(name: str, width: int = 24) -> str:
-    """Cut a name to ``width`` characters."""
-    return name if len(name) <= width else f"{name[: width - 1]}…"
+def short(name: str) -> str:
+    """Cut a name to 24 characters."""
+    return name if len(name) <= 24 else f"{name[:23]}…"
 
 
 def sentence(text: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -15,19 +14,17 @@ from torch.nn import functional
 
 from rejoint.arms import Arm
 from rejoint.arms.kinematics import DAMPING, GRAVITY, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE, joint_terms
-from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
+from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.controllers.classical import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.controllers.classical import PROJECTION_DAMPING
 from rejoint.control.controllers.feedforward import (
     CALMER,
-    CLOSE,
     EARLY,
-    GENTLE,
     HELD_BACK,
     LEAST_PUSH,
     SPEED_SMOOTHING,
     TAKEN_BACK,
-    CommandLaw,
+    Commander,
 )
 from rejoint.control.controllers.observation import (
     HISTORY,
@@ -38,6 +35,7 @@ from rejoint.control.controllers.observation import (
     PERIOD_SMOOTHING,
     layout_factors,
 )
+from rejoint.runs.exports import Design
 from rejoint.training.export import to_onnx
 
 F = TypeVar("F")
@@ -54,24 +52,6 @@ def memory_slots(joints: int) -> dict[str, int]:
         "velocity": HISTORY * n, "action": HISTORY * n, "mean_period": 1, "pushed": n, "eager": n, "came": n,
         "asked": n,
     }  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
-    """Content of a graph."""
-
-    arm: Arm
-    law: CommandLaw
-    """with the anchor ``goal``"""
-    network: bytes | None
-    """the policy's ONNX file; None: the law alone, the feed-forward controller"""
-    name: str = "policy"
-    periods: tuple[float, float] = (0.018, 0.055)
-    """[s] shortest and longest control period"""
-    gains: str = ""
-    """servo gains of the training, in words, or empty"""
-    instead: str = ""
-    """a sentence if the run recommends another controller, else empty"""
 
 
 def controller_graph(design: Design) -> onnx.ModelProto:
@@ -171,12 +151,9 @@ class _CycleGraph(nn.Module):
         self.limits = self.arm[-2:]
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(design.arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
-        self.factors, self.moves = _tensor(layout_factors("residual", self.n)), _tensor(moves_tool(design.arm))
-        self.unloaded = torch.as_tensor(unloaded_joints(design.arm).copy())
-        self.close, self.gentle = CLOSE * length_size(design.arm), GENTLE * length_size(design.arm)
-        self.loosened = self.law.loosen * max(length_size(design.arm), 1.0)
-        load = heaviest_load(design.arm)
-        self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
+        self.factors, self.unloaded = _tensor(layout_factors("residual", self.n)), _tensor(unloaded_joints(design.arm))
+        self.commander = Commander(design.arm, self.law)
+        self.moves, self.spared = _tensor(self.commander.moves), _tensor(self.commander.spared)
 
     def forward(self, joint_pos: Tensor, target: Tensor, period: Tensor, state_in: Tensor) -> tuple[Tensor, Tensor]:
         """Command and memory."""
@@ -225,8 +202,8 @@ class _CycleGraph(nn.Module):
         learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
             -gains.learned_limit, gains.learned_limit
         )
-        command, margin = torch.clamp(raised + learned, *self.limits), law.envelope_margin
-        command = torch.clamp(torch.clamp(command, goal - margin, goal + margin), *self.limits)
+        margin = law.envelope_margin
+        command = torch.clamp(torch.clamp(raised + learned, goal - margin, goal + margin), *self.limits)
         actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
         memory = (
             known
@@ -260,8 +237,8 @@ class _CycleGraph(nn.Module):
         eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
         share, (distance, since) = step / step.abs().max().clamp(min=1e-9), seen
         sticks, loose = way == 0.0, way * old["pushed"] > 0.0
-        speed = self.loosened * (distance / self.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
-        added = torch.where(sticks & (distance > self.close), span * speed * eager * share, 0.0)
+        speed = self.commander.loosen * (distance / self.commander.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
+        added = torch.where(sticks & (distance > self.commander.close), span * speed * eager * share, 0.0)
         taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
         return added - taken, {
             "pushed": torch.where(sticks, old["pushed"] + added, 0.0),
@@ -314,7 +291,7 @@ class _CycleGraph(nn.Module):
             return push, extra
         late = (law.decay_start / since.clamp(min=law.decay_start)) ** law.decay_power
         near = (largest / law.decay_step).clamp(max=1.0)
-        factor = torch.where(self.unloaded, late + (1.0 - late) * near * near, 1.0)
+        factor = torch.where(self.unloaded > 0.0, late + (1.0 - late) * near * near, 1.0)
         return push * factor, extra * factor
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from rejoint.arms import Arm, Displacement
 from rejoint.arms.loading import unit_arm, write_urdf
-from rejoint.arms.workspace import posture_grid, torque_size
+from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
-from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, CommandLaw, FeedforwardController
+from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
 from rejoint.control.controllers.policy import check_contract
 from rejoint.control.servogains import ServoGains, in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -30,10 +30,6 @@ from rejoint.system.files import write_text, write_whole
 from rejoint.system.shell import __version__
 from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
-
-if TYPE_CHECKING:
-    from rejoint.runs.controllergraph import Design
-
 
 Kind = Literal["urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -199,8 +195,23 @@ OUTSIDE = (
 )
 """Warning to the user of the file"""
 
-# [s] for a controller without a network (chosen: those that policies are trained for)
-_PERIODS = (0.018, 0.055)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """Content of a controller's graph."""
+
+    arm: Arm
+    law: CommandLaw
+    """with the anchor ``goal``"""
+    network: bytes | None
+    """the policy's ONNX file; None: the law alone, the feed-forward controller"""
+    name: str = "policy"
+    periods: tuple[float, float] = (0.018, 0.055)
+    """[s] shortest and longest control period"""
+    gains: str = ""
+    """servo gains of the training, in words, or empty"""
+    instead: str = ""
+    """a sentence if the run recommends another controller, else empty"""
 
 
 def design_of(run: Run, best: str) -> Design:
@@ -208,18 +219,16 @@ def design_of(run: Run, best: str) -> Design:
 
     InputError for policies by the paper's recipe.
     """
-    from rejoint.runs.controllergraph import Design
-
-    arm, twin, policy, name = run.arm, run.twin, None, FeedforwardController.name
+    arm, policy, name = run.arm, None, FeedforwardController.name
     if best == SHELF:
         policy, name = shelf_policy(arm), f"{SHELF} policy"
     elif best != name and run.folder.policy.exists():
         policy, name = as_policy(run.folder.policy), POLICY
     if policy is None:
-        nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
-        stiffness = nominal if twin is None else twin.parameters.stiffness
-        law = CommandLaw(anchor="goal", stiffness=tuple(stiffness.tolist()), envelope_margin=2.0 * np.pi)
-        design = Design(arm=arm, law=law, network=None, name=name, periods=_PERIODS)
+        twin = run.twin
+        own = FeedforwardController(arm, None if twin is None else twin.parameters.stiffness)
+        law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
+        design = Design(arm=arm, law=law, network=None, name=name)
     else:
         contract = policy.contract
         check_contract(contract, arm)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 
+import msgspec
+
 from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
-from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
+from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run
@@ -36,9 +38,6 @@ def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
 MOVED, SET_UP = "moved", "set up"
 """Reasons of a new baseline: a move, or another description"""
 
-_JOINT = ("hysteresis_mm", "reversal_mm", "deviation_mm", "lever_mm")
-_TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Past:
@@ -54,8 +53,9 @@ class Past:
 
 def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
     """Rows of a check; ``head`` holds the common fields."""
-    tool = replace(head, **{name: getattr(measures, name) for name in _TOOL})
-    return [tool, *(replace(head, **asdict(joint)) for joint in measures.joints)]
+    tool = asdict(measures)
+    joints = tool.pop("joints")
+    return [replace(head, **tool), *(replace(head, **joint) for joint in joints)]
 
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
@@ -84,20 +84,20 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
         head = members.pop("", None)
         if kind == "repair":
             past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head.left_mm if head else None)
-        elif kind == "check" and head and (measures := _measures(head, tuple(members.values()))):
+        elif kind == "check" and head and (measures := _measures(head, members.values())):
             check = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
             left = None if head.norm == SET_UP else past.left_mm
             past = Past(visits=(check,) if head.norm else (*past.visits, check), setup=head.setup, left_mm=left)
     return past
 
 
-def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    tool = {name: getattr(head, name) for name in _TOOL}
-    found = [{name: getattr(row, name) for name in JointCheck.__annotations__} for row in joints]
-    needed = [tool[name] for name in _TOOL[:3]] + [row[name] for row in found for name in _JOINT]
-    if not joints or None in needed:
-        return None
-    return CheckMeasures(joints=tuple(JointCheck(**row) for row in found), **tool)
+def _measures(head: HistoryRow, joints: Collection[HistoryRow]) -> CheckMeasures | None:
+    """Measures in the rows of a check; None: one is missing."""
+    with suppress(msgspec.ValidationError):
+        return (
+            msgspec.convert(vars(head) | {"joints": [vars(row) for row in joints]}, CheckMeasures) if joints else None
+        )
+    return None
 
 
 def summarise(run: Run) -> None:

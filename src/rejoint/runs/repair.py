@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import closing, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -237,19 +237,17 @@ class _RepairStages:
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
     def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
-        with self._session(observer) as session:
-            return self._comparison(session).drive(observer.progress, ahead)
+        with self._comparison(observer) as job:
+            return job.drive(observer.progress, ahead)
 
     def _ahead(self) -> HelperProcess | None:
-        with self._session(Observer()) as session:
-            return self._comparison(session).begin_ahead()
+        with self._comparison(Observer()) as job:
+            return job.begin_ahead()
 
-    def _session(self, observer: Observer) -> ArmSession:
-        settings = replace(self.settings, calibration=NO_GAUGE) if self.plan.gauge == NO_GAUGE else self.settings
-        return ArmSession(self.robot, run=self.run, settings=settings, observer=observer)
-
-    def _comparison(self, session: ArmSession) -> ComparisonJob:
+    @contextmanager
+    def _comparison(self, observer: Observer) -> Iterator[ComparisonJob]:
         plan, quick, emulated = self.plan, self.quick, is_batchable(self.robot)
+        settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
         trials, targets = plan.trials or TrialPlan(), plan.targets
         sets, repetitions = (1, 1) if quick else (3, 2) if emulated else (None, None)
         trials = replace(
@@ -259,7 +257,8 @@ class _RepairStages:
         )
         if quick and targets is None:
             targets = draw_targets(self.run.arm, sets=1, count=QUICK_TARGETS, seed=self.run.seed)
-        return comparison_job(session, plan.controllers, targets, trials)
+        with ArmSession(self.robot, run=self.run, settings=settings, observer=observer) as session:
+            yield comparison_job(session, plan.controllers, targets, trials)
 
     def do(self, name: StageName, work: Callable[..., object]) -> None:
         """Do a stage, or report that it is done."""

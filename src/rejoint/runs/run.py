@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState, Robot, RobotWrapper
+from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
@@ -203,7 +203,7 @@ class Run(Readable):
 def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> Path:
     """Return the newest run folder in ``home`` if interrupted, else a new one; default: the robot's, below `RUNS`."""
     if home is None:
-        home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
+        home = RUNS / plain_name(f"{arm.name}-{robot}-seed{seed}")
     last = max((int(p.name) for p in home.glob("*") if p.name.isdecimal()), default=0)
     newest = RunFolder(home / f"{last:03}")
     again = last > 0 and not newest.finished.exists()

@@ -151,10 +151,10 @@ class RunRecorder:
         if journal is None:
             error.add_note("The disk had no room for what was recorded until then.")
         elif cycles:
-            error.add_note(journal.keep(_log(kind, cycles, "/stopped")))
+            error.add_note(journal.rescue(_log(kind, cycles, "/stopped")))
         elif partial is not None:
             label = f"{kind[1]}/begin" if partial.controller == Playback.name else kind[2]
-            error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
+            error.add_note(journal.rescue(partial.log(0, f"{label}/stopped")))
         else:
             journal.discard()
 

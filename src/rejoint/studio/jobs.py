@@ -257,7 +257,7 @@ def repair(*, quick: bool = False) -> Job:
     """Return what repairs the arm; it goes on where an earlier one ended."""
 
     def job(studio: Studio) -> None:
-        from rejoint.pages.report.contents import before_after, read_contents
+        from rejoint.pages.report.page import before_after, read_contents
 
         run, status = studio.begin_run(quick=quick), studio.status
         done = rejoint.repair(

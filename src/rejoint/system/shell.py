@@ -6,7 +6,7 @@ import ctypes
 import shlex
 import socket
 import sys
-from functools import cache
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
@@ -21,17 +21,9 @@ def command(*words: object) -> str:
 
 def give_back() -> None:
     """Return free memory to the system (glibc)."""
-    trim = _trim()
-    if trim is not None:
-        trim(0)
-
-
-@cache
-def _trim() -> Any:  # noqa: ANN401
-    try:
-        return ctypes.CDLL(None).malloc_trim if sys.platform == "linux" else None
-    except (OSError, AttributeError):
-        return None
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another C library
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 class Late:

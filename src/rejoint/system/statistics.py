@@ -75,13 +75,13 @@ def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
     return values[known], np.bincount(groups, weights=values[known]).astype(float), np.bincount(groups)
 
 
-def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
+def bootstrap_mean(values: Array, labels: Labels, *, fewest: int = FEWEST_CLUSTERS) -> Estimate:
     """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least ``fewest``."""
     values, sums, counts = _clustered(values, labels)
     mean = float(values.mean())
     if len(counts) < fewest:
         return Estimate(value=mean, low=None, high=None)
-    picks = np.random.default_rng(seed).integers(0, len(sums), (RESAMPLES, len(sums)))
+    picks = np.random.default_rng(0).integers(0, len(sums), (RESAMPLES, len(sums)))
     means = sums[picks].sum(axis=1) / counts[picks].sum(axis=1)
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Estimate(value=mean, low=min(float(low), mean), high=max(float(high), mean))

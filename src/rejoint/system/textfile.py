@@ -64,10 +64,8 @@ class Sheet:
     separator: str
     found: str
     """encoding and separator"""
-    plain: bool
-    """UTF-8 with commas and titles"""
-    ends: bool
-    """the last line is complete"""
+    remarks: tuple[str, ...]
+    """how it was read, if not as UTF-8 with commas and titles, and what is left out of it"""
     sound: bool
     """no cell may be damaged"""
 
@@ -248,15 +246,18 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
     # a text without columns has no separator; "one column" keeps an error about it true
     parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
     untitled = "" if named else ", without a line of titles"
+    described = f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints)
+    remarks = [] if encoding == "UTF-8" and separator == "," and named and not prints else [f"read as {described}"]
+    if not ends:
+        remarks.append("the last line does not end and may be cut: left out")
     return Sheet(
         path=path,
         titles=tuple(titles),
         rows=tuple(lines[i] for i in rows),
         lines=np.array(rows, dtype=np.int64) + 1,
         separator=separator,
-        found=f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints),
-        plain=encoding == "UTF-8" and separator == "," and named and not prints,
-        ends=ends,
+        found=described,
+        remarks=tuple(remarks),
         sound=whole,
     )
 

@@ -18,7 +18,7 @@ from rejoint.logs.runfolder import read_effort
 from rejoint.logs.runlog import write_log
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
-from rejoint.runs.stages.compare import trials as open_loop_trials
+from rejoint.runs.stages.compare import open_loop_trials
 from rejoint.system.errors import ContractError, GuardTripError, NoReplyError, NotReadyError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract

@@ -16,9 +16,8 @@ from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import RunLog
-from rejoint.pages.report.contents import read_contents
 from rejoint.pages.report.figures import Gallery, Picture
-from rejoint.pages.report.page import report_html
+from rejoint.pages.report.page import read_contents, report_html
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
 

@@ -7,14 +7,28 @@ from report_samples import begin, shown
 
 from readpage import rounds
 from rejoint.logs.runfolder import RunFolder
-from rejoint.pages.report.tables import QUANTITIES
-from rejoint.pages.words import PARAMETERS_SHOWN, parameter_name
+from rejoint.pages.words import parameter_name
 from rejoint.system.files import write_json
 from rejoint.twin.parameters import PARAMETERS
 
 COMPARED = "comparison / Every controller on the same arm with the same targets"
 JOINTS = "diagnosis / Measured values per joint"
 TWIN = "twin / Parameters of the twin"
+DEG = float(np.degrees(1.0))
+QUANTITIES = {
+    "stiffness [N m/rad]": ("stiffness_nm_per_rad", 1.0),
+    "hysteresis [deg]": ("hysteresis_rad", DEG),
+    "dry friction [N m]": ("coulomb_nm", 1.0),
+    "lag [ms]": ("lag_s", 1e3),
+    "damping ratio [1]": ("damping_ratio", 1.0),
+    "overshoot [%]": ("overshoot", 1e2),
+    "offset [deg]": ("offset_rad", DEG),
+    "unrest [deg]": ("hunting_rad", DEG),
+    "noise [deg]": ("noise_rad", DEG),
+}
+"""Name and unit in the table of joints, and field of `JointMetrics` with the factor to that unit"""
+SHOWN = {"offset": ("deg", DEG), "delay": ("ms", 1e3), "ramp_speed": ("deg/s", DEG)}
+"""Units of parameters that are not shown in SI units"""
 
 
 def shows(places, place, value, low, high):
@@ -55,10 +69,8 @@ def test_the_table_of_controllers_holds_every_number_with_its_interval(whole, co
 
 def test_one_number_for_one_property_of_a_joint(whole):
     page = whole[0]
-    same = [quantity for quantity in QUANTITIES if quantity.parameter]
-    assert [quantity.parameter for quantity in same] == ["stiffness", "coulomb", "offset"]
-    for quantity in same:
-        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ joint1$", place)]
+    for name in ("stiffness", "dry friction", "offset"):
+        places = [place for place in page.places if re.search(rf" / {name} \[.*/ joint1$", place)]
         assert len(places) == 1
         assert places[0].startswith(TWIN)
 
@@ -68,24 +80,22 @@ def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(tmp_p
     begin(tmp_path, arm)
     write_json(folder.diagnosis, diagnosis)
     places, shown_rows = shown(folder.path)[0].places, 0
-    for quantity in QUANTITIES:
-        name = f"{JOINTS} / {quantity.name} [{quantity.unit}]"
+    for title, (field, factor) in QUANTITIES.items():
+        name = f"{JOINTS} / {title}"
         for i, (row, well) in enumerate(zip(diagnosis.measurement.joints, diagnosis.healthy.joints, strict=True), 1):
-            found, healthy = getattr(row, quantity.field), getattr(well, quantity.field)
+            found, healthy = getattr(row, field), getattr(well, field)
             shown_rows += 1
-            assert rounds(places[f"{name} / joint{i}"], quantity.factor * found.value)
+            assert rounds(places[f"{name} / joint{i}"], factor * found.value)
             if found.low is None:
                 assert f"{name} / joint{i} / small" not in places
             else:
-                shows(
-                    places, f"{name} / joint{i}", *(quantity.factor * e for e in (found.value, found.low, found.high))
-                )
+                shows(places, f"{name} / joint{i}", *(factor * e for e in (found.value, found.low, found.high)))
             text = places[f"{name}, healthy / joint{i} / small"]
             if healthy.low is None:
                 assert text == "not known"
             else:
-                ends = (healthy.low if quantity.signed else max(healthy.low, 0.0), healthy.high)
-                assert all(rounds(t, quantity.factor * end) for t, end in zip(text.split(" to "), ends, strict=True))
+                ends = (healthy.low if field == "offset_rad" else max(healthy.low, 0.0), healthy.high)
+                assert all(rounds(t, factor * end) for t, end in zip(text.split(" to "), ends, strict=True))
     assert shown_rows == 6 * 9
 
 
@@ -93,7 +103,7 @@ def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_iden
     places, (low, high) = whole[0].places, twin.interval
     known = dict(zip(twin.names, twin.identified, strict=True))
     for p in PARAMETERS:
-        unit, factor = PARAMETERS_SHOWN.get(p.name, (p.unit.replace("^2", "²"), 1.0))
+        unit, factor = SHOWN.get(p.name, (p.unit.replace("^2", "²"), 1.0))
         values, lows, highs = (np.atleast_1d(getattr(one, p.name)) * factor for one in (twin.parameters, low, high))
         for i in range(len(values)):
             cell = f"{TWIN} / {parameter_name(p.name)} [{unit}] / joint{i + 1}"

@@ -4,8 +4,7 @@ import pytest
 
 from readpage import Page
 from rejoint.logs.runfolder import RunFolder, RunInfo
-from rejoint.pages.report.contents import commands, read_contents
-from rejoint.pages.report.page import write_report
+from rejoint.pages.report.page import commands, read_contents, write_report
 from rejoint.system.files import write_json
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from readpage import Page
 from rejoint.pages.html import render
-from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import Gallery
+from rejoint.pages.report.page import read_curves
 from rejoint.training.train import policy_contract
 from rejoint_lab.research.reproduction.paper import PAPER
 

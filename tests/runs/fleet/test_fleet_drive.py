@@ -8,7 +8,7 @@ import pytest
 from rejoint.logs.history import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.runs.fleet.campaign import FleetRules, Work, WorkOutcome, run_fleet
-from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
+from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
@@ -106,11 +106,11 @@ def call(
         ({"may_move": False}, "check", True, "may_move"),
         ({"may_repair": False}, "repair", True, "may_repair"),
         ({"needs_somebody": True}, "check", False, "somebody has to be there"),
-        ({"hours": read_hours(["Tue 08:00-18:00"])}, "check", True, "its hours begin Tue 2026-11-24 08:00"),
-        ({"hours": read_hours(["Mon 08:00-09:04", "Wed 10:00-11:00"])}, "check", True, "begin Wed 2026-11-25 10:00"),
+        ({"hours": ["Tue 08:00-18:00"]}, "check", True, "its hours begin Tue 2026-11-24 08:00"),
+        ({"hours": ["Mon 08:00-09:04", "Wed 10:00-11:00"]}, "check", True, "begin Wed 2026-11-25 10:00"),
         ({"may_repair": False}, "check", False, ""),
         ({"needs_somebody": True}, "check", True, ""),
-        ({"hours": read_hours(["Mon 08:00-09:05"])}, "check", False, ""),
+        ({"hours": ["Mon 08:00-09:05"]}, "check", False, ""),
     ],
 )
 def test_nothing_moves_without_permission_and_outside_its_hours(tmp_path, given, verb, somebody, why):

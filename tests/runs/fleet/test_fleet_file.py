@@ -57,8 +57,8 @@ def test_arms_take_what_they_do_not_say_from_the_top(tmp_path):
     assert (second.tolerance_mm, second.may_move, second.needs_somebody, second.may_repair) == (5.0, True, False, True)
     assert second.description == str(tmp_path / "own.toml")
     assert [arm.virtual for arm in fleet.arms] == [False, True]
-    assert first.hours == read_hours(["Mon-Fri 08:00-18:00"])
-    assert second.hours == read_hours(["Fri 22:00-06:00"], ["2026-12-24 to 2027-01-06"])
+    assert first.opening == read_hours(["Mon-Fri 08:00-18:00"])
+    assert second.opening == read_hours(["Fri 22:00-06:00"], ["2026-12-24 to 2027-01-06"])
     assert fleet.only(("desk",)) == (second,)
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from contextlib import closing
-from dataclasses import replace
 from datetime import datetime, timedelta
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -14,10 +13,11 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.fleet.campaign import FleetRules, run_fleet
-from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
+from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check
 from rejoint.system.errors import InputError
@@ -83,7 +83,7 @@ def working_on(name):
 @pytest.fixture(scope="module")
 def called(address, tmp_path_factory):
     allowed = FleetArm(name=VIRTUAL, address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
-    real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
+    real = replace(allowed, name="real", address=address, hours=["Mon-Fri 08:00-18:00"])
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = FleetRules(now=world.now)

@@ -83,12 +83,13 @@ class FeedforwardController:
         loosen: float = LOOSEN,
     ) -> None:
         """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`, larger for arms longer than a myCobot 280."""
-        self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen * max(length_size(arm), 1.0)
-        self._close, self._gentle = np.array([CLOSE, GENTLE]) * length_size(arm)
+        self._arm, self._gains = arm, gains or FeedforwardGains()
+        self.loosen = loosen * max(length_size(arm), 1.0)
+        self.close, self.gentle = np.array([CLOSE, GENTLE]) * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
-        self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
-        if not (self._stiffness > 0.0).all():
-            raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
+        self.stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
+        if not (self.stiffness > 0.0).all():
+            raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self.stiffness.tolist()}")
         self._pace = Pace()
         self._clear(0)
 
@@ -122,7 +123,7 @@ class FeedforwardController:
     def _take(self, inputs: ControlInput, where: Mask) -> None:
         goal = self._goal[where] = inputs.goal[where]
         self._eager[where], self._came[where] = 1.0, 0.0
-        stiffness = np.broadcast_to(self._stiffness, self._goal.shape)[where]
+        stiffness = np.broadcast_to(self.stiffness, self._goal.shape)[where]
         self._raised[where] = goal + gravity_torque(self._arm, goal) / stiffness
         turn = None if inputs.turn is None else inputs.turn[where]
         jacobian = task(self._arm, goal, inputs.target[where], turn)[1]
@@ -149,14 +150,9 @@ class FeedforwardController:
         stays = ~self.on_the_way(inputs)[:, None]
         sticks = stays & (moved == 0.0)
         most = np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-9)
-        strength = between(distance / self._gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
+        strength = between(distance / self.gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
         added = (
-            elapsed
-            * self._loosen
-            * strength
-            * self._eager
-            * (step / most)
-            * (sticks & (distance > self._close)[:, None])
+            elapsed * self.loosen * strength * self._eager * (step / most) * (sticks & (distance > self.close)[:, None])
         )
         loose = stays & (moved * self._pushed > 0.0)
         taken, back = np.where(loose, TAKEN_BACK * self._pushed, 0.0), loose * np.sign(self._pushed)
@@ -277,8 +273,8 @@ class Commander(FeedforwardController):
             raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
         super().__init__(arm, np.array(law.stiffness) if law.anchor == "goal" else None, law.learning, law.loosen)
         load, self.law = heaviest_load(arm), law
-        self._moves = moves_tool(arm).astype(float)
-        self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
+        self.moves = moves_tool(arm).astype(float)
+        self.spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
 
     def commands(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
@@ -287,8 +283,8 @@ class Commander(FeedforwardController):
             return law.command(self._arm, view, inputs.state.position, action)
         near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
-        step = step * (1.0 - near[:, None] * self._spared)
-        extra = law.authority(view.step) * self._moves * between(action, -1.0, 1.0)
+        step = step * (1.0 - near[:, None] * self.spared)
+        extra = law.authority(view.step) * self.moves * between(action, -1.0, 1.0)
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra

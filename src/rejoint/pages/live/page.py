@@ -59,25 +59,13 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 """at which an arm of virtual time can be watched"""
 
 
-_LIMITS = {
-    "position": "joint limit",
-    "lead": "distance ahead of the joint",
-    "step": "speed",
-    "floor": "the arm was asked to go lower than it may",
-    "collision": "a link would touch another one, the ground or a box",
-    "gap": "no answers came for a while, or a joint was led back; the arm goes on slowly",
-}
-"""What the guard limits, by `reason_names`"""
-
-
-def guard_words(recent: Sequence[SeenCycle], joints: Sequence[str]) -> list[str]:
+def guard_actions(recent: Sequence[SeenCycle], joints: Sequence[str]) -> dict[str, str]:
     """Actions of the guard in ``recent`` cycles, each with the joint whose command it changed most."""
-    words = MEANINGS | _LIMITS
-    said: dict[str, str] = {}
+    found: dict[str, str] = {}
     for one in recent:
         joint = joints[int(np.argmax(np.abs(one.wanted - one.cycle.command)))]
-        said |= {name: f"{words.get(name, name)} ({joint})" for name in reason_names(int(one.cycle.reasons))}
-    return list(said.values())
+        found |= dict.fromkeys(reason_names(int(one.cycle.reasons)), joint)
+    return found
 
 
 LONGEST = 0.5
@@ -281,20 +269,13 @@ class WebPage:
             true = float(np.linalg.norm(now.target - now.true_tcp))
             title += f", arm {seen.arm + 1} of {robot.count} side by side" if robot.count > 1 else ""
             joints = write.joints(names, now, seen.temperature, HOT)
-        legend = {
-            "the arm": LINKS[1],
-            "where it is sent" if self._ghost is None else "its twin's prediction": GHOST,
-            "its tool, by its encoders": TRAIL,
-            "target, and what is accepted": TARGET,
-            "the tool itself, where it is known": TRUE,
-        }
-        entries = [(f"rgb{colour}", text) for text, colour in legend.items()]
+        colours = [f"rgb{colour}" for colour in (LINKS[1], GHOST, TRAIL, TARGET, TRUE)]
         return {
             "head": write.head(title, shown.controller, doing),
             "error": write.error(error, true, shown.within),
-            "guard": write.guard(guard_words(self._recent, names), stopped),
+            "guard": write.guard(guard_actions(self._recent, names), MEANINGS, stopped),
             "joints": joints,
-            "legend": write.legend([*entries, (GREY, f"squares of {1e3 * cell_of(reach(robot.arm)):.0f} mm")]),
+            "legend": write.legend(colours, self._ghost is not None, cell_of(reach(robot.arm))),
         }
 
     def _ask_to_hold(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -26,9 +26,11 @@ from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.html import BLUE, GREY, INK, LOOKS, ORANGE, RED, Look, look_of
-from rejoint.pages.report.contents import Curves
 from rejoint.pages.words import MM, cycles, number, short
 from rejoint.system.files import write_whole
+
+if TYPE_CHECKING:
+    from rejoint.pages.report.page import Curves
 
 
 def aims(log: RunLog) -> Array:
@@ -87,8 +89,8 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
 
 FONT = 9.5
 """[pt] (chosen: legible at half size)"""
-WIDE, HALF = 10.4, 5.2
-"""[inch] figure widths, one and two columns"""
+WIDE = 10.4
+"""[inch] figure width"""
 VIEWS = {"from above": (1, 0), "from the side": (0, 2), "from the front": (1, 2)}
 """Axes drawn to the right and upwards; y points left, as one sees it over the base"""
 _DASHED = (0, (4, 3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
+from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
 from rejoint.twin.twin import FEWEST, NO_TWIN, Judgement, smaller
 
@@ -65,7 +64,12 @@ def _success(row: ControllerRow) -> Cell:
 
 
 def _crossing(found: Spread | None) -> str:
-    return UNKNOWN if found is None else spread(MM * found.mean.value, MM * (found.std or math.nan))
+    """Mean and deviation, with three digits of the mean."""
+    if found is None:
+        return UNKNOWN
+    mean = number(MM * found.mean.value)
+    places = len(mean.partition(".")[2])
+    return f"{mean} ± {MM * found.std:.{places}f}" if found.std else mean
 
 
 def _settled(row: ControllerRow, block: int) -> Cell:
@@ -109,63 +113,6 @@ def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
     return rows
 
 
-class Quantity(NamedTuple):
-    """A measured quantity of a joint."""
-
-    field: str
-    """of `JointMetrics`"""
-    name: str
-    unit: str
-    meaning: str
-    """plain words"""
-    factor: float = 1.0
-    """from SI to ``unit``"""
-    signed: bool = False
-    """may be negative"""
-    parameter: str = ""
-    """of a twin, if the same property"""
-
-    def healthy(self, estimate: Estimate | None) -> str:
-        """Range of a healthy joint."""
-        if estimate is None or estimate.low is None:
-            return UNKNOWN
-        low = estimate.low if self.signed else max(estimate.low, 0.0)
-        return interval(low, estimate.high, 2, factor=self.factor) or UNKNOWN
-
-
-QUANTITIES = (
-    Quantity(
-        "stiffness_nm_per_rad",
-        "stiffness",
-        "N m/rad",
-        "how strongly the servo holds its position; soft joints sag",
-        parameter="stiffness",
-    ),
-    Quantity(
-        "hysteresis_rad",
-        "hysteresis",
-        "deg",
-        "how far apart the joint stops when it comes from below and from above",
-        DEG,
-    ),
-    Quantity("coulomb_nm", "dry friction", "N m", "torque that is lost before anything moves", parameter="coulomb"),
-    Quantity("lag_s", "lag", "ms", "how far the joint trails behind its command in motion", 1e3),
-    Quantity("damping_ratio", "damping ratio", "1", "1 comes to rest at once, 0.3 rings"),
-    Quantity("overshoot", "overshoot", "%", "how far it shoots beyond after a step", 1e2),
-    Quantity(
-        "offset_rad",
-        "offset",
-        "deg",
-        "how far the joint rests from its command where nothing loads it",
-        DEG,
-        parameter="offset",
-        signed=True,
-    ),
-    Quantity("hunting_rad", "unrest", "deg", "motion while nothing is asked of the joint", DEG),
-    Quantity("noise_rad", "noise", "deg", "scatter of single readings at rest", DEG),
-)
-
-
 def ranked(judgement: Judgement, where: str) -> dict[str, tuple[Estimate, Array]]:
     """Mean error [mm] with 95 % interval over motions of every prediction, the best first, ``free`` or in ``contact``.
 
@@ -201,11 +148,11 @@ def _free(judgement: Judgement) -> Iterator[str]:
         yield f"Trust none of them: the command alone predicts better ({within})."
     else:
         yield f"Trust “{best}” in free space: it predicts the tool within {within}."
-    yield f"The others: {listed([f'{name} {_mean(one)}' for name, (one, _) in others], 'and')}."
+    yield f"The others: {listed([f'{name} {_mean(one)}' for name, (one, _) in others])}."
     both = {name: np.isfinite(errors + theirs) for name, (_, theirs) in others}
     close = [f"“{name}”" for name, rows in both.items() if not smaller(errors[rows], found[name][1][rows])]
     if close:
-        yield f"Not measurably worse in these motions: {listed(close, 'and')}."
+        yield f"Not measurably worse in these motions: {listed(close)}."
 
 
 def _contact(judgement: Judgement) -> str:

@@ -243,7 +243,7 @@ class Campaign:
             if one.end is None and one.running is None:
                 self._begin(one)
         for one in self.arms:
-            if not one.arm.hours.is_open(self.rules.now()):
+            if not one.arm.opening.is_open(self.rules.now()):
                 self._hold(one)
         return any(one.running for one in self.arms)
 
@@ -314,10 +314,10 @@ class Campaign:
             return "may_repair is not true in the file"
         if arm.needs_somebody and not self.rules.somebody:
             return "somebody has to be there: say --somebody-is-there when somebody is"
-        return "" if arm.hours.begins(now) == now else self._begins(arm)
+        return "" if arm.opening.begins(now) == now else self._begins(arm)
 
     def _begins(self, arm: FleetArm) -> str:
-        opens = arm.hours.begins(self.rules.now())
+        opens = arm.opening.begins(self.rules.now())
         return "its hours never come" if opens is None else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 import tomlkit
-from msgspec.structs import asdict
+from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rejoint.arms import CATALOGUE, Arm, Mask
@@ -99,42 +99,34 @@ FOLDER = "runs"
 """Default folder of runs and checks, beside the file"""
 
 
-class _SharedTable(Table):
+class _SharedTable(Table, kw_only=True):
     hours: Texts | None = None
     closed: Texts | None = None
     tolerance_mm: Positive | None = None
-    may_move: bool | None = None
-    needs_somebody: bool | None = None
-    may_repair: bool | None = None
-
-
-class _ArmTable(_SharedTable, kw_only=True):
-    name: Text
-    address: Text
-    description: Text | None = None
-    bench: Text = ""
-
-
-class _FleetTable(_SharedTable, kw_only=True):
-    arm: Annotated[list[_ArmTable], msgspec.Meta(min_length=1)]
-    folder: Text = FOLDER
-
-
-@dataclass(frozen=True, kw_only=True)
-class FleetArm:
-    """One arm of the file."""
-
-    name: str
-    address: str
-    description: str | None = None
-    """catalogue name or file; default: by the address"""
-    bench: str = ""
-    """arms of one bench take turns; empty: none"""
-    hours: Hours = field(default_factory=Hours)
-    tolerance_mm: float | None = None
     may_move: bool = False
     needs_somebody: bool = True
     may_repair: bool = False
+
+
+class _FleetTable(_SharedTable, kw_only=True):
+    arm: Annotated[list[dict[str, Any]], msgspec.Meta(min_length=1)]
+    folder: Text = FOLDER
+
+
+class FleetArm(_SharedTable, kw_only=True):
+    """One arm of the file."""
+
+    name: Text
+    address: Text
+    description: Text | None = None
+    """catalogue name or file; default: by the address"""
+    bench: Text = ""
+    """arms of one bench take turns; empty: none"""
+
+    @property
+    def opening(self) -> Hours:
+        """Hours at which it may move; ValueError names a wrong text."""
+        return read_hours(self.hours or (), self.closed or ())
 
     @property
     def virtual(self) -> bool:
@@ -180,30 +172,29 @@ def read_fleet(path: Path | str) -> Fleet:
     place = Path(path)
     top = read_toml(place, _FleetTable, "check the path of the file with the arms")
     home, arms = place.resolve().parent, dict[str, FleetArm]()  # other processes stand in other folders
+    shared = {name: getattr(top, name) for name in _SharedTable.__struct_fields__}
     for table in top.arm:
         try:
-            arm = _arm(table, top, home)
+            arm = _arm(shared | table, home)
             spot = place_of(arm.address).spot
             if any(arm.name == other.name for other in arms.values()):
                 raise ValueError("two arms have this name")
             if spot in arms:
                 raise ValueError(f"address {arm.address!r} is that of {arms[spot].name}, too")
         except (ValueError, FileError) as error:
-            raise FileError(place, f"arm {table.name[:40]!r}: {error}", "correct the file") from error
+            raise FileError(place, f"arm {str(table.get('name'))[:40]!r}: {error}", "correct the file") from error
         arms[spot] = arm
     return Fleet(path=place, folder=_place(home, top.folder), arms=tuple(arms.values()))
 
 
-def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
+def _arm(table: dict[str, Any], home: Path) -> FleetArm:
     """ValueError (as InputError is), FileError."""
-    if plain_name(table.name) != table.name:
+    arm = msgspec.convert(table, FleetArm)
+    if plain_name(arm.name) != arm.name:
         raise ValueError("expected a name of letters, digits, dots and dashes, such as bench-3")
-    shared = {name: getattr(top, name) for name in _SharedTable.__struct_fields__}
-    said = {name: value for one in (shared, asdict(table)) for name, value in one.items() if value is not None}
-    if table.description is not None and table.description not in CATALOGUE:
-        said["description"] = str(_place(home, table.description))
-    arm = FleetArm(**said | {"hours": read_hours(said.get("hours", ()), said.pop("closed", ()))})
-    arm.built  # noqa: B018 - what cannot be built is refused now
+    if arm.description is not None and arm.description not in CATALOGUE:
+        arm = replace(arm, description=str(_place(home, arm.description)))
+    arm.opening, arm.built  # noqa: B018 - what cannot be read or built is refused now
     return arm
 
 

@@ -188,7 +188,8 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    chosen, before = settings or Settings(), _measured_before(gauge)
+    chosen, known = settings or Settings(), isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots")
+    before = cast("Measurements | Film | Path | str", gauge) if known else None
     if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")
     with (
@@ -221,11 +222,6 @@ def calibrate(
                 _write(about, measured, result)
         update(1.0, "fitted")
         return result
-
-
-def _measured_before(given: object) -> Measurements | Film | Path | str | None:
-    known = isinstance(given, Measurements | Path | str) or hasattr(given, "shots")
-    return cast("Measurements | Film | Path | str", given) if known else None
 
 
 def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:

@@ -159,9 +159,7 @@ def check(
         tolerance_mm=tolerance_mm,
         used_h=hours_of(address) if said.used_h is None else said.used_h,
     )
-    rows, unread = find_rows(home, head.arm)
-    if any(row.kind == "repair" for row in rows):  # whose it was is told by the checks of all arms
-        rows, unread = find_rows(home)
+    rows, unread = find_rows(home)  # of all arms: their checks tell whose a repair was
     past = past_of(rows, head.arm, name_of(address, built.name))
     begins = MOVED if said.moved else SET_UP if past.setup not in ("", head.setup) else ""
     visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm

@@ -83,15 +83,9 @@ class OpenLoopTrials:
     """as of a hold trial"""
 
 
-def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
-    """Trials of a run's diagnosis; None for another robot or protocol."""
-    path = run.folder.log("targets")
-    if robot != run.robot or not path.exists():
-        return None
-    return trials(run.arm, read_log(path), protocol, model)
-
-
-def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
+def open_loop_trials(
+    arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None
+) -> OpenLoopTrials | None:
     """Judge an open-loop log as trials; None if its holds are too short."""
     recording, targets = _recording(log)
     found = measure(arm, recording, targets[None], protocol, Key(DEFAULT, "hold", ((0, 0),)), model=model, both=True)
@@ -401,8 +395,9 @@ def comparison_job(
         block=block,
     )
     model, before = session.calibration, None
-    if block and run is not None and not isinstance(arm, LoadedArm) and turns is None:
-        before = open_loop(run, session.address, trials.protocol, model)
+    if block and run is not None and not isinstance(arm, LoadedArm) and turns is None and session.address == run.robot:
+        path = run.folder.log("targets")  # of the diagnosis
+        before = open_loop_trials(run.arm, read_log(path), trials.protocol, model) if path.exists() else None
     if before is not None and targets is None:
         points[0] = before.targets
     posed = turns is not None

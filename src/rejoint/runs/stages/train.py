@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -143,5 +143,4 @@ def _learn(
         result = learn(arm, twin, out=folder, options=chosen, on_progress=on_progress)
     else:
         result = how.trainer(arm, twin, folder, on_progress)
-    policy = Policy.load(result.policy)
-    return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)
+    return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)

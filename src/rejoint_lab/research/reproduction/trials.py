@@ -15,8 +15,8 @@ from rejoint.control.controllers.policy import load_policy
 from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, RED, look_of
-from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import WIDE, Series, Stroke, curves
+from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
