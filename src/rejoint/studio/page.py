@@ -152,16 +152,9 @@ class StudioPage(WebPage):
         act()
         self._drawn = ()
 
-    def job(self, label: str, title: str, make: Callable[[], Job], *, first: bool = False) -> None:
+    def job(self, label: str, title: str, job: Job, *, first: bool = False) -> None:
         """Add a button that begins a job."""
-        self.button(label, lambda: self.begin(title, make), first=first)
-
-    def begin(self, title: str, make: Callable[[], Job]) -> None:
-        """Begin a job; what was typed wrong is said on the page."""
-        try:
-            self.studio.do(title, make())
-        except InputError as error:
-            self.studio.change(error=str(error))
+        self.button(label, lambda: self.studio.do(title, job), first=first)
 
     def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401
         made.on_update(lambda _: self.form.update({key: made.value}))
@@ -185,10 +178,12 @@ class StudioPage(WebPage):
         """Add a box to tick."""
         self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual))))
 
-    def upload(self, label: str, act: Callable[[bytes], None]) -> None:
-        """Add a button that takes a file."""
+    def upload(self, label: str, title: str, job: Callable[[Studio, bytes], object]) -> None:
+        """Add a button that takes a file and begins a job with its content."""
         made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self._busy)
-        made.on_upload(lambda _: act(made.value.content))
+        made.on_upload(
+            lambda _: self._act(lambda: self.studio.do(title, lambda studio: job(studio, made.value.content)))
+        )
         self._parts.append(made)
 
     def html(self, macro: str, *given: object) -> None:
@@ -277,7 +272,7 @@ class StudioPage(WebPage):
         self.server.scene.add_icosphere("/clicked", 0.006, TARGET, position=place)
         self._drawn = ()
         if self.form.get("at once"):
-            self.begin("Going to the point", lambda: jobs.go_to(panels.point(self.form)))
+            self.studio.do("Going to the point", lambda studio: jobs.go_to(studio, panels.point(self.form)))
 
     def _report(self) -> bytes | None:
         run = self.studio.run

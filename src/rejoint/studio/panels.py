@@ -11,7 +11,7 @@ import numpy as np
 from rejoint.arms import CATALOGUE, Array
 from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
-from rejoint.studio.machine import Job, Status, StepName
+from rejoint.studio.machine import Status, StepName, Studio
 
 if TYPE_CHECKING:
     from rejoint.studio.page import StudioPage
@@ -38,14 +38,14 @@ def find(page: StudioPage, status: Status) -> None:
         page.choice("Arm", "arm", list(known))
     page.text("or its address", "address")
     page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
-    page.job("Connect", "Connecting", lambda: chosen(page.form, known), first=True)
-    page.job("Look for arms again", "Looking for arms", lambda: jobs.look)
+    page.job("Connect", "Connecting", lambda studio: connect(studio, page.form, known), first=True)
+    page.job("Look for arms again", "Looking for arms", jobs.look)
 
 
-def chosen(form: Mapping[str, Any], known: Mapping[str, str]) -> Job:
-    """Return the connection to the typed address, else to the chosen arm, of the chosen kind."""
+def connect(studio: Studio, form: Mapping[str, Any], known: Mapping[str, str]) -> None:
+    """Connect to the typed address, else to the chosen arm, of the chosen kind."""
     kind = form["kind"] if form["kind"] in CATALOGUE else None
-    return jobs.choose(str(form["address"] or known.get(form.get("arm", ""), "")), kind)
+    jobs.choose(studio, str(form["address"] or known.get(form.get("arm", ""), "")), kind)
 
 
 def check(page: StudioPage, status: Status) -> None:
@@ -57,8 +57,8 @@ def check(page: StudioPage, status: Status) -> None:
         page.button("No", lambda: page.studio.answer("no"), anyway=True)
         return
     page.html("surroundings")
-    page.job("The table is clear: move one joint", "A small motion", lambda: jobs.nudge, first=True)
-    page.job("Look again", "Looking at the servos", lambda: jobs.see)
+    page.job("The table is clear: move one joint", "A small motion", jobs.nudge, first=True)
+    page.job("Look again", "Looking at the servos", jobs.see)
 
 
 def diagnose(page: StudioPage, status: Status) -> None:
@@ -66,7 +66,12 @@ def diagnose(page: StudioPage, status: Status) -> None:
     found = status.found.get("diagnosis")
     page.html("hint", f"The arm goes to ten targets and turns each joint. {QUICK}")
     page.tick("Quick try", "quick")
-    page.job("Diagnose", "Diagnosis", lambda: jobs.diagnose(quick=bool(page.form["quick"])), first=found is None)
+    page.job(
+        "Diagnose",
+        "Diagnosis",
+        lambda studio: jobs.diagnose(studio, quick=bool(page.form["quick"])),
+        first=found is None,
+    )
     if found is not None:
         page.html("diagnosis", found)
         page.button("Next: repair", lambda: page.studio.change(step="repair"), first=True)
@@ -79,11 +84,11 @@ def repair(page: StudioPage, status: Status) -> None:
         "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
     )
     page.tick("Quick try", "quick")
-    page.job("Repair", "Repair", lambda: jobs.repair(quick=bool(page.form["quick"])), first=done is None)
+    page.job("Repair", "Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
     if done is not None:
         page.html("repaired", done, status.found.get("advice"))
         page.button("Next: before and after", lambda: page.studio.change(step="prove"), first=True)
-        page.job("Begin a new repair", "Another repair", lambda: jobs.again)
+        page.job("Begin a new repair", "Another repair", jobs.again)
 
 
 def calibrate(page: StudioPage, status: Status) -> None:
@@ -101,12 +106,12 @@ def calibrate(page: StudioPage, status: Status) -> None:
     page.number("Postures", "count", 10)
     page.text("Board", "board", "board.toml")
     page.number("Camera", "camera", 0)
-    page.job("Calibrate", "Calibration", lambda: measured(page.form), first=True)
+    page.job("Calibrate", "Calibration", lambda studio: measure(studio, page.form), first=True)
 
 
-def measured(form: Mapping[str, Any]) -> Job:
-    """Return the calibration with what was typed."""
-    return jobs.calibrate(form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
+def measure(studio: Studio, form: Mapping[str, Any]) -> None:
+    """Calibrate with what was typed."""
+    jobs.calibrate(studio, form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
 
 
 def prove(page: StudioPage, status: Status) -> None:
@@ -117,7 +122,9 @@ def prove(page: StudioPage, status: Status) -> None:
     page.html("points", points)
     page.button("Add the point", lambda: points.append(point(page.form)))
     page.button("Remove all points", points.clear)
-    page.job("Compare before and after", "Before and after", lambda: jobs.prove(list(points)), first=True)
+    page.job(
+        "Compare before and after", "Before and after", lambda studio: jobs.prove(studio, list(points)), first=True
+    )
     if status.found.get("proof"):
         page.html("proof", status.found["proof"])
         page.button("Next: use it", lambda: page.studio.change(step="use"), first=True)
@@ -138,24 +145,33 @@ def use(page: StudioPage, status: Status) -> None:
     places(page, status)
     page.number("Accept mm", "within", 2.0, step=0.1)
     page.tick("Click to go", "at once")
-    page.job("Go", "Going to the point", lambda: jobs.go_to(point(page.form), 1e-3 * page.form["within"]), first=True)
+    page.job(
+        "Go",
+        "Going to the point",
+        lambda studio: jobs.go_to(studio, point(page.form), 1e-3 * page.form["within"]),
+        first=True,
+    )
     path = page.form.setdefault("path", [])
     page.html("points", path)
     page.button("Record the point", lambda: path.append(point(page.form)))
-    page.job("Record where the tool is", "Recording", lambda: jobs.record(path))
+    page.job("Record where the tool is", "Recording", lambda studio: jobs.record(studio, path))
     page.button("Forget the path", path.clear)
     page.number("Times", "times", 1.0)
-    page.job("Play the path", "Path", lambda: jobs.play(list(path), max(int(page.form["times"]), 1)))
-    page.upload("Play a path file (CSV)", lambda content: page.begin("Path", lambda: jobs.play_file(content)))
+    page.job("Play the path", "Path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
+    page.upload("Play a path file (CSV)", "Path", jobs.play_file)
     page.number("Load g", "load", 0.0)
-    page.job("The hand carries this load", "Payload", lambda: jobs.carry(1e-3 * max(page.form["load"], 0.0)))
+    page.job(
+        "The hand carries this load", "Payload", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0))
+    )
     page.text("For programs", "listen", "127.0.0.1:9001")
-    page.job("Let programs drive it", "Serving", lambda: jobs.serve(str(page.form["listen"])))
+    page.job("Let programs drive it", "Serving", lambda studio: jobs.serve(studio, str(page.form["listen"])))
     page.choice("Export", "export", KINDS)
     page.text("LeRobot file", "lerobot")
-    page.job("Write the file", "Export", lambda: jobs.export(page.form["export"], str(page.form["lerobot"])))
-    page.job("Check again", "Check", lambda: jobs.check_again)
-    page.job("History of all arms", "History", lambda: jobs.history)
+    page.job(
+        "Write the file", "Export", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"]))
+    )
+    page.job("Check again", "Check", jobs.check_again)
+    page.job("History of all arms", "History", jobs.history)
     page.html("history", status.found.get("history") or ())
 
 
