@@ -12,8 +12,19 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board, Detector, Picture, Unusable
-from rejoint.camera.film import POSTURES, Film, Shot, positions, read_folder, write_postures
-from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
+from rejoint.camera.film import (
+    POSTURES,
+    USUAL,
+    Film,
+    Shot,
+    film_problem,
+    first_lens,
+    first_rig,
+    positions,
+    read_folder,
+    with_lens,
+    write_postures,
+)
 from rejoint.camera.rig import TERMS, Rig, place
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.parameters import belief
