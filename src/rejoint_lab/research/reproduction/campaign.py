@@ -7,7 +7,7 @@ action.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
@@ -137,7 +137,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     title: str
     measure: str
-    """module and function in this package"""
+    """function of the module `measures`"""
     trainings: tuple[str, ...] = ()
     text: tuple[str, ...]
     numbers: tuple[tuple[str, ...], ...]
@@ -151,8 +151,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def run(self, bench: Bench) -> Finished:
         """Measure."""
-        module, _, name = self.measure.partition(".")
-        return self.finish(getattr(import_module(f"{__package__}.{module}"), name)(bench))
+        return self.finish(getattr(import_module(f"{__package__}.measures"), self.measure)(bench))
 
     def finish(self, found: Found) -> Finished:
         """Put what was ``found`` into words."""
@@ -249,11 +248,5 @@ def write_page(bench: Bench) -> Path:
         joint_noise=PaperRanges.joint_noise,
         experiments=EXPERIMENTS,
         found={name: read_json(bench.result(name), Finished) for name in there},
-        table=_table,
         anchor=lambda title: "".join(c for c in title.lower() if c.isalnum() or c in " -").replace(" ", "-"),
     )
-
-
-def _table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [headers, ["---"] * len(headers), *rows]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)

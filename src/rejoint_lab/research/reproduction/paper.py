@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, collides
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.observation import SUCCESS_DISTANCE
-from rejoint.control.controllers.residual import CommandLaw
+from rejoint.system.files import read_toml
 from rejoint.training.presets import PpoSettings, Preset
 from rejoint.training.ranges import Interval
 from rejoint.training.task import ReachTask, TaskSettings
@@ -109,40 +110,12 @@ class PaperTask(ReachTask):
         return paper_reward(distance, joint_speed, collided, reached, late & ~reached), reached, collided
 
 
-PAPER = Preset(
-    name="paper",
-    make=PaperTask,
-    task=TaskSettings(
-        layout="equation-16",
-        law=CommandLaw(
-            anchor="measured",
-            step_gain=1.0,
-            authority_floor=float(np.radians(10.0)),  # chosen: with the paper's 5 fewer targets are learned
-            authority_slope=0.0,
-            authority_limit=float(np.radians(10.0)),
-            envelope_margin=float(np.radians(360.0)),
-        ),
-        hold_steps=250,  # Table 3: maximum time step
-        targets=1,
-        min_period=1.0 / 60.0,
-        max_period=1.0 / 30.0,
-        jitter=0.0,
-        start_spread=0.0,
-        start_sag=False,
-    ),
-    ppo=PpoSettings(
-        agents=512,
-        rollout=50,  # chosen; with 100 updates it gives Table 3's 5000 time steps
-        iterations=100,
-        epochs=8,
-        mini_batches=8,
-        learning_rate=3e-4,  # chosen; the paper gives none
-        final_learning_rate=3e-4,
-        clip=0.1,
-        discount=0.99,
-        log_std_ceiling=(-0.4, -0.4),
-        actor_layers=(64, 64, 64),
-        critic_layers=(64, 64, 64),
-    ),
-)
-"""Park et al. 2024, section III-D and Table 3; comments mark what the paper leaves open"""
+@dataclass(frozen=True)
+class _PaperRecipe:
+    task: TaskSettings
+    ppo: PpoSettings
+
+
+_RECIPE = read_toml(Path(__file__).with_suffix(".toml"), _PaperRecipe, "install rejoint again")
+PAPER = Preset(name="paper", make=PaperTask, task=_RECIPE.task, ppo=_RECIPE.ppo)
+"""Park et al. 2024, section III-D and Table 3"""
