@@ -6,9 +6,9 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -103,8 +103,7 @@ def runs(home: Path) -> dict[str, Path]:
     return {address: path for address, (_, path) in sorted(found.items())}
 
 
-@dataclass(frozen=True)
-class CheckLine:
+class CheckLine(NamedTuple):
     """One thing that was looked at."""
 
     good: bool
@@ -116,27 +115,27 @@ def checks(arm: Arm, state: JointState) -> tuple[CheckLine, ...]:
     position, heat, volts = state.position[0], state.temperature, state.voltage
     beyond = np.flatnonzero((position < arm.lower) | (position > arm.upper))
     names = ", ".join(arm.joint_names[j] for j in beyond)
-    found = [CheckLine(good=True, text=f"All {arm.joints} servos answer.")]
+    found = [CheckLine(True, f"All {arm.joints} servos answer.")]
     found.append(
-        CheckLine(good=False, text=f"{names} is beyond its limit. Move it back by hand.")
+        CheckLine(False, f"{names} is beyond its limit. Move it back by hand.")
         if names
-        else CheckLine(good=True, text="Every joint is inside its limits.")
+        else CheckLine(True, "Every joint is inside its limits.")
     )
     if volts is not None:
         low, high = float(np.nanmin(volts)), float(np.nanmax(volts))
         usual = min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high)
         good = low >= SAG * usual
         told = "" if good else f", and {usual:g} V are usual. Check the power supply and its plug"
-        found.append(CheckLine(good=good, text=f"The servos have a supply of {low:.1f} V{told}."))
+        found.append(CheckLine(good, f"The servos have a supply of {low:.1f} V{told}."))
     if heat is not None and np.isfinite(heat[0]).any():
         worst = int(np.nanargmax(heat[0]))
         good = float(heat[0, worst]) <= WARM
         told = "" if good else ". Let it cool down first"
         text = f"The warmest servo, {arm.joint_names[worst]}, has {heat[0, worst]:.0f} deg C{told}."
-        found.append(CheckLine(good=good, text=text))
+        found.append(CheckLine(good, text))
     words = "; ".join(word for word in (state.trouble or ()) if word)
     if words or (state.fault is not None and bool(state.fault.any())):
-        found.append(CheckLine(good=False, text=f"A servo reports a fault: {words or 'switch the arm off and on'}."))
+        found.append(CheckLine(False, f"A servo reports a fault: {words or 'switch the arm off and on'}."))
     return tuple(found)
 
 
