@@ -1,11 +1,13 @@
-"""One command per stage, and the whole chain as one command."""
+"""One command per stage, the whole chain as one command, and commands that open a page."""
 
 from __future__ import annotations
 
 import math
 import os
+import secrets
 import select
 import sys
+import webbrowser
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +19,7 @@ import rejoint
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import picked, results_of
+from rejoint.cli.console import HERE, is_loopback, picked, results_of
 from rejoint.cli.options import Call, ConsoleObserver, Result, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import Relaying, part_of
@@ -26,17 +28,55 @@ from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.robots import place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper
-from rejoint.runs.run import Run
+from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
-from rejoint.system.shell import command
+from rejoint.system.shell import command, host_and_port
 from rejoint.system.stopping import check, noted
 
 if TYPE_CHECKING:
     from rejoint.training.train import Trainer
+
+
+@takes()
+def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = False) -> object:
+    """Open the page that guides through a repair."""
+    require("rejoint studio", "live")
+    from rejoint.studio import jobs
+    from rejoint.studio.machine import Studio
+    from rejoint.studio.page import StudioView
+
+    host, port = host_and_port("--listen", listen)
+    machine = Studio(folder)
+    token = "" if is_loopback(host) else secrets.token_urlsafe(16)
+    with StudioView(machine, host, port, token) as view:
+        call.result(f"Studio: {view.address}  (Ctrl-C ends it; the arm then holds)")
+        machine.do("Looking for arms", jobs.look)
+        if not quiet:
+            webbrowser.open(view.address)
+        try:
+            machine.left.wait()
+        finally:
+            machine.leave()
+    return {"address": view.address}
+
+
+@takes()
+def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
+    """Show a worn arm that misses its targets, and the same arm with a policy."""
+    require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
+    from rejoint.pages.live.view import LiveView
+    from rejoint.studio.demo import demonstrate
+
+    with LiveView(*host_and_port("--listen", listen)) as view:
+        call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
+        if not quiet:
+            webbrowser.open(view.address)
+        demonstrate(view, call.result, rounds)
+    return {"address": view.address}
 
 
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
