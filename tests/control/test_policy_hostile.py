@@ -16,7 +16,7 @@ from rejoint.control.controllers.contract import LAYERS, MOST_LAYERS, encode_con
 from rejoint.control.controllers.policy import LARGEST_FILE, load_policy, ort
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
-from rejoint.training.ppo import perceptron
+from rejoint.training.learner import perceptron
 
 MANY = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
