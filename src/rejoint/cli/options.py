@@ -207,10 +207,8 @@ def held_positions(text: str | None) -> dict[str, float]:
     return found
 
 
-def period_seconds(text: str | None) -> tuple[float, float] | None:
+def period_seconds(text: str) -> tuple[float, float]:
     """Read ``50`` or ``20-30`` [ms] as an interval [s]; InputError for anything else."""
-    if text is None:
-        return None
     first, _, last = text.partition("-")
     refusal = f"--period {text!r}: expected milliseconds such as 50 or 20-30, between 1 and 1000"
     low, high = _numbers(f"{first},{last or first}", 2, refusal)
@@ -232,20 +230,16 @@ def controller_names(text: str) -> tuple[str, ...]:
     return () if names == ("all",) else names
 
 
-def payload_of(text: str | None) -> LoadedWith | None:
+def payload_of(text: str) -> LoadedWith:
     """Read ``0.15`` [kg] or ``0.15@0,0,30`` [kg, mm]; InputError for anything else."""
-    if text is None:
-        return None
     mass, _, place = text.partition("@")
     expected = "kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30"
     kilograms, x, y, z = _numbers(f"{mass},{place or '0,0,0'}", 4, f"--payload {text!r}: expected {expected}")
     return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
 
 
-def tool_of(text: str | None) -> tuple[float, float, float] | None:
+def tool_of(text: str) -> tuple[float, float, float]:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
-    if text is None:
-        return None
     x, y, z = _numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
     return point_of(x, y, z, "--tool")
 
@@ -277,6 +271,10 @@ class SharedOption(NamedTuple):
     field: str = ""
     """of `Settings`, where it is not called like the option"""
 
+    def value(self, given: object) -> object:
+        """Return the field; None where nothing was written."""
+        return None if given is None else self.read(given)
+
 
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
@@ -290,7 +288,7 @@ SHARED = {
     **dict.fromkeys(ArmPick._fields, SharedOption()),
     "controller": SharedOption(),
     "dwell": SharedOption(float),
-    "within": SharedOption(float | None, lambda mm: None if mm is None else 1e-3 * mm),
+    "within": SharedOption(float | None, lambda mm: 1e-3 * mm),
     "calibration": SharedOption(),
     "payload": SharedOption(str | None, payload_of),
     "tool": SharedOption(str | None, tool_of),
@@ -320,7 +318,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({one.field or name: one.read(words.pop(name)) for name, one in shared.items()})
+            call = Call({one.field or name: one.value(words.pop(name)) for name, one in shared.items()})
             if words.get("robot") is not None:
                 words["robot"] = call.address(words["robot"])
             found = command(call, **words)
