@@ -35,8 +35,6 @@ ANYWHERE_TOO = PpoSettings(iterations=450, log_std=-1.0, critic_first=6)
 class Recipe:
     """Training of one generic policy."""
 
-    seed: int = 0
-    """chosen: no other was tried"""
     preset: Preset = DEFAULT
     ranges: Callable[[Arm], Ranges] = lambda arm: BroadRanges(arm=arm)
 
@@ -72,9 +70,8 @@ def make_shelf_policy(name: str, file: Path) -> TrainingResult:
     arm, recipe = load_arm(name), RECIPES[name]
     with tempfile.TemporaryDirectory(prefix="rejoint-shelf-") as folder:
         near = replace(recipe.preset, task=replace(recipe.preset.task, anywhere=0.0))
-        options = TrainingOptions(  # one thread, so that the number of cores does not matter
-            seed=recipe.seed, threads=1, preset=near, ranges=recipe.ranges(arm)
-        )
+        # One thread, so that the number of cores does not matter; no other seed than 0 was tried.
+        options = TrainingOptions(threads=1, preset=near, ranges=recipe.ranges(arm))
         first = train(arm, None, out=Path(folder) / "near", options=options)
         options = replace(
             options, preset=replace(recipe.preset, warm=ANYWHERE_TOO), start=begin_at(first.policy.read_bytes())
