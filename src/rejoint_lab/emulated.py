@@ -109,8 +109,9 @@ class EmulatedRobot:
         """
         self.arm, self.address, self.count = arm, address, len(wears)
         self._tells_load = options.pop("tells_load", True)
-        delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
-        self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
+        idle = Channel()
+        latency, age = options.pop("command_latency", idle.latency), options.pop("readback_age", idle.age)
+        self._channel = Channel(latency, age, period)
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
         if gains and not has_gains(arm):
@@ -139,10 +140,10 @@ class EmulatedRobot:
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (B, n) [rad], wait a period, read."""
-        delays = self._channel.draw(self._keys, self._cycle)
-        self.plant.command(command, delays.latency, active)
-        self.plant.advance(delays.period, active)
-        self._position = self._merge(self.plant.encoder(delays.age), active)
+        latency, age, period = self._channel.draw(self._keys, self._cycle)
+        self.plant.command(command, latency, active)
+        self.plant.advance(period, active)
+        self._position = self._merge(self.plant.encoder(age), active)
         self._cycle += 1 if active is None else active
         return self.read()
 
