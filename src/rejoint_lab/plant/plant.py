@@ -176,9 +176,9 @@ class Plant:
             pose[i] = tcp_pose(self._carried[i], links[i])
         return pose
 
-    def encoder(self, age: Array | float | None = None) -> Array:
+    def encoder(self, age: Array | float = 0.0) -> Array:
         """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
-        steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
+        steps = np.rint(np.broadcast_to(age, self.count) / servo.STEP).astype(np.int64)
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
@@ -204,10 +204,10 @@ class Plant:
         self._history[ids] = self.servos["measured"][ids][:, None]
         self._hold(ids, self._held(position, torque))
 
-    def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
+    def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
-        wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
+        wait = np.broadcast_to(delay, self.count)
         due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
         for i in self._selected(where):
             slot = int(np.argmax(self._due[i]))
@@ -232,9 +232,9 @@ class Plant:
         self.servos["powered"] = np.asarray(on)[:, None]
         self._hold(rising, self.encoder())
 
-    def halt(self, where: Mask | None = None) -> None:
+    def halt(self) -> None:
         """Stop the reference and drop pending commands."""
-        self._hold(self._selected(where), self.servos["reference"])
+        self._hold(np.arange(self.count), self.servos["reference"])
 
     def freeze(self, joints: Mask) -> None:
         """Freeze the reported encoders of ``joints`` (B, n)."""
@@ -314,8 +314,6 @@ def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int,
 
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     """`servo.JOINT` (n,) of an arm of some wear."""
-    if wear.position_gain.shape != (arm.joints,):
-        raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
     records = np.zeros(arm.joints, servo.JOINT)
     for name in (*PARAMETERS, "offset"):
         records[name] = getattr(wear, name)
@@ -342,10 +340,10 @@ class ServoPlant(Plant, ABC):
         super().set_speed_limit(speed)
         self.settings["speed"].T[:] = (self.servos["speed_limit"] / self.arm.encoder_step).T
 
-    def halt(self, where: Mask | None = None) -> None:
+    def halt(self) -> None:
         """Stop the reference and drop pending commands."""
         reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
-        self._hold(self._selected(where), reference * self.arm.encoder_step)
+        self._hold(np.arange(self.count), reference * self.arm.encoder_step)
 
     def _hold(self, ids: Ids, position: Array) -> None:
         """Set goal and reference to ``position`` (B, n) [rad]."""
