@@ -28,7 +28,7 @@ from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
 _DISABLED = "CONSTRAINT CONTACT ACTUATION SENSOR SPRING DAMPER WARMSTART AUTORESET"
 # [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
 _ARMATURE = {"servo": 0.01, "gear": 0.001}
-_CONTENT = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+_CONTENT = ("body_mass", "body_ipos", "body_inertia", "body_iquat", "body_pos", "body_quat")
 
 
 def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
@@ -107,7 +107,6 @@ class Plant:
         self.count = len(wears)
         self._pull = np.asarray(truth.gravity, dtype=float)
         self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
-        self._bent = () if truth.bodies is None else tuple(range(self.count))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -155,11 +154,6 @@ class Plant:
     goal = _State("goal")
     """(B, n) [rad] command in the firmware"""
 
-    @property
-    def power(self) -> Mask:
-        """(B,)."""
-        return np.asarray(self.servos["powered"].all(axis=1))
-
     def link_position(self) -> Array:
         """(B, n) [rad] true links, behind play and flex."""
         return self.qpos[:, 0::2] + self.qpos[:, 1::2]
@@ -172,8 +166,8 @@ class Plant:
         """(B, 4, 4) true tools."""
         links = self.link_position()
         pose = tcp_pose(self.arm, links)
-        for i in self._bent:
-            pose[i] = tcp_pose(self._carried[i], links[i])
+        for i, arm in self._carried.items():
+            pose[i] = tcp_pose(arm, links[i])
         return pose
 
     def encoder(self, age: Array | float = 0.0) -> Array:
@@ -228,7 +222,7 @@ class Plant:
 
     def set_power(self, on: Mask) -> None:
         """Switch the servos of each arm (B,). Off: only friction. On: hold."""
-        rising = np.flatnonzero(on & ~self.power)
+        rising = np.flatnonzero(on & ~self.servos["powered"].all(axis=1))
         self.servos["powered"] = np.asarray(on)[:, None]
         self._hold(rising, self.encoder())
 
@@ -284,14 +278,14 @@ class Plant:
 
     def _load_tools(self) -> None:
         """Put the bodies of arms that differ into the batch."""
-        names = ("body_pos", "body_quat") if self._bent else ()
-        fields = {name: self.batch.expand(name) for name in (*_CONTENT, *names) if self._carried}
+        if not self._carried:
+            return
+        fields = {name: self.batch.expand(name) for name in _CONTENT}
         for i, arm in self._carried.items():
             body = build_model(arm, self._pull)
             for name, values in fields.items():
                 values[i] = getattr(body, name)
-        if self._carried:
-            self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)
