@@ -17,7 +17,6 @@ from rejoint.robots.dynamixel import registers as xservos
 from rejoint.robots.feetech import gains as sts
 from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values, for_all, strides_of
 from rejoint.system.errors import InputError
-from rejoint_lab.family import has_gains
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
@@ -114,10 +113,10 @@ class EmulatedRobot:
         self._channel = Channel(latency, age, period)
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
-        if gains and not has_gains(arm):
-            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
         self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
         self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant | XPlant) else None
+        if gains:
+            self._with_gains()
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self._position = np.zeros((len(wears), arm.joints))
@@ -165,10 +164,13 @@ class EmulatedRobot:
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
-        if self._servos is None:
-            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has")
-        self._servos.tuning.tune(gains)
+        self._with_gains().tuning.tune(gains)
         self._position = self.plant.encoder()
+
+    def _with_gains(self) -> EmulatedServos:
+        if self._servos is None:
+            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        return self._servos
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
         """Raise InputError: emulated arms do not last."""
