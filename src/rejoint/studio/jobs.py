@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.deployment import Deployed
 from rejoint.control.recording import StageObserver
-from rejoint.control.robot import JointState
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
 from rejoint.logs.runfolder import LOGS, RunFolder, read_info
@@ -29,9 +28,9 @@ from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
+from rejoint.studio.health import look_at_servos
 from rejoint.studio.machine import Status, Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
-from rejoint.system.extras import require
 
 SAYS = {
     "stuck": "is stuck,",
@@ -67,12 +66,6 @@ TURNS = {"diagnose": 16.0, "calibrate": 15.0, "gains": 10.0, "compare": 25.0}
 
 
 EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, worn": "emulated:so101"}
-SAG = 0.85
-"""Share of the usual supply below which a voltage is low (chosen)"""
-SUPPLIES = (5.0, 7.4, 12.0)
-"""[V] of servos (manuals of the STS3215 and the X series)"""
-WARM = 50.0
-"""[deg C] of a servo that should cool down before a repair (chosen: 15 below the guard's trip)"""
 
 
 def candidates(home: Path) -> dict[str, str]:
@@ -101,42 +94,6 @@ def runs(home: Path) -> dict[str, Path]:
             if ":" in info.robot and not info.robot.startswith(LOGS):
                 found[info.robot] = max(found.get(info.robot, ("", path)), (info.created, path.parent))
     return {address: path for address, (_, path) in sorted(found.items())}
-
-
-class CheckLine(NamedTuple):
-    """One thing that was looked at."""
-
-    good: bool
-    text: str
-
-
-def checks(arm: Arm, state: JointState) -> tuple[CheckLine, ...]:
-    """Look at the servos of an arm that stands."""
-    position, heat, volts = state.position[0], state.temperature, state.voltage
-    beyond = np.flatnonzero((position < arm.lower) | (position > arm.upper))
-    names = ", ".join(arm.joint_names[j] for j in beyond)
-    found = [CheckLine(True, f"All {arm.joints} servos answer.")]
-    found.append(
-        CheckLine(False, f"{names} is beyond its limit. Move it back by hand.")
-        if names
-        else CheckLine(True, "Every joint is inside its limits.")
-    )
-    if volts is not None:
-        low, high = float(np.nanmin(volts)), float(np.nanmax(volts))
-        usual = min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high)
-        good = low >= SAG * usual
-        told = "" if good else f", and {usual:g} V are usual. Check the power supply and its plug"
-        found.append(CheckLine(good, f"The servos have a supply of {low:.1f} V{told}."))
-    if heat is not None and np.isfinite(heat[0]).any():
-        worst = int(np.nanargmax(heat[0]))
-        good = float(heat[0, worst]) <= WARM
-        told = "" if good else ". Let it cool down first"
-        text = f"The warmest servo, {arm.joint_names[worst]}, has {heat[0, worst]:.0f} deg C{told}."
-        found.append(CheckLine(good, text))
-    words = "; ".join(word for word in (state.trouble or ()) if word)
-    if words or (state.fault is not None and bool(state.fault.any())):
-        found.append(CheckLine(False, f"A servo reports a fault: {words or 'switch the arm off and on'}."))
-    return tuple(found)
 
 
 def look(studio: Studio) -> None:
@@ -171,11 +128,11 @@ def see(studio: Studio) -> None:
     session = studio.session()
     session.state  # noqa: B018 - asks the arm
     state = session.robot.read()
-    found = checks(session.arm, state)
+    found = tuple(look_at_servos(session.arm, state))
     studio.keep(checks=found, nudged=None)
-    bad = [line.text for line in found if not line.good]
+    bad = [f"{one.found}; {one.fix}" for one in found if one.fix]
     if bad:
-        raise NotReadyError(" ".join(bad))
+        raise NotReadyError(". ".join(bad))
 
 
 def nudge(studio: Studio) -> None:
@@ -274,7 +231,6 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
-        require("measuring with a camera", "camera")
         from rejoint.studio.pictures import shown_camera
 
         gauge = shown_camera(studio, status.address, board, camera)
