@@ -25,7 +25,6 @@ from rich.table import Table
 from rich.text import Text
 
 from rejoint.system.errors import UnsavedError
-from rejoint.system.extras import require
 from rejoint.system.progress import Progress
 from rejoint.system.shell import host_and_port
 from rejoint.system.stopping import raise_again
@@ -239,7 +238,6 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     if place is None:
         yield None
         return
-    require(f"rejoint {title} {OPTION}", "live")
     from rejoint.pages.live.view import LiveView
 
     host, port = host_and_port(OPTION, place)

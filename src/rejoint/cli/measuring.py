@@ -23,7 +23,6 @@ from rejoint.runs.run import Run
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.session.inputs import NO_GAUGE, GaugeLike
 from rejoint.system.errors import InputError
-from rejoint.system.extras import require
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
@@ -53,8 +52,6 @@ def calibrate(
         raise InputError("--board and --board-on go with --measure camera")
     if kind == NO_GAUGE:
         raise InputError("--measure none goes with repair; name what measures, or leave it out")
-    if kind == "camera":
-        require("rejoint calibrate --measure camera", "camera")
     if run.exists():
         job = Run.open(run).seeded(call.settings.seed)
     else:
@@ -146,7 +143,6 @@ class Means:
 
     def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
         """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
-        require("measuring with a camera", "camera")
         from rejoint.camera.board import ON_TABLE, ON_TOOL
         from rejoint.camera.filming import CameraGauge
         from rejoint.camera.tracker import LiveCamera
@@ -219,7 +215,6 @@ def board(
     measured_y: float | None = None,
 ) -> object:
     """Write a ChArUco board as a PDF in true size, with rulers to check the print."""
-    require("rejoint board", "camera")
     from rejoint.camera.board import ON_TABLE, ON_TOOL, write_board, write_pdf
 
     chosen = ON_TOOL if on == "tool" else ON_TABLE
