@@ -39,14 +39,16 @@ from rejoint_lab.research.evaluation.family import ArmFamily, keep, try_on
 from rejoint_lab.research.reproduction.campaign import (
     HEALTHY,
     LITERALLY,
+    PAPER,
     WORN,
     Bench,
     Found,
     Grid,
+    PaperRanges,
+    PaperTask,
     ranges_of,
     recipe,
 )
-from rejoint_lab.research.reproduction.paper import PAPER, PaperRanges, PaperTask
 
 POSTURES = 1000
 
@@ -412,11 +414,11 @@ def measure_wear(bench: Bench) -> Found:
 
 def measure_trainings(bench: Bench) -> Found:
     """Compare trainings over the paper's open points, and their policies on the worn arm."""
-    names, rows, success = (*WORN, *LITERALLY), [], dict[str, float]()
+    protocol, names, rows, success = bench.scale.protocol, (*WORN, *LITERALLY), [], dict[str, float]()
     for done, name in enumerate(names):
         bench.on_progress(done / len(names), f"policy of {name} on the worn arm")
-        outcome, (preset, offset) = try_arm(bench, name, bench.scale.protocol, only="crossing"), recipe(name)
-        trained, row = read_curves(bench.training(name).curves), _row(name, [outcome], bench.scale.protocol)
+        outcome, (preset, offset) = try_arm(bench, name, protocol, only="crossing"), recipe(name)
+        trained, row = read_curves(bench.training(name).curves), _row(name, [outcome], protocol)
         success[name] = 100 * row.reached
         rows.append(
             (
@@ -441,9 +443,7 @@ def measure_trainings(bench: Bench) -> Found:
         "ten targets s",
     )
     worn = [success[name] for name in WORN]
-    row = _row(
-        "policy", [try_arm(bench, name, bench.scale.protocol, only="crossing") for name in WORN], bench.scale.protocol
-    )
+    row = _row("policy", [try_arm(bench, name, protocol, only="crossing") for name in WORN], protocol)
     return {
         "size": layout_size(PAPER.task.layout, bench.arm.joints),
         "transitions": trained.step[-1] / 1e6,
