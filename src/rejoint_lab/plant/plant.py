@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit, types
+from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
@@ -373,7 +373,7 @@ class StsPlant(ServoPlant):
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
         self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
-        self._firmware = self.settings, self.status, self._rings
+        self._firmware = self.settings[..., None], self.status[..., None], self._rings
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -447,35 +447,19 @@ def plant_of(arm: Arm) -> type[Plant]:
 # ruff: noqa: ANN001, ANN201, ANN202, ARG001
 
 
-def aim(status, goal):
-    """Set the goal [counts] of a joint's servos."""
-
-
-@overload(aim)
-def _aim(status, goal):
-    def one(status, goal):
-        status.goal = goal
-
-    def several(status, goal):
-        for k in range(len(status)):
-            status[k].goal = goal
-
-    return several if isinstance(status, types.Array) else one
-
-
 def tick_servos(settings, status, rings, joint, state, tick, count, speed):
     """Let a joint's servos work for a millisecond; returns their torque [N m] on the output."""
 
 
 @overload(tick_servos)
 def _tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    def one(settings, status, rings, joint, state, tick, count, speed):
-        return sts3215.tick_servo(settings, status, rings, joint, state, tick, count, speed)
+    def sts(settings, status, rings, joint, state, tick, count, speed):
+        return sts3215.tick_servo(settings[0], status[0], rings, joint, state, tick, count, speed)
 
-    def several(settings, status, rings, joint, state, tick, count, speed):
+    def x(settings, status, rings, joint, state, tick, count, speed):
         return xseries.tick_servos(settings, status, state, count, speed)
 
-    return several if isinstance(status, types.Array) else one
+    return x if "aimed" in status.dtype.fields else sts
 
 
 @njit(cache=True)
@@ -483,7 +467,8 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
     """Write the next torques of the arms ``ids``.
 
     ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
-    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS and rings (B, n, ...) of the joints' servos.
+    velocities, torques (B, 2n); ``firmware``: None, or SETTING and STATUS (B, n, S), and rings
+    (B, n, ...), of joints with S servos.
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
@@ -492,7 +477,9 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
             servo.receive(tick[i], due[i], queue[i], servos[i])
             if firmware is not None:
                 for j in range(n):
-                    aim(firmware[1][i, j], int(np.rint(servos[i, j].goal / joints[i, j].encoder_step)))
+                    goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+                    for k in range(firmware[1].shape[2]):
+                        firmware[1][i, j, k].goal = goal
         for j in range(n):
             joint, state = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
