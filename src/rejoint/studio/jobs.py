@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -29,42 +29,19 @@ from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.health import look_at_servos
-from rejoint.studio.machine import Status, Studio
+from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.system.files import read_toml
 
-SAYS = {
-    "stuck": "is stuck,",
-    "weak_gain": "sags",
-    "friction": "is stiff,",
-    "hysteresis": "stops short",
-    "play_in_loop": "is loose,",
-    "torque_limit": "is too weak,",
-    "low_damping": "rings,",
-    "lag": "is late,",
-    "offset": "is off,",
-    "noise": "is restless,",
-}
-"""What a finding says at its joint"""
+_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
+SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
+"""What a finding says at its joint; seconds, and turns of all joints, of stages before their own pace is known"""
 LEAST = 1.0
 """[mm] at the tool that is worth a word at a joint (chosen)"""
 EARLY = 0.05
 """Share of a job from which its pace tells when it ends (chosen)"""
 NUDGE = float(np.radians(5.0))
 """[rad] of the motion that the owner confirms (chosen)"""
-EXPECTED = {
-    "diagnose": 115.0,
-    "calibrate": 115.0,
-    "identify": 30.0,
-    "gains": 90.0,
-    "train": 40.0,
-    "compare": 330.0,
-    "report": 10.0,
-}
-"""[s] of stages, before their own pace is known (what `make repair` prints; gains, compare and report: guessed)"""
-TURNS = {"diagnose": 16.0, "calibrate": 15.0, "gains": 10.0, "compare": 25.0}
-"""of all joints in these stages (likewise)"""
-
-
 EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, worn": "emulated:so101"}
 
 
@@ -180,21 +157,17 @@ def left(studio: Studio) -> str:
     elapsed, share, turns = time.monotonic() - status.began, status.share, studio.travel / (2.0 * np.pi)
     if not status.busy or status.question:
         return ""
-    if status.stage is None or status.run is None:
+    stage, arm, names = status.stage, status.arm, tuple(EXPECTED)
+    if stage is None or status.run is None or arm is None:
         return "" if share < EARLY else f"about {_minutes(elapsed * (1.0 - share) / share)} left"
-    stage, names = status.stage, tuple(EXPECTED)
+    planned = stages_of(status.address, arm, RunFolder(status.run))
     within = stage.total * share - (stage.number - 1)
     now = elapsed * (1.0 - within) / within if within > EARLY else max(EXPECTED.get(stage.name, 0.0) - elapsed, 0.0)
-    later = [name for name in names[names.index(stage.name) + 1 :] if not _skipped(status, name)]
+    later = [name for name in names[names.index(stage.name) + 1 :] if name in planned]
     pace = 0.2 if is_virtual(status.address) else 1.0
     seconds = now + pace * sum(EXPECTED[name] for name in later)
     coming = sum(TURNS.get(name, 0.0) for name in later) + (1.0 - within) * TURNS.get(stage.name, 0.0)
     return f"about {_minutes(seconds)} and {coming:.0f} turns of the joints left; {turns:.0f} turns done"
-
-
-def _skipped(status: Status, name: str) -> bool:
-    arm, run = status.arm, status.run
-    return arm is None or run is None or name not in stages_of(status.address, arm, RunFolder(run))
 
 
 def _minutes(seconds: float) -> str:

@@ -457,15 +457,7 @@ def use(page: StudioPage, status: Status) -> None:
     page.html("history", status.found.get("history") or ())
 
 
-PANELS: dict[StepName, Callable[[StudioPage, Status], None]] = {
-    "find": find,
-    "check": check,
-    "diagnose": diagnose,
-    "repair": repair,
-    "calibrate": calibrate,
-    "prove": prove,
-    "use": use,
-}
+PANELS = dict(zip(TITLES, (find, check, diagnose, repair, calibrate, prove, use), strict=True))
 
 
 def point(form: Mapping[str, Any]) -> Array:
