@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -112,13 +113,14 @@ def looking(place: Array, at: Array) -> Array:
     return pose
 
 
-class EmulatedCamera:
+class EmulatedCamera(NamedTuple):
     """Rendered images; noise by seed and number."""
 
-    def __init__(self, rig: Rig, tool: Callable[[], Array], seed: int = 0) -> None:
-        """``tool`` returns the tool's pose (4, 4) in the base."""
-        self._rig, self._tool, self._seed = rig, tool, seed
+    rig: Rig
+    tool: Callable[[], Array]
+    """returns the tool's pose (4, 4) in the base"""
+    seed: int = 0
 
     def still(self, number: int) -> Picture:
         """Render image ``number``."""
-        return render(self._rig, self._tool(), (self._seed, number))
+        return render(self.rig, self.tool(), (self.seed, number))

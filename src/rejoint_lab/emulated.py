@@ -119,7 +119,6 @@ class EmulatedRobot:
             self._with_gains()
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
-        self._position = np.zeros((len(wears), arm.joints))
         self.restart(arm.rest if start is None else start)
 
     def restart(self, start: Array, where: Mask | None = None) -> None:
