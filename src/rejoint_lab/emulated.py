@@ -59,12 +59,12 @@ class EmulatedServos:
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        rows = {name: np.rint(self._field(name)[0] / _UNITS.get(name, 1)).astype(int) for name in self.strides}
-        return {name: tuple((row if self._sts else row[:, 0]).tolist()) for name, row in rows.items()}
+        rows = {name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.strides}
+        return {name: tuple(np.rint(row).astype(int).tolist()) for name, row in rows.items()}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        self._field(name)[:] = values if self._sts else np.array(values)[:, None] * _UNITS.get(name, 1)
+        self._field(name)[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Largest share of the torque, and temperature [deg C]."""
@@ -78,9 +78,10 @@ class EmulatedServos:
         self._plant.command(goal)
 
     def _field(self, name: str) -> NDArray[Any]:
-        """(B, n) of the settings, or (B, n, 2)."""
+        """Return a setting (B, n, S) of joints with S servos."""
         limit = "integral_limit" if self._sts else "pwm_limit"
-        return self._plant.settings[limit if name == LIMIT else name]
+        found = self._plant.settings[limit if name == LIMIT else name]
+        return found[..., None] if self._sts else found
 
 
 _CHANNEL_PURPOSE = 1
