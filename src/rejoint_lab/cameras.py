@@ -6,8 +6,8 @@ Each pixel is traced back to the drawing, so that images can test the detection.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -113,7 +113,8 @@ def looking(place: Array, at: Array) -> Array:
     return pose
 
 
-class EmulatedCamera(NamedTuple):
+@dataclass(eq=False)
+class EmulatedCamera:
     """Rendered images; noise by seed and number."""
 
     rig: Rig
