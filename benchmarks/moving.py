@@ -21,8 +21,8 @@ from rejoint.control.recording import Recording
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.evaluate import played
 from rejoint_lab.research.evaluation.family import own_twins
-from rejoint_lab.research.evaluation.moving import played
 
 ARM = mycobot280()
 SEEDS = (30001, 30002, 30003)

@@ -64,7 +64,7 @@ def test_a_policy_runs_without_a_simulator():
 def test_the_product_works_without_the_room_of_the_camera():
     code = (
         "import sys\nfor name in ('cv2', 'rejoint.camera'): sys.modules[name] = None\n"
-        "import rejoint, rejoint.cli.measuring, rejoint.cli.show, rejoint.runs.repair, rejoint.session.motions\n"
+        "import rejoint, rejoint.cli.upkeep, rejoint.cli.show, rejoint.runs.repair, rejoint.session.motions\n"
         "assert len(rejoint.calibrate('emulated:worn', count=2, visits=1).measurements) == 2\n"
     )
     python("-c", code)

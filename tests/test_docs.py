@@ -25,9 +25,9 @@ PAGES = {
     for path in (*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *sorted(DOCS.glob("*.md")))
 }
 GROUP = typer.main.get_command(app)
-COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.list_commands(None)}
+COMMANDS = {name: command.loaded() for name, command in GROUP.commands.items()}
 RESEARCH = COMMANDS.pop("research")
-COMMANDS |= {f"research {name}": RESEARCH.get_command(None, name) for name in RESEARCH.list_commands(None)}
+COMMANDS |= {f"research {name}": command.loaded() for name, command in RESEARCH.commands.items()}
 NOT_RUN = "Not run"
 """Begins the title, which readers see, of a block of Python that needs an arm or more time than a test has"""
 

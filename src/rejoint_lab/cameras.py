@@ -6,6 +6,7 @@ Each pixel is traced back to the drawing, so that images can test the detection.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -112,13 +113,15 @@ def looking(place: Array, at: Array) -> Array:
     return pose
 
 
+@dataclass(eq=False)
 class EmulatedCamera:
     """Rendered images; noise by seed and number."""
 
-    def __init__(self, rig: Rig, tool: Callable[[], Array], seed: int = 0) -> None:
-        """``tool`` returns the tool's pose (4, 4) in the base."""
-        self._rig, self._tool, self._seed = rig, tool, seed
+    rig: Rig
+    tool: Callable[[], Array]
+    """returns the tool's pose (4, 4) in the base"""
+    seed: int = 0
 
     def still(self, number: int) -> Picture:
         """Render image ``number``."""
-        return render(self._rig, self._tool(), (self._seed, number))
+        return render(self.rig, self.tool(), (self.seed, number))

@@ -147,8 +147,8 @@ def calibrate(
 def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
     """Let many arms follow standard paths, each with a twin of its own."""
     arm = _arm(call)
+    from rejoint_lab.research.evaluation.evaluate import evaluate_moving, moving_table
     from rejoint_lab.research.evaluation.family import ArmFamily
-    from rejoint_lab.research.evaluation.moving import evaluate_moving, moving_table
 
     with call.progress("follow") as update:
         found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed, threads=threads), out, update)

@@ -17,7 +17,6 @@ from rejoint.robots.dynamixel import registers as xservos
 from rejoint.robots.feetech import gains as sts
 from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values, for_all, strides_of
 from rejoint.system.errors import InputError
-from rejoint_lab.family import has_gains
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
@@ -60,12 +59,12 @@ class EmulatedServos:
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        rows = {name: np.rint(self._field(name)[0] / _UNITS.get(name, 1)).astype(int) for name in self.strides}
-        return {name: tuple((row if self._sts else row[:, 0]).tolist()) for name, row in rows.items()}
+        rows = {name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.strides}
+        return {name: tuple(np.rint(row).astype(int).tolist()) for name, row in rows.items()}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        self._field(name)[:] = values if self._sts else np.array(values)[:, None] * _UNITS.get(name, 1)
+        self._field(name)[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Largest share of the torque, and temperature [deg C]."""
@@ -79,9 +78,10 @@ class EmulatedServos:
         self._plant.command(goal)
 
     def _field(self, name: str) -> NDArray[Any]:
-        """(B, n) of the settings, or (B, n, 2)."""
+        """Return a setting (B, n, S) of joints with S servos."""
         limit = "integral_limit" if self._sts else "pwm_limit"
-        return self._plant.settings[limit if name == LIMIT else name]
+        found = self._plant.settings[limit if name == LIMIT else name]
+        return found[..., None] if self._sts else found
 
 
 _CHANNEL_PURPOSE = 1
@@ -109,17 +109,17 @@ class EmulatedRobot:
         """
         self.arm, self.address, self.count = arm, address, len(wears)
         self._tells_load = options.pop("tells_load", True)
-        delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
-        self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
+        idle = Channel()
+        latency, age = options.pop("command_latency", idle.latency), options.pop("readback_age", idle.age)
+        self._channel = Channel(latency, age, period)
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
-        if gains and not has_gains(arm):
-            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
         self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
         self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant | XPlant) else None
+        if gains:
+            self._with_gains()
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
-        self._position = np.zeros((len(wears), arm.joints))
         self.restart(arm.rest if start is None else start)
 
     def restart(self, start: Array, where: Mask | None = None) -> None:
@@ -139,10 +139,10 @@ class EmulatedRobot:
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (B, n) [rad], wait a period, read."""
-        delays = self._channel.draw(self._keys, self._cycle)
-        self.plant.command(command, delays.latency, active)
-        self.plant.advance(delays.period, active)
-        self._position = self._merge(self.plant.encoder(delays.age), active)
+        latency, age, period = self._channel.draw(self._keys, self._cycle)
+        self.plant.command(command, latency, active)
+        self.plant.advance(period, active)
+        self._position = self._merge(self.plant.encoder(age), active)
         self._cycle += 1 if active is None else active
         return self.read()
 
@@ -164,10 +164,13 @@ class EmulatedRobot:
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
-        if self._servos is None:
-            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has")
-        self._servos.tuning.tune(gains)
+        self._with_gains().tuning.tune(gains)
         self._position = self.plant.encoder()
+
+    def _with_gains(self) -> EmulatedServos:
+        if self._servos is None:
+            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        return self._servos
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
         """Raise InputError: emulated arms do not last."""

@@ -9,9 +9,10 @@ from rejoint.arms import CATALOGUE, Arm, load_arm
 from rejoint.arms.inertia import bare
 from rejoint.control.robot import Robot
 from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.dynamixel.registers import KNOBS, MODELS
+from rejoint.robots.dynamixel.registers import KNOBS
 from rejoint.robots.feetech.gains import KNOBS as STS_KNOBS
 from rejoint.robots.knobs import Gains, read_gains
+from rejoint_lab.plant.xseries import drives
 
 SIMULATOR = "mujoco"
 """Module of emulated arms"""
@@ -59,7 +60,7 @@ def _profile(text: str) -> EmulatedAddress:
     if not 0.0 <= payload < 100.0:
         raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
     profile = f"{base}?{rest}" if rest else base
-    knobs = KNOBS if arm and of_x_series(load_arm(arm)) else STS_KNOBS
+    knobs = KNOBS if arm and drives(load_arm(arm).servos) else STS_KNOBS
     return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=read_gains(given, knobs))
 
 
@@ -91,12 +92,7 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
 
 def has_gains(arm: Arm) -> bool:
     """Whether all servos of an ``arm`` have gains that can be set."""
-    return set(arm.servos) == {"STS3215"} or of_x_series(arm)
-
-
-def of_x_series(arm: Arm) -> bool:
-    """Whether an ``arm`` has servos of ROBOTIS' X series alone."""
-    return bool(arm.servos) and all(any(one.name in servo for one in MODELS.values()) for servo in arm.servos)
+    return set(arm.servos) == {"STS3215"} or drives(arm.servos)
 
 
 EMULATED = Family(

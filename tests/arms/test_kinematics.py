@@ -21,7 +21,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.arm import dh_chain
 from rejoint.twin.parameters import nominal_parameters
-from rejoint_lab.research.reproduction.models import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
+from rejoint_lab.research.reproduction.measures import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from twinmodel import twin_model
 
 ARM = mycobot280()

@@ -8,12 +8,11 @@ from camera_scenes import ARM, WORN, film_of, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.camera.board import BoardView
-from rejoint.camera.fit import fit_film
 
 
 @pytest.fixture(scope="module")
 def found():
-    return fit_film(ARM, film_of(taken()))
+    return film_of(taken()).fit(ARM)
 
 
 def fresh(count=40):
@@ -82,7 +81,7 @@ def test_swapped_and_crooked_views_are_named_and_left_out():
     views[15] = BoardView(
         name="bent", number=views[15].number, pixel=views[15].pixel + 3.0 * rng.standard_normal((24, 2))
     )
-    found = fit_film(ARM, film_of(replace(t, views=views)))
+    found = film_of(replace(t, views=views)).fit(ARM)
     why = {one.name: one.why for one in found.left_out}
     assert set(why) == {"view-04.png", "view-09.png", "bent"}
     assert "not taken there, swapped" in why["view-04.png"]
@@ -94,7 +93,7 @@ def test_swapped_and_crooked_views_are_named_and_left_out():
 
 def test_a_camera_on_the_tool_does_as_well():
     t = taken("camera", 20, 1)
-    found = fit_film(ARM, film_of(t, "camera"))
+    found = film_of(t, "camera").fit(ARM)
     position, links = fresh()
     off = found.calibration.displacement.tool(ARM, position) - tcp_position(ARM, links)
     assert np.linalg.norm(off, axis=-1).mean() < 1.0e-3

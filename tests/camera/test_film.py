@@ -17,7 +17,6 @@ from rejoint.camera.film import (
     write_postures,
 )
 from rejoint.camera.filming import believed_rig
-from rejoint.camera.fit import fit_film
 from rejoint.system.errors import FileError, InputError
 from rejoint_lab.cameras import LENS, render
 
@@ -34,7 +33,7 @@ def film_of(count):
 
 @pytest.fixture(scope="module")
 def filmed():
-    return fit_film(ARM, film_of(22), date="2026-01-31")
+    return film_of(22).fit(ARM, date="2026-01-31")
 
 
 def test_a_displacement_comes_back_within_its_interval(filmed):
@@ -113,4 +112,4 @@ def test_a_bent_board_is_refused():
         pixel = rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
         views.append(replace(view, pixel=pixel + 0.1 * rng.standard_normal(pixel.shape)))
     with pytest.raises(InputError, match="the board is not flat"):
-        fit_film(ARM, camera_scenes.film_of(replace(t, views=views)))
+        camera_scenes.film_of(replace(t, views=views)).fit(ARM)

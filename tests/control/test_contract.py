@@ -14,7 +14,7 @@ from rejoint.control.controllers.policy import (
 from rejoint.system.errors import ContractError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
-from rejoint_lab.research.reproduction.paper import PAPER
+from rejoint_lab.research.reproduction.campaign import PAPER
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

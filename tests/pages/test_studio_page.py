@@ -8,9 +8,9 @@ import pytest
 from browser import CHROMIUM, chromium
 from hand import Hand
 
-from rejoint.studio import jobs, panels
+from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
-from rejoint.studio.page import StudioView
+from rejoint.studio.page import TITLES, StudioView
 
 
 @pytest.fixture
@@ -111,9 +111,9 @@ def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, w
         hand.touch(tab.ask(f"{title}.x + 5"), tab.ask(f"{title}.y + 5"))  # folds a panel of viser
         hand.touch(width - 13, 7)  # so does this
         hand.touch(width - 26, tab.ask(f"{title}.y + 10"))  # its settings would come in place of the panel
-        for step in panels.TITLES:
+        for step in TITLES:
             studio.change(step=step)
-            hand.reads(panels.TITLES[step][3:])
+            hand.reads(TITLES[step][3:])
             tab.ask("document.querySelectorAll('[data-scrollarea-viewport]').forEach((e) => e.scrollTo(0, 9999))")
             assert hand.sees("STOP"), step
 

@@ -8,7 +8,7 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.cli.console import Terminal
-from rejoint.cli.measuring import gauge_by_word
+from rejoint.cli.upkeep import gauge_by_word
 from rejoint.diagnosis.calibration.procedure import TouchGauge, TrackerGauge
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError

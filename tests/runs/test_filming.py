@@ -55,7 +55,7 @@ class Cut(EmulatedCamera):
         if number > self.last:
             raise InputError("camera 0 gives no pictures any more; check its cable")
         self.taken.append(number)
-        return render(SCENE, self._tool(), (3, number), **self.looks)
+        return render(SCENE, self.tool(), (3, number), **self.looks)
 
 
 def film(robot, camera, run, **options):

@@ -3,6 +3,7 @@
 import re
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -53,31 +54,31 @@ def do(studio, job, *answers):
 
 def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
     assert "emulated:worn" in do(studio, jobs.look).found["arms"].values()
-    status = do(studio, jobs.choose("emulated:worn"))
+    status = do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
     assert (status.step, status.arm.name, status.error) == ("check", "mycobot280", "")
-    assert all(line.good for line in status.found["checks"])
+    assert not any(one.fix for one in status.found["checks"])
     assert do(studio, jobs.nudge, "no").step == "check"
     assert studio.status.error
     assert do(studio, jobs.nudge, "yes").step == "diagnose"
-    status = do(studio, jobs.diagnose(quick=True))
+    status = do(studio, lambda machine: jobs.diagnose(machine, quick=True))
     assert status.found["diagnosis"].condition in ("worn", "bad")
     marks = jobs.marks(status.arm, status.found["diagnosis"])
     assert set(marks) <= set(range(status.arm.joints))
     assert any("mm" in text for text in marks.values())
     assert rejoint.Run.open(status.run).diagnosis is not None
     points = [np.array([0.17, 0.0, 0.2]), np.array([0.18, 0.04, 0.21])]
-    before, after = do(studio, jobs.prove(points)).found["proof"]
+    before, after = do(studio, lambda machine: jobs.prove(machine, points)).found["proof"]
     errors = [np.mean([visit.error for visit in done.visits]) for done in (before, after)]
     assert errors[1] < 0.3 * errors[0]
     target = np.array([0.18, 0.02, 0.2])
-    assert not do(studio, jobs.go_to(target, within=5e-4)).error
+    assert not do(studio, lambda machine: jobs.go_to(machine, target, within=5e-4)).error
     place = tcp_position(status.arm, studio.session().state.joints_rad)
     assert np.linalg.norm(place - target) < 1e-3
 
 
 def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
-    do(studio, jobs.choose("emulated:healthy"))
-    assert studio.do("calibration", jobs.calibrate(jobs.RULER, 2, None, 0))
+    do(studio, lambda machine: jobs.choose(machine, "emulated:healthy"))
+    assert studio.do("calibration", lambda machine: jobs.calibrate(machine, jobs.RULER, 2, None, 0))
     asked = set()
     while studio.status.busy:
         question = studio.status.question
@@ -124,11 +125,11 @@ def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
 @pytest.mark.realtime
 def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
     studio.observer = Observers(studio, RealTime())
-    do(studio, jobs.choose("emulated:worn"))
-    do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2])))
+    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2])))
     for number in range(5):
         side = 0.09 * (-1) ** number
-        assert studio.do("going", jobs.go_to(np.array([0.16, side, 0.2]), within=1e-4))
+        assert studio.do("going", partial(jobs.go_to, target=np.array([0.16, side, 0.2]), within=1e-4))
         until(lambda: studio.travel > 0.05 or not studio.status.busy)
         assert studio.status.busy, studio.status.error
         pressed = time.monotonic()
@@ -136,21 +137,21 @@ def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
         until(lambda: not studio.status.busy, 5.0)
         assert time.monotonic() - pressed < 0.3
         assert "stopped" in studio.status.error
-    assert not do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2]))).error
+    assert not do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2]))).error
 
 
 def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio, monkeypatch):
-    status = do(studio, jobs.choose("tcp://127.0.0.1:9"))
+    status = do(studio, lambda machine: jobs.choose(machine, "tcp://127.0.0.1:9"))
     assert status.error
     assert "\n" not in status.error
     assert (status.step, status.address) == ("find", "")
-    do(studio, jobs.choose("emulated:worn"))
+    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
     session = studio.session()
     monkeypatch.setattr(type(session), "move_to", lambda *_, **__: _off())
-    status = do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2])))
+    status = do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2])))
     assert status.error == "the arm is off"
     monkeypatch.undo()
-    assert not do(studio, jobs.go_to(np.array([0.17, 0.0, 0.2]))).error
+    assert not do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2]))).error
     assert studio.session() is not session
 
 
@@ -164,15 +165,15 @@ def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path
     name_arm("bench-3", address="emulated:worn?seed=5", description="mycobot280")
     label = next(iter(do(studio, jobs.look).found["arms"]))
     assert "bench-3" in label
-    status = do(studio, jobs.choose(studio.status.found["arms"][label]))
+    status = do(studio, lambda machine: jobs.choose(machine, studio.status.found["arms"][label]))
     assert (status.address, status.step) == ("emulated:worn?seed=5", "check"), status.error
 
 
 def test_a_known_arm_is_used_at_once(studio, tmp_path):
-    do(studio, jobs.choose("emulated:worn"))
-    do(studio, jobs.diagnose(quick=True))
+    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    do(studio, lambda machine: jobs.diagnose(machine, quick=True))
     again = Studio(tmp_path / "runs")
-    status = do(again, jobs.choose("emulated:worn"))
+    status = do(again, lambda machine: jobs.choose(machine, "emulated:worn"))
     assert status.run == studio.status.run
     assert status.found["diagnosis"] is not None
     again.leave()

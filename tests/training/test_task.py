@@ -13,7 +13,7 @@ from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings, residual_reward
 from rejoint.training.train import know_stiffness
 from rejoint.twin.parameters import nominal_parameters
-from rejoint_lab.research.reproduction.paper import PAPER, PaperRanges, PaperTask, paper_reward
+from rejoint_lab.research.reproduction.campaign import PAPER, PaperRanges, PaperTask, paper_reward
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

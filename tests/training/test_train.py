@@ -10,8 +10,7 @@ from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.policy import INPUT, OUTPUT, load_policy
 from rejoint.logs.runfolder import RunFolder
 from rejoint.training.export import policy_graph
-from rejoint.training.learner import Learner
-from rejoint.training.ppo import Actor, Critic, Ppo, perceptron
+from rejoint.training.learner import Actor, Critic, Learner, Ppo, perceptron
 from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings

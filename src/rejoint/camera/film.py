@@ -1,35 +1,39 @@
-"""An image sequence: pictures of a board in many postures of one arm, with encoder readings.
+"""An image sequence: pictures of a board in many postures of one arm, with encoder readings, and what they tell.
 
 Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``approach.JOINT_deg``,
 ``posture``.
+
+OpenCV finds the lens and the poses of the board; one fit refines them with the arm's displacement. Views that do not
+fit are left out; a bent board is refused: it makes focal lengths wrong.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, tcp_pose
+from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
-from rejoint.camera.rig import write_rig
+from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.measurements import (
-    SHEET_MOST,
-    joint_columns,
-    require_degrees,
-)
+from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
+from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
+from rejoint.diagnosis.calibration.parameters import ANYWHERE, Belief, PriorCase, belief
+from rejoint.diagnosis.calibration.solver import ToolProblem, solve
+from rejoint.diagnosis.regression import fit_clustered
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.textfile import ANGLES, COUNT, read_columns
-
-if TYPE_CHECKING:
-    from rejoint.camera.fit import Filmed
 
 POSTURES = "postures.csv"
 
@@ -95,10 +99,74 @@ class Film:
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
     def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
-        """Fit lens, camera, board and displacement; see `rejoint.camera.fit.fit_film`."""
-        from rejoint.camera.fit import fit_film
+        """Fit lens, camera, board and displacement, tested on views left out.
 
-        return fit_film(arm, self, prior=prior, date=date)
+        ``prior``: an earlier calibration. InputError for too few views that fit, or a bent board.
+        """
+        shots, views, board = self.usable, self.views, self.board
+        if self.size is None or len(shots) < FEWEST:
+            why = "; ".join(f"{one.name}: {one.why}" for one in self.unusable[:3])
+            raise InputError(
+                f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
+                f"{why and f' ({why})'}"
+            )
+        position, approach = positions(shots, arm)
+        lens = first_lens(self.size, board, views)
+        placed = [place(lens, board.corners[view.number], view.pixel) for view in views]
+        sights = np.array([one.pose for one in placed])
+        rig = first_rig(arm, lens, board, self.carried, position, sights)
+        by_lens, told = _lens_ties(lens, board, views, sights)
+        outside = with_lens(told)
+        own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
+        problem = replace(
+            film_problem(own, arm, rig, position, sights),
+            by_lens=by_lens,
+            spread=rig.spread(sights, np.array([one.covariance for one in placed])),
+            posture=np.array([shot.posture for shot in shots], dtype=np.int64),
+        )
+        good, vector = np.ones(len(shots), bool), problem.belief.mean
+        for number in range(_ROUNDS):
+            vector = solve(problem.rows(good), vector).vector
+            before, fitting = problem.seen, good
+            problem, residuals, doubts = _judged(problem, rig, vector, views)
+            good = np.array([not why for why in doubts])
+            if number > 0 and (good == fitting).all() and np.allclose(problem.seen, before, atol=1e-6):
+                break
+            if good.sum() < max(FEWEST, _KEEP * len(shots)):
+                named = ", ".join(one.name for one, fits in zip(residuals, good, strict=True) if not fits)
+                raise InputError(
+                    f"{(~good).sum()} of {len(shots)} views do not fit the others ({named}); check that every picture "
+                    "is paired with the joint positions at which it was taken"
+                )
+        problem, kept = problem.rows(good), np.flatnonzero(good).tolist()
+        sights = problem.seen if self.carried == "board" else inverse(problem.seen)
+        height, sigma = bow(rig_of(problem, rig, vector), [views[v] for v in kept], sights)
+        if height > MOST * board.size.max() and height > SURE * sigma:
+            raise InputError(
+                f"camera: the board is not flat: its corners stand by {1e3 * height:.1f} mm or more out of its plane; "
+                "glue it on something flat and stiff, and take the pictures again"
+            )
+        problem, fitted = likeliest(problem, beliefs_of(arm, problem.posture, prior, outside))
+        measured = Measurements(
+            position=problem.position,
+            approach=approach[good],
+            point=problem.tool(fitted.vector)[:, :3, 3],
+            sigma=point_sigma(problem.spread),
+            posture=problem.posture,
+            frame="camera" if self.carried == "board" else "board",
+            source="camera",
+        )
+        return Filmed(
+            calibration=judged(problem, fitted, measured, date),
+            measurements=measured,
+            rig=rig_of(problem, rig, fitted.vector),
+            rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[problem.layout.body :]), len(TERMS)),
+            residuals=tuple(residuals[v] for v in kept),
+            left_out=(
+                *self.unusable,
+                *(Unusable(one.name, why) for one, why in zip(residuals, doubts, strict=True) if why),
+            ),
+        )
 
     def write(self, folder: RunFolder, arm: Arm, found: Filmed) -> None:
         """Write camera setup to a run."""
@@ -173,3 +241,233 @@ def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
         )
         for number, name in enumerate(pictures, start=1)
     ]
+
+
+FEWEST = 10
+"""Views that a fit needs, and that determine more of a lens than its focal length; chosen"""
+CROOKED = 4.0
+"""Rms of a view of a bent board, over their median; chosen"""
+ELSEWHERE = 4.0
+"""Rms of six deviations of a view that does not fit; chosen"""
+USUAL = PriorCase(twist=0.5)
+"""Prior of a worn arm on a table"""
+_ROUNDS = 5  # of a fit and leaving out views, at most
+_KEEP = 0.6  # share of the views that must remain: otherwise the few may be the wrong ones (chosen)
+_FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
+
+
+def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) -> Lens:
+    """Lens of pictures of ``size`` [px] that fits flat boards best."""
+    usual, few = Lens.usual(*size), len(views) < FEWEST
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
+    flags |= few * (cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2)
+    shown = list(views)
+    for _ in range(_ROUNDS):
+        corners = [board.corners[view.number].astype(np.float32) for view in shown]
+        pixels = [view.pixel.astype(np.float32) for view in shown]
+        found = cv2.calibrateCameraExtended(corners, pixels, size, usual.matrix, np.zeros(5), flags=flags)
+        matrix, bent, rms = found[1], found[2], found[7][:, 0]
+        good = rms <= max(CROOKED * float(np.median(rms)), FLAT)
+        if good.all():
+            break
+        shown = [view for view, fits in zip(shown, good, strict=True) if fits]
+    if not _FOCAL[0] < matrix[0, 0] / usual.width < _FOCAL[1]:
+        return usual
+    return usual.with_numbers(np.array([matrix[0, 0], matrix[0, 2], matrix[1, 2], *np.ravel(bent)[:4]]))
+
+
+_FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
+_LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
+_STRETCH = 0.2
+"""Relative error of lengths by another board; chosen: wear makes 0.05"""
+_LEAST = 0.2
+"""Factor of lengths below which motion and pictures do not match; chosen"""
+_TURNED = np.radians(10.0)
+"""[rad] least turn about two directions; chosen"""
+
+
+def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
+    """Find the poses of camera and board by the encoders' ``position`` (V, n) [rad], without outliers.
+
+    ``sights`` (V, 4, 4): board in the camera frame. InputError for too little rotation, or another board.
+    """
+    tool = tcp_pose(arm, position)
+    axes = tool[:, :3, :3] - tool[:, :3, :3].mean(axis=0)
+    turns = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
+    if len(tool) < 3 or turns[1] < _TURNED:
+        raise InputError(
+            "the tool was turned too little between the views to tell where camera and board are; "
+            "turn it by 20 degrees and more about at least two directions"
+        )
+    between = sights if carried == "board" else inverse(sights)
+    used = np.ones(len(tool), bool)
+    for _ in range(_ROUNDS):
+        standing, mounted, scale = _hand_eye(between[used], tool[used])
+        rig = Rig(lens=lens, board=board, carried=carried, standing=standing, mounted=mounted)
+        shift, turn = np.split(difference(rig.tool(sights), tool), 2, axis=-1)
+        off = np.linalg.norm(shift, axis=-1) + _LEVER * np.linalg.norm(turn, axis=-1)
+        used = off <= _FAR * np.median(off)
+    if not _LEAST < scale < 1.0 / _LEAST:
+        raise InputError(
+            "the pictures do not fit the joint positions: check that each is paired with its own, in the right unit, "
+            "and that the board is where it is said to be, on the tool or on the table"
+        )
+    if abs(scale - 1.0) > _STRETCH:
+        raise InputError(
+            f"by the joints' motion the squares of the board measure about {1e3 * board.square * scale:.0f} mm, by its "
+            f"description {1e3 * board.square:g}; give the description of this print"
+        )
+    return rig
+
+
+def _hand_eye(seen: Array, tool: Array) -> tuple[Array, Array, float]:
+    """Poses ``standing`` and ``mounted`` of a rig: A M = F B by linear least squares (Dornaika and Horaud 1998).
+
+    ``seen`` M (V, 4, 4): the carried one in the frame of the standing one; ``tool`` F (V, 4, 4) in the base. Also the
+    best factor of the pictures' lengths. OpenCV 5 lacks `calibrateRobotWorldHandEye`.
+    """
+    one, turn = np.eye(3), tool[:, :3, :3]
+    rows = [np.hstack([np.kron(m.T, one), -np.kron(one, f)]) for m, f in zip(seen[:, :3, :3], turn, strict=True)]
+    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1].reshape(2, 3, 3).swapaxes(1, 2)
+    a, b = Rotation.from_matrix(both / np.cbrt(np.linalg.det(both))[:, None, None]).as_matrix()
+    lengths, right = (seen[:, :3, 3] @ a.T)[..., None], tool[:, :3, 3].ravel()
+    left = np.concatenate([np.broadcast_to(one, turn.shape), -turn, lengths], axis=2).reshape(-1, 7)
+    shift = np.linalg.lstsq(left[:, :6], right - lengths.ravel(), rcond=None)[0]
+    scale = np.linalg.lstsq(left, right, rcond=None)[0][6]
+    return pose_of(a, shift[:3]), pose_of(b, shift[3:]), float(scale)
+
+
+JOINT = np.radians(0.1)
+"""[rad] unexplained turn of each joint; chosen"""
+POSES = 12
+"""Unknowns after the arm's, shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; the lens follows"""
+_ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
+
+
+def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array) -> ToolProblem:
+    """Problem of boards seen at ``sights`` (V, 4, 4), camera frame, without errors of their own."""
+    return ToolProblem(
+        arm=arm,
+        belief=own,
+        seen=sights if rig.carried == "board" else inverse(sights),
+        inverted=rig.carried == "camera",
+        by_lens=np.zeros((len(sights), 6, len(TERMS))),
+        known=np.ones((len(sights), 6), dtype=bool),
+        spread=np.zeros((len(sights), 6, 6)),
+        position=position,
+        posture=np.arange(len(sights)),
+        frame=rig.standing,
+        mounted=rig.mounted,
+        joint=JOINT,
+    )
+
+
+def with_lens(precision: Array) -> Array:
+    """Precision (19, 19) of all outside the arm, for that of a lens (7, 7)."""
+    return block_diag(ANYWHERE**-2.0 * np.eye(POSES), precision)
+
+
+def rig_of(problem: ToolProblem, rig: Rig, vector: Array) -> Rig:
+    """Rig for the unknowns (k,), from its first estimate."""
+    standing, mounted, lens = problem.outside(vector)
+    return replace(rig, standing=standing, mounted=mounted, lens=rig.lens.with_numbers(rig.lens.numbers + lens))
+
+
+def _lens_ties(lens: Lens, board: Board, views: Sequence[BoardView], sights: Array) -> tuple[Array, Array]:
+    """Boards' derivative (V, 6, 7) by the lens, and its precision (7, 7)."""
+    ties, told = [], np.diag(_ANY**-2.0)
+    for view, pose in zip(views, sights, strict=True):
+        _, by_pose, by_terms = lens.slopes(board.corners[view.number], pose)
+        ties.append(-np.linalg.lstsq(by_pose, by_terms, rcond=None)[0])
+        left = (by_terms + by_pose @ ties[-1]) / CORNER
+        told = told + left.T @ left
+    return np.array(ties), told
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residual:
+    """Residual of one view."""
+
+    name: str
+    rms: float
+    """[px] per coordinate"""
+    away: float
+    """[m] of the tool, picture against corrected kinematics"""
+    turned: float
+    """[rad] the same of its orientation"""
+
+
+MOST = 0.005
+"""Bow over the longer edge of a refused board; chosen: half of the true one"""
+SURE = 5.0
+"""Standard deviations of a significant bow; chosen"""
+
+
+def bow(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[float, float]:
+    """Board's parabolic bow [m], and its sigma: what poses and lens leave of the corners."""
+    board, rows, cluster = rig.board, [], []
+    x, y = ((2.0 * board.corners[:, :2] - board.size) / board.size.max()).T
+    surface = np.stack([x * x, x * y, y * y], axis=-1)  # bent along x, twisted, bent along y
+    for number, (view, pose) in enumerate(zip(views, sights, strict=True)):
+        pixel, by_pose, by_terms = rig.lens.slopes(board.corners[view.number], pose)
+        by_height = (by_pose[:, :3] @ pose[:3, 2])[:, None] * np.repeat(surface[view.number], 2, axis=0)
+        both = np.column_stack([by_terms, by_height, (view.pixel - pixel).ravel()])
+        taken, _ = np.linalg.qr(by_pose)
+        rows.append(both - taken @ (taken.T @ both))
+        cluster += [number] * len(both)
+    every = np.concatenate(rows)
+    fit = fit_clustered(every[:, :-1], every[:, -1], np.array(cluster))
+    heights, shapes = surface @ fit.coefficients[len(TERMS) :], slice(len(TERMS), None)
+    ends = surface[int(np.argmax(heights))] - surface[int(np.argmin(heights))]
+    return float(np.ptp(heights)), float(np.sqrt(ends @ fit.covariance[shapes, shapes] @ ends))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Filmed:
+    """Result of a fit to an image sequence."""
+
+    calibration: Calibration
+    measurements: Measurements
+    """the tool in each view used"""
+    rig: Rig
+    rig_sigma: Array
+    """(19,) sigma of the lens's `TERMS`, shift [m] and turn [rad] of camera and board"""
+    residuals: tuple[Residual, ...]
+    left_out: tuple[Unusable, ...]
+
+    @property
+    def rms(self) -> float:
+        """[px] over all corners, per coordinate."""
+        return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
+
+
+def _judged(
+    problem: ToolProblem, rig: Rig, vector: Array, views: Sequence[BoardView]
+) -> tuple[ToolProblem, list[Residual], list[str]]:
+    """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
+    told = rig_of(problem, rig, vector).sight(problem.displacement(vector).tool_pose(problem.arm, problem.position))
+    placed = [
+        place(rig.lens, rig.board.corners[view.number], view.pixel, near)
+        for view, near in zip(views, told, strict=True)
+    ]
+    sights = np.array([one.pose for one in placed])
+    problem = replace(problem, seen=inverse(sights) if problem.inverted else sights)
+    off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))
+    away, turned = np.linalg.norm(problem.misfit(vector).reshape(-1, 2, 3), axis=2).T
+    usual, flat = max(1.0, float(np.median(off))), float(np.median([one.rms for one in placed]))
+    residuals, why = [], []
+    for view, one, far, shift, turn in zip(views, placed, off, away.tolist(), turned.tolist(), strict=True):
+        residuals.append(Residual(name=view.name, rms=one.rms, away=shift, turned=turn))
+        reason = ""
+        if one.rms > max(CROOKED * flat, FLAT):
+            reason = (
+                f"its corners lie {one.rms:.1f} px beside those of a flat board, the others {flat:.2f} px: "
+                "blurred, moved during the exposure, or the board is bent"
+            )
+        elif far > ELSEWHERE * usual:
+            reason = (
+                f"shows the tool {1e3 * shift:.0f} mm and {np.degrees(turn):.0f} deg from where the joint positions "
+                "put it: not taken there, swapped with another one, or board or camera was shifted"
+            )
+        why.append(reason)
+    return problem, residuals, why

@@ -12,8 +12,19 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board, Detector, Picture, Unusable
-from rejoint.camera.film import POSTURES, Film, Shot, positions, read_folder, write_postures
-from rejoint.camera.fit import USUAL, film_problem, first_lens, first_rig, with_lens
+from rejoint.camera.film import (
+    POSTURES,
+    USUAL,
+    Film,
+    Shot,
+    film_problem,
+    first_lens,
+    first_rig,
+    positions,
+    read_folder,
+    with_lens,
+    write_postures,
+)
 from rejoint.camera.rig import TERMS, Rig, place
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.parameters import belief
@@ -93,7 +104,6 @@ def seen_postures(
         drawn = rng.uniform(low, high, (_DRAWS, arm.joints))
         tool = tcp_position(arm, drawn)
         drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
-        drawn = drawn[heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor]
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
         for away in (0.0, before, -before) if before else (0.0,):
             drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
@@ -160,7 +170,8 @@ class CameraGauge:
             set_aside(folder.pictures)
         with kept(None if folder is None else folder.pictures, fresh=fresh), self.camera(drive.robot) as camera:
             try:
-                return _Shooting(drive, camera, film, folder, on_progress, total).take(count, visits)
+                shooting = _Shooting(drive, camera, film, folder, on_progress, total, Detector(self.board))
+                return shooting.take(count, visits)
             except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
                 if folder is not None:
                     set_aside(folder.pictures)
@@ -175,9 +186,7 @@ class _Shooting:
     folder: RunFolder | None
     on_progress: Progress
     total: int
-
-    def __post_init__(self) -> None:
-        self._detector = Detector(self.film.board)
+    detector: Detector
 
     def take(self, count: int, visits: int) -> Film:
         arm = self.drive.robot.arm
@@ -197,7 +206,7 @@ class _Shooting:
         position, approach = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
         picture = self.camera.still(number)
         check()
-        seen = self._detector.find(f"view-{number:03}.png", picture)
+        seen = self.detector.find(f"view-{number:03}.png", picture)
         shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -28,11 +29,12 @@ FRAMES = 5
 _TRIES = 30  # frames that may fail before the camera counts as gone: a second
 
 
+@dataclass(eq=False)
 class LiveCamera:
     """A camera by its number, as a context manager; its settings stay."""
 
-    def __init__(self, number: int = 0, size: tuple[int, int] = SIZE) -> None:
-        self.number, self.size = number, size
+    number: int = 0
+    size: tuple[int, int] = SIZE
 
     def __enter__(self) -> LiveCamera:
         """Open the camera; InputError."""
@@ -87,8 +89,11 @@ class ToolTracker:
     def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
         """Locate the tool in a grey or BGR picture; None without a good view."""
         found = self._detector.find("picture", picture)
-        self.why = found.why if isinstance(found, Unusable) else ""
-        return None if isinstance(found, Unusable) else self.sighting(found, time)
+        if isinstance(found, Unusable):
+            self.why = found.why
+            return None
+        self.why = ""
+        return self.sighting(found, time)
 
     def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
         """Return the same for a ``view`` with known corners."""
@@ -142,9 +147,7 @@ class LiveEye:
     def sighting(self, now: float) -> Sighting | None:
         """Newest detection on the robot's clock, ``now`` [s], or None."""
         newest = self._newest
-        if newest is None:
-            return None
-        return Sighting(time=newest.time + (now - time.monotonic()), place=newest.place, sigma=newest.sigma)
+        return None if newest is None else replace(newest, time=newest.time + (now - time.monotonic()))
 
     def _watch(self) -> None:
         last, alike = np.zeros(0, np.uint8), 0

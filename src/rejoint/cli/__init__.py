@@ -17,13 +17,12 @@ import sys
 import tempfile
 import tomllib
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import typer
@@ -39,17 +38,6 @@ BUG = 1
 """Exit code for what should never happen"""
 
 HELP = {"help_option_names": ["-h", "--help"]}
-
-
-class LazyCommand(NamedTuple):
-    """A command, or a group of commands where it has no module, before its module is loaded."""
-
-    panel: str
-    module: str
-    """in this package, or of another one with its whole name: has a function or a group of the command's name"""
-    help: str
-    """its line in the list of commands"""
-    settings: dict[str, Any] = {}  # noqa: RUF012 - never written
 
 
 @cache
@@ -74,53 +62,46 @@ class _Command(_Helped, TyperCommand):
     """A single command."""
 
 
-class CommandGroup(_Helped, TyperGroup):
-    """Lists commands, and loads a command's module when that command is wanted."""
+class LazyCommand(TyperCommand):
+    """A command, or a group of commands, by its line in the list; its module is loaded when it is wanted."""
 
-    table: Mapping[str, Any] = texts(__name__)["commands"]
-    _listing = False
+    def __init__(
+        self,
+        name: str,
+        panel: str,
+        module: str,
+        help: str,  # noqa: A002 - the key in `texts`
+        settings: dict[str, Any] | None = None,
+    ) -> None:
+        """Take what `texts` has; ``module`` is one of this package, or of another one with its whole name."""
+        super().__init__(name, help=help, rich_help_panel=panel)
+        self._module, self._settings = module, settings or {}
 
-    def __init__(self, **words: Any) -> None:  # noqa: ANN401
-        super().__init__(**words)
-        self.commands = dict.fromkeys(self.table)  # type: ignore[assignment]  # names, for suggestions
-
-    def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
-        """Return the names of all commands, in the order of the list."""
-        return list(self.table)
-
-    def get_command(self, ctx: object, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the framework's own kind
-        """Return a command; while they are listed, only its name and its line; None for another name."""
-        if cmd_name not in self.table:
-            return None
-        entry = LazyCommand(**self.table[cmd_name])
-        if self._listing:
-            return TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
-        module = _module_of(cmd_name, entry.module)
-        function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
+    def loaded(self) -> Any:  # noqa: ANN401 - the framework's own kind
+        """Return the function or the group of this name in the module."""
+        name = str(self.name)
+        module = _module_of(name, self._module)
+        function = getattr(module, name, None) or getattr(module, f"{name}_")
         if isinstance(function, typer.Typer):
             return typer.main.get_command(function)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        about = texts(str(module.__package__))[cmd_name]["about"]
-        alone.command(cmd_name, cls=_Command, help=about, context_settings=HELP | entry.settings)(function)
+        about = texts(str(module.__package__))[name]["about"]
+        alone.command(name, cls=_Command, help=about, context_settings=HELP | self._settings)(function)
         return typer.main.get_command(alone)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
-        """Write the list of commands without loading one."""
-        with self._listed():
-            super().format_help(ctx, formatter)
+    def make_context(self, *given: Any, **words: Any) -> Any:  # noqa: ANN401
+        """Make the context of the command itself."""
+        return self.loaded().make_context(*given, **words)
 
-    def shell_complete(self, ctx: Any, incomplete: str) -> Any:  # noqa: ANN401
-        """Complete a name, likewise."""
-        with self._listed():
-            return super().shell_complete(ctx, incomplete)
 
-    @contextmanager
-    def _listed(self) -> Iterator[None]:
-        self._listing = True
-        try:
-            yield
-        finally:
-            self._listing = False
+class CommandGroup(_Helped, TyperGroup):
+    """The commands of a ``table``, in its order."""
+
+    table: Mapping[str, Any] = texts(__name__)["commands"]
+
+    def __init__(self, **words: Any) -> None:  # noqa: ANN401
+        super().__init__(**words)
+        self.commands = {name: LazyCommand(name, **entry) for name, entry in self.table.items()}
 
 
 def _module_of(command: str, name: str) -> ModuleType:

@@ -25,7 +25,6 @@ from rich.table import Table
 from rich.text import Text
 
 from rejoint.system.errors import UnsavedError
-from rejoint.system.extras import require
 from rejoint.system.progress import Progress
 from rejoint.system.shell import host_and_port
 from rejoint.system.stopping import raise_again
@@ -120,7 +119,6 @@ class Terminal:
         A column without text is left out; a wide table is split.
         """
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
-        page = Console(file=_results(), width=width, highlight=False)
         columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
         for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
@@ -133,7 +131,7 @@ class Terminal:
                 table.add_column(Text(column[0]), justify=justify, overflow="fold", width=wide)
             for number, row in enumerate(zip(*(column[1:] for column in part), strict=True)):
                 table.add_row(*map(Text, row), style="bold" if number == bold else None)
-            page.print(table)
+            self.results.print(table, width=width, soft_wrap=False)
             title = ""
 
     def finish(self, value: object) -> None:
@@ -239,7 +237,6 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     if place is None:
         yield None
         return
-    require(f"rejoint {title} {OPTION}", "live")
     from rejoint.pages.live.view import LiveView
 
     host, port = host_and_port(OPTION, place)

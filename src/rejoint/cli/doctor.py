@@ -10,11 +10,10 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
+from rejoint.studio.health import Symptom, look_at_servos
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
@@ -33,10 +33,6 @@ ILL = 2
 """Exit code where something is to be put right"""
 ROOM = 1e9
 """[bytes] of free space (chosen: a run, its logs and compiled loops take a tenth)"""
-WARM = 55.0
-"""[deg C] of a servo before a motion (chosen: the guard ends a motion at 65)"""
-FAINT = 4.5
-"""[V] of a supply (chosen: the weakest arms are sold with 5 V)"""
 BUSY = 0.8
 """Largest share of a control period that a question may take (chosen)"""
 READINGS = 10
@@ -51,14 +47,6 @@ TRIED = 73
 """Firmware version, times ten, of a myCobot with which the driver was tried"""
 STATES = ("voltage", "encoder", "heat", "over-current", "", "overload")
 """Bits of a servo's status"""
-
-
-class Symptom(NamedTuple):
-    """What a check has found."""
-
-    found: str
-    fix: str = ""
-    """what to do; empty: nothing"""
 
 
 @dataclass(kw_only=True)
@@ -183,7 +171,6 @@ def camera(case: Surroundings) -> Iterator[Symptom]:
     """Take a picture."""
     if case.camera is None:
         return
-    require("the camera", "camera")
     from rejoint.camera.tracker import LiveCamera
 
     with LiveCamera(case.camera):
@@ -240,44 +227,16 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
     """Look at firmware, temperatures, supply and status of each servo."""
     if case.opened is None:
         return
-    state, names = case.opened.read(), case.opened.arm.joint_names
-    volts, status = _row(state.voltage), list(state.trouble or ())
+    arm, state = case.opened.arm, case.opened.read()
     if case.answers:
         version, power, states = case.answers
         told, right = f"{version[0] / 10:.1f}" if version else "none", version[:1] == bytes((TRIED,))
         expected, fix = ("", "") if right else (f", expected {TRIED / 10:.1f}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {told}{expected}", fix)
-        volts = np.frombuffer(power, np.uint8) / 10 if len(power) == len(names) else None
+        volts = np.frombuffer(power, np.uint8)[None] / 10 if len(power) == arm.joints else None
         status = [", ".join(word for bit, word in enumerate(STATES) if one & 1 << bit) for one in states]
-    heat = _row(state.temperature)
-    for what, values, unit, bad, fix in (
-        (
-            "temperature",
-            heat,
-            "deg C",
-            None if heat is None else heat >= WARM,
-            "switch the arm off and let it cool down",
-        ),
-        ("supply", volts, "V", None if volts is None else volts < FAINT, "check power supply and cables"),
-    ):
-        if values is None or bad is None:
-            yield Symptom(f"{what}: not told")
-            continue
-        worst = [f"{names[j]} {values[j]:.1f} {unit}" for j in np.flatnonzero(bad)]
-        span = f"{min(values):.1f} to {max(values):.1f} {unit}"
-        yield Symptom(f"{what}: {', '.join(worst) or span}", fix * bool(worst))
-    for j, word in enumerate(status):
-        if word:
-            fix = (
-                "check power supply and cables"
-                if "voltage" in word or "supply" in word
-                else "let it rest, and look at the joint"
-            )
-            yield Symptom(f"{names[j]} reports: {word}", fix)
-
-
-def _row(values: object) -> np.ndarray | None:
-    return None if values is None else np.asarray(values, float)[0]
+        state = replace(state, voltage=volts, trouble=tuple(status))
+    yield from look_at_servos(arm, state)
 
 
 def link(case: Surroundings) -> Iterator[Symptom]:

@@ -232,10 +232,10 @@ def runs(call: Call, folder: Path = RUNS) -> object:
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "begin a run: rejoint repair ROBOT")
     rows, found = [], []
-    places = {path.parent for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")}
-    for place in sorted(places, key=lambda one: (one / "run.json").stat().st_mtime, reverse=True):
+    paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
+    for path in sorted(paths, key=lambda one: one.stat().st_mtime, reverse=True):
         try:
-            info, files = read_info(place / "run.json"), RunFolder(place)
+            info, files = read_info(path), RunFolder(path.parent)
         except FileError as error:
             call.say(f"left out: {error}")
             continue
@@ -243,8 +243,8 @@ def runs(call: Call, folder: Path = RUNS) -> object:
         done = [name for name in stages if getattr(files, name).exists()]
         state = "finished" if files.finished.exists() else f"{done[-1]} done" if done else "begun"
         state += " (a quick try)" * files.quick.exists()
-        rows.append([str(place), info.robot, info.arm, info.created.replace("T", " "), state])
-        found.append({"run": place, "robot": info.robot, "arm": info.arm, "created": info.created, "done": done})
+        rows.append([str(files.path), info.robot, info.arm, info.created.replace("T", " "), state])
+        found.append({"run": files.path, "robot": info.robot, "arm": info.arm, "created": info.created, "done": done})
     if rows:
         call.table(f"Runs below {folder}, the newest first", ["run", "robot", "arm", "begun", "state"], rows)
     else:

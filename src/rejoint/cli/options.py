@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import typer
 
@@ -28,7 +28,11 @@ from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
 from rejoint.system.extras import compiles_first
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from rejoint.pages.live.view import LiveView
+    from rejoint.runs.repair import Stage
 
 T = TypeVar("T")
 
@@ -43,27 +47,56 @@ class ArmPick(NamedTuple):
 
 
 class ConsoleObserver(Observer):
-    """Shows at the terminal what an arm does; ``partial`` prints a result cut short."""
+    """Shows at the terminal what an arm does, and the stages of a repair; ``partial`` prints a result cut short."""
 
     def __init__(
         self,
         terminal: Terminal,
-        progress: Progress | None = None,
         partial: Callable[[Any], object] = lambda _: None,
+        view: LiveView | None = None,
+        *,
+        asking: bool = False,
     ) -> None:
-        self._terminal, self._progress, self._partial = terminal, progress, partial
+        """Take the page, if there is one, and whether a calibration asks at the terminal: a bar would write over it."""
+        self._terminal, self._partial, self._view, self._asking = terminal, partial, view, asking
+        self.bars = ExitStack()
+        self._progress: Progress = no_progress
+        self._stage: Stage | None = None
+
+    def show_bar(self, title: str) -> None:
+        """Show a bar from now on."""
+        self._progress = self.bars.enter_context(self._terminal.progress(title))
 
     def message(self, line: str) -> None:
         """Print a sentence."""
         self._terminal.say(line)
 
     def progress(self, share: float, what: str) -> None:
-        """Move the bar."""
-        if self._progress is not None:
-            self._progress(share, what)
+        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
+        stage = self._stage
+        self._progress(share if stage is None else stage.total * share - (stage.number - 1), what)
+
+    def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
+        """Show how a stage of a repair stands."""
+        self.bars.close()
+        if stage.state != "done":
+            heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
+            self._terminal.heading(heading)
+            if self._view is not None:
+                self._view.begin(heading)
+        if stage.state == "kept":
+            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
+        if stage.state != "started":
+            show.stage(self._terminal, stage.name, stage.result)
+            return
+        self._stage, self._progress = stage, no_progress
+        self._partial = lambda result: show.stage(self._terminal, stage.name, result)
+        if not (self._asking and stage.name == "calibrate"):
+            self.show_bar(stage.name)
 
     def partial(self, result: object) -> None:
         """Print what was done until an error."""
+        self.bars.close()
         self._partial(result)
 
     def served(self, address: str) -> None:
@@ -139,19 +172,17 @@ class Call(Terminal):
 
     @contextmanager
     def watched(
-        self,
-        title: str,
-        show: Callable[[Any], object] = lambda result: None,  # noqa: ARG005
-        *,
-        bar: bool = True,
+        self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True, asking: bool = False
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
         if compiles_first():
             self.say("The first motion compiles its loops, once: about 15 s.")
-        progress = self.progress(title) if bar else nullcontext()
-        with self.unsaved(show), live_view(self, self.live, title) as view, progress as update:
-            console = ConsoleObserver(self, update, show)
-            yield console if view is None else Observers(console, view)
+        with live_view(self, self.live, title) as view:
+            console = ConsoleObserver(self, show, view, asking=asking)
+            with self.unsaved(console.partial), console.bars:
+                if bar:
+                    console.show_bar(title)
+                yield console if view is None else Observers(console, view)
 
 
 class Result(NamedTuple):
@@ -176,10 +207,8 @@ def held_positions(text: str | None) -> dict[str, float]:
     return found
 
 
-def period_seconds(text: str | None) -> tuple[float, float] | None:
+def period_seconds(text: str) -> tuple[float, float]:
     """Read ``50`` or ``20-30`` [ms] as an interval [s]; InputError for anything else."""
-    if text is None:
-        return None
     first, _, last = text.partition("-")
     refusal = f"--period {text!r}: expected milliseconds such as 50 or 20-30, between 1 and 1000"
     low, high = _numbers(f"{first},{last or first}", 2, refusal)
@@ -201,20 +230,16 @@ def controller_names(text: str) -> tuple[str, ...]:
     return () if names == ("all",) else names
 
 
-def payload_of(text: str | None) -> LoadedWith | None:
+def payload_of(text: str) -> LoadedWith:
     """Read ``0.15`` [kg] or ``0.15@0,0,30`` [kg, mm]; InputError for anything else."""
-    if text is None:
-        return None
     mass, _, place = text.partition("@")
     expected = "kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30"
     kilograms, x, y, z = _numbers(f"{mass},{place or '0,0,0'}", 4, f"--payload {text!r}: expected {expected}")
     return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
 
 
-def tool_of(text: str | None) -> tuple[float, float, float] | None:
+def tool_of(text: str) -> tuple[float, float, float]:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
-    if text is None:
-        return None
     x, y, z = _numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
     return point_of(x, y, z, "--tool")
 
@@ -246,6 +271,10 @@ class SharedOption(NamedTuple):
     field: str = ""
     """of `Settings`, where it is not called like the option"""
 
+    def value(self, given: object) -> object:
+        """Return the field; None where nothing was written."""
+        return None if given is None else self.read(given)
+
 
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
@@ -259,7 +288,7 @@ SHARED = {
     **dict.fromkeys(ArmPick._fields, SharedOption()),
     "controller": SharedOption(),
     "dwell": SharedOption(float),
-    "within": SharedOption(float | None, lambda mm: None if mm is None else 1e-3 * mm),
+    "within": SharedOption(float | None, lambda mm: 1e-3 * mm),
     "calibration": SharedOption(),
     "payload": SharedOption(str | None, payload_of),
     "tool": SharedOption(str | None, tool_of),
@@ -289,7 +318,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({one.field or name: one.read(words.pop(name)) for name, one in shared.items()})
+            call = Call({one.field or name: one.value(words.pop(name)) for name, one in shared.items()})
             if words.get("robot") is not None:
                 words["robot"] = call.address(words["robot"])
             found = command(call, **words)

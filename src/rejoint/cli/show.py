@@ -2,45 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Array
 from rejoint.cli.console import Terminal
-from rejoint.control.comparison.recommend import Recommendation, failure
-from rejoint.control.comparison.result import Comparison
-from rejoint.control.servogains import GainsFound, in_words
+from rejoint.control.comparison.recommend import failure
+from rejoint.control.servogains import in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.moving.drive import Deployed, Followed
-    from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.control.servogains import GainsFound
     from rejoint.runs.stages.calibrate import Calibrated
-    from rejoint.training.train import TrainingResult
+    from rejoint.runs.stages.compare import Compared
+    from rejoint.runs.stages.diagnose import Diagnosed
+    from rejoint.runs.stages.train import TrainedPolicy
     from rejoint.twin.twin import Twin
 
 
 def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 - of each stage another
     """Print what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
     if result is not None and name in STAGES:
-        show, *parts = STAGES[name]
-        show(terminal, *(getattr(result, part) for part in parts) if parts else (result,))
+        STAGES[name](terminal, result)
 
 
-def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
+def diagnosis(terminal: Terminal, done: Diagnosed) -> None:
     """Print the verdict in words."""
-    terminal.result(result.verdict)
-    for finding in result.findings:
+    terminal.result(done.verdict)
+    for finding in done.findings:
         terminal.result(f"  - {finding.sentence}")
-    for limit in result.unseen:
+    for limit in done.diagnosis.unseen:
         terminal.result(f"  ? {limit}")
-    if result.open_loop is not None:
+    if (errors := done.diagnosis.open_loop) is not None:
         terminal.result(
-            f"Open loop: {result.open_loop.error_mm.value:.1f} mm off by the encoders; the tool itself: "
-            f"{result.open_loop.true_error}."
+            f"Open loop: {errors.error_mm.value:.1f} mm off by the encoders; the tool itself: {errors.true_error}."
         )
 
 
@@ -105,8 +104,9 @@ def gains(terminal: Terminal, found: GainsFound) -> None:
         terminal.result(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
 
 
-def training(terminal: Terminal, result: TrainingResult) -> None:
+def training(terminal: Terminal, done: TrainedPolicy) -> None:
     """Print what the training reached."""
+    result = done.training
     terminal.result(
         f"{result.steps:,} transitions in {result.wall_s:.0f} s; on randomised twins "
         f"{100 * result.success_rate:.0f} % of the targets reached, median error {result.error_mm:.2f} mm. "
@@ -114,11 +114,12 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
     )
 
 
-def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
+def comparison(terminal: Terminal, done: Compared) -> None:
     """Print the table of all controllers and the one to use."""
     from rejoint.pages.report.tables import columns, plain_table
     from rejoint.pages.words import plural
 
+    result, advice = done.comparison, done.recommendation
     headers, rows = plain_table(columns(result), result.rows)
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
@@ -232,14 +233,14 @@ def _say_gaps(terminal: Terminal, gaps: Sequence[float]) -> None:
         )
 
 
-STAGES: dict[str, tuple[Any, ...]] = {
-    "diagnose": (diagnosis, "diagnosis"),
-    "identify": (twin,),
-    "train": (training, "training"),
-    "gains": (gains,),
-    "calibrate": (calibration,),
-    "deploy": (deployment,),
-    "follow": (followed,),
-    "compare": (comparison, "comparison", "recommendation"),
+STAGES: dict[str, Callable[[Terminal, Any], None]] = {
+    "diagnose": diagnosis,
+    "identify": twin,
+    "train": training,
+    "gains": gains,
+    "calibrate": calibration,
+    "deploy": deployment,
+    "follow": followed,
+    "compare": comparison,
 }
-"""What prints the result of a stage, and the parts of the result that it takes"""
+"""What prints the result of a stage"""

@@ -1,12 +1,13 @@
-"""One command per stage, and the whole chain as one command."""
+"""One command per stage, the whole chain as one command, and commands that open a page."""
 
 from __future__ import annotations
 
 import math
 import os
+import secrets
 import select
 import sys
-from contextlib import ExitStack
+import webbrowser
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,38 +19,64 @@ import rejoint
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, live_view, picked, results_of
+from rejoint.cli.console import HERE, is_loopback, picked, results_of
 from rejoint.cli.options import Call, ConsoleObserver, Result, takes
-from rejoint.control.recording import Observer, Observers
+from rejoint.control.recording import Observer
 from rejoint.control.robot import Relaying, part_of
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.robots import place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper
-from rejoint.runs.run import Run
+from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import InputError, NotReachedError, UnsavedError
-from rejoint.system.extras import EXTRAS, compiles_first, installed, require
-from rejoint.system.shell import command
+from rejoint.system.errors import InputError, NotReachedError
+from rejoint.system.extras import EXTRAS, installed, require
+from rejoint.system.shell import command, host_and_port
 from rejoint.system.stopping import check, noted
 
 if TYPE_CHECKING:
-    from rejoint.pages.live.view import LiveView
     from rejoint.training.train import Trainer
 
-TITLES = {
-    "diagnose": "Diagnosis: ten targets open loop, then an excitation of every joint",
-    "calibrate": "Calibration: where the tool really is, measured from outside",
-    "identify": "Twin: fitting a simulation to this arm",
-    "train": "Training: a policy on randomised copies of the twin",
-    "gains": "Gains: what the servos' own loops can do",
-    "compare": "Comparison: every controller on this arm, with the same targets",
-    "report": "Report",
-}
-"""Heading of each stage"""
+
+@takes()
+def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = False) -> object:
+    """Open the page that guides through a repair."""
+    require("rejoint studio", "live")
+    from rejoint.studio import jobs
+    from rejoint.studio.machine import Studio
+    from rejoint.studio.page import StudioView
+
+    host, port = host_and_port("--listen", listen)
+    machine = Studio(folder)
+    token = "" if is_loopback(host) else secrets.token_urlsafe(16)
+    with StudioView(machine, host, port, token) as view:
+        call.result(f"Studio: {view.address}  (Ctrl-C ends it; the arm then holds)")
+        machine.do("Looking for arms", jobs.look)
+        if not quiet:
+            webbrowser.open(view.address)
+        try:
+            machine.left.wait()
+        finally:
+            machine.leave()
+    return {"address": view.address}
+
+
+@takes()
+def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
+    """Show a worn arm that misses its targets, and the same arm with a policy."""
+    require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
+    from rejoint.pages.live.view import LiveView
+    from rejoint.studio.demo import demonstrate
+
+    with LiveView(*host_and_port("--listen", listen)) as view:
+        call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
+        if not quiet:
+            webbrowser.open(view.address)
+        demonstrate(view, call.result, rounds)
+    return {"address": view.address}
 
 
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
@@ -68,8 +95,7 @@ def repair(
     quick: bool = False,
 ) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
-    require("rejoint repair", "train", "report")
-    from rejoint.cli.measuring import gauge_by_word
+    from rejoint.cli.upkeep import gauge_by_word
 
     if call.settings.dry_run:
         chosen = call.arm(robot)
@@ -78,21 +104,14 @@ def repair(
         return {"robot": robot}
     job = call.job(robot, run, seed)
     call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
-    if compiles_first():
-        call.say("The first motion compiles its loops, once: about 15 s.")
-    gauge = gauge_by_word(call, robot, measure, seed)
     plan = rejoint.RepairPlan(
         preset=preset,
         controllers=opt.controller_names(controllers),
         targets=targets,
-        gauge=gauge,
+        gauge=gauge_by_word(call, robot, measure, seed),
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
-    with (
-        live_view(call, call.live, "repair") as view,
-        _Narrator(call, view, asking=measure == "touch") as narrator,
-    ):
-        observer = narrator if view is None else Observers(narrator, view)
+    with call.watched("repair", bar=False, asking=measure == "touch") as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:
@@ -127,46 +146,6 @@ def rehearse(
     trials = rejoint.TrialPlan(sets=1, repetitions=1)
     rejoint.compare(robot, ["default"], targets, arm=arm, plan=trials, settings=settings, observer=observer)
     observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
-
-
-class _Narrator(ConsoleObserver):
-    """Shows the stages of a repair; none has a bar where it is ``asking`` at the terminal."""
-
-    def __init__(self, terminal: Terminal, view: LiveView | None, *, asking: bool) -> None:
-        super().__init__(terminal)
-        self._view, self._asking, self._bar = view, asking, ExitStack()
-        self._stage: rejoint.Stage | None = None
-
-    def __enter__(self) -> _Narrator:
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._bar.close()
-        if isinstance(error, UnsavedError) and self._stage is not None:
-            show.stage(self._terminal, self._stage.name, error.result)
-
-    def stage(self, stage: object) -> None:
-        """Show how a stage stands."""
-        assert isinstance(stage, rejoint.Stage)  # noqa: S101 - for the type checker
-        self._bar.close()
-        if stage.state != "done":
-            heading = f"{stage.number}/{stage.total}  {TITLES[stage.name]}"
-            self._terminal.heading(heading)
-            if self._view is not None:
-                self._view.begin(heading)
-        if stage.state == "kept":
-            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
-        if stage.state != "started":
-            show.stage(self._terminal, stage.name, stage.result)
-            return
-        self._stage, self._progress = stage, None
-        if not (self._asking and stage.name == "calibrate"):  # a bar would write over the questions
-            self._progress = self._bar.enter_context(self._terminal.progress(stage.name))
-
-    def progress(self, share: float, what: str) -> None:
-        """Show how far the stage is, given how far all of them are."""
-        if self._stage is not None:
-            super().progress(self._stage.total * share - (self._stage.number - 1), what)
 
 
 MISSED = 5

@@ -6,9 +6,9 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
-from rejoint.control.robot import JointState
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
 from rejoint.logs.runfolder import LOGS, RunFolder, read_info
@@ -29,50 +28,21 @@ from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
-from rejoint.studio.machine import Job, Status, Studio
+from rejoint.studio.health import look_at_servos
+from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
-from rejoint.system.extras import require
+from rejoint.system.files import read_toml
 
-SAYS = {
-    "stuck": "is stuck,",
-    "weak_gain": "sags",
-    "friction": "is stiff,",
-    "hysteresis": "stops short",
-    "play_in_loop": "is loose,",
-    "torque_limit": "is too weak,",
-    "low_damping": "rings,",
-    "lag": "is late,",
-    "offset": "is off,",
-    "noise": "is restless,",
-}
-"""What a finding says at its joint"""
+_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
+SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
+"""What a finding says at its joint; seconds, and turns of all joints, of stages before their own pace is known"""
 LEAST = 1.0
 """[mm] at the tool that is worth a word at a joint (chosen)"""
 EARLY = 0.05
 """Share of a job from which its pace tells when it ends (chosen)"""
 NUDGE = float(np.radians(5.0))
 """[rad] of the motion that the owner confirms (chosen)"""
-EXPECTED = {
-    "diagnose": 115.0,
-    "calibrate": 115.0,
-    "identify": 30.0,
-    "gains": 90.0,
-    "train": 40.0,
-    "compare": 330.0,
-    "report": 10.0,
-}
-"""[s] of stages, before their own pace is known (what `make repair` prints; gains, compare and report: guessed)"""
-TURNS = {"diagnose": 16.0, "calibrate": 15.0, "gains": 10.0, "compare": 25.0}
-"""of all joints in these stages (likewise)"""
-
-
 EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, worn": "emulated:so101"}
-SAG = 0.85
-"""Share of the usual supply below which a voltage is low (chosen)"""
-SUPPLIES = (5.0, 7.4, 12.0)
-"""[V] of servos (manuals of the STS3215 and the X series)"""
-WARM = 50.0
-"""[deg C] of a servo that should cool down before a repair (chosen: 15 below the guard's trip)"""
 
 
 def candidates(home: Path) -> dict[str, str]:
@@ -103,72 +73,31 @@ def runs(home: Path) -> dict[str, Path]:
     return {address: path for address, (_, path) in sorted(found.items())}
 
 
-@dataclass(frozen=True)
-class CheckLine:
-    """One thing that was looked at."""
-
-    good: bool
-    text: str
-
-
-def checks(arm: Arm, state: JointState) -> tuple[CheckLine, ...]:
-    """Look at the servos of an arm that stands."""
-    position, heat, volts = state.position[0], state.temperature, state.voltage
-    beyond = np.flatnonzero((position < arm.lower) | (position > arm.upper))
-    names = ", ".join(arm.joint_names[j] for j in beyond)
-    found = [CheckLine(good=True, text=f"All {arm.joints} servos answer.")]
-    found.append(
-        CheckLine(good=False, text=f"{names} is beyond its limit. Move it back by hand.")
-        if names
-        else CheckLine(good=True, text="Every joint is inside its limits.")
-    )
-    if volts is not None:
-        low, high = float(np.nanmin(volts)), float(np.nanmax(volts))
-        usual = min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high)
-        good = low >= SAG * usual
-        told = "" if good else f", and {usual:g} V are usual. Check the power supply and its plug"
-        found.append(CheckLine(good=good, text=f"The servos have a supply of {low:.1f} V{told}."))
-    if heat is not None and np.isfinite(heat[0]).any():
-        worst = int(np.nanargmax(heat[0]))
-        good = float(heat[0, worst]) <= WARM
-        told = "" if good else ". Let it cool down first"
-        text = f"The warmest servo, {arm.joint_names[worst]}, has {heat[0, worst]:.0f} deg C{told}."
-        found.append(CheckLine(good=good, text=text))
-    words = "; ".join(word for word in (state.trouble or ()) if word)
-    if words or (state.fault is not None and bool(state.fault.any())):
-        found.append(CheckLine(good=False, text=f"A servo reports a fault: {words or 'switch the arm off and on'}."))
-    return tuple(found)
-
-
 def look(studio: Studio) -> None:
     """Look for arms."""
     studio.keep(arms=candidates(studio.home))
 
 
-def choose(address: str, name: str | None = None) -> Job:
-    """Return what connects to an arm; nothing moves."""
-
-    def job(studio: Studio) -> None:
-        if not address.strip():
-            raise InputError("no arm answers there; choose another from the list, or type its address")
-        studio.release()
-        named = named_arm(address.strip())
-        place = place_of(address.strip() if named is None else named.address)
-        arm = arm_of(place.text, name) if named is None or name else named.built
-        known = runs(studio.home).get(place.text)
-        studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
-        try:
-            see(studio)
-        except BaseException:
-            studio.change(address="", arm=None, run=None)
-            raise
-        run = studio.run
-        if run is not None:
-            studio.keep(diagnosis=run.diagnosis)
-        finished = run is not None and run.comparison is not None
-        studio.change(step="use" if finished else "check")
-
-    return job
+def choose(studio: Studio, address: str, name: str | None = None) -> None:
+    """Connect to an arm; nothing moves."""
+    if not address.strip():
+        raise InputError("no arm answers there; choose another from the list, or type its address")
+    studio.release()
+    named = named_arm(address.strip())
+    place = place_of(address.strip() if named is None else named.address)
+    arm = arm_of(place.text, name) if named is None or name else named.built
+    known = runs(studio.home).get(place.text)
+    studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
+    try:
+        see(studio)
+    except BaseException:
+        studio.change(address="", arm=None, run=None)
+        raise
+    run = studio.run
+    if run is not None:
+        studio.keep(diagnosis=run.diagnosis)
+    finished = run is not None and run.comparison is not None
+    studio.change(step="use" if finished else "check")
 
 
 def see(studio: Studio) -> None:
@@ -176,11 +105,11 @@ def see(studio: Studio) -> None:
     session = studio.session()
     session.state  # noqa: B018 - asks the arm
     state = session.robot.read()
-    found = checks(session.arm, state)
+    found = tuple(look_at_servos(session.arm, state))
     studio.keep(checks=found, nudged=None)
-    bad = [line.text for line in found if not line.good]
+    bad = [f"{one.found}; {one.fix}" for one in found if one.fix]
     if bad:
-        raise NotReadyError(" ".join(bad))
+        raise NotReadyError(". ".join(bad))
 
 
 def nudge(studio: Studio) -> None:
@@ -201,19 +130,15 @@ def nudge(studio: Studio) -> None:
     studio.change(step="diagnose", done=f"{name} answers. The arm is ready.")
 
 
-def diagnose(*, quick: bool = False) -> Job:
-    """Return what finds out what is wrong with the arm."""
-
-    def job(studio: Studio) -> None:
-        studio.keep(diagnosis=None)
-        run, status = studio.begin_run(quick=quick), studio.status
-        done = rejoint.diagnose(
-            status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-        )
-        studio.keep(diagnosis=done.diagnosis)
-        studio.change(done="Diagnosed. What was found is written at the joints.")
-
-    return job
+def diagnose(studio: Studio, *, quick: bool = False) -> None:
+    """Find out what is wrong with the arm."""
+    studio.keep(diagnosis=None)
+    run, status = studio.begin_run(quick=quick), studio.status
+    done = rejoint.diagnose(
+        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
+    )
+    studio.keep(diagnosis=done.diagnosis)
+    studio.change(done="Diagnosed. What was found is written at the joints.")
 
 
 def marks(arm: Arm, diagnosis: rejoint.Diagnosis | None) -> dict[int, str]:
@@ -232,45 +157,37 @@ def left(studio: Studio) -> str:
     elapsed, share, turns = time.monotonic() - status.began, status.share, studio.travel / (2.0 * np.pi)
     if not status.busy or status.question:
         return ""
-    if status.stage is None or status.run is None:
+    stage, arm, names = status.stage, status.arm, tuple(EXPECTED)
+    if stage is None or status.run is None or arm is None:
         return "" if share < EARLY else f"about {_minutes(elapsed * (1.0 - share) / share)} left"
-    stage, names = status.stage, tuple(EXPECTED)
+    planned = stages_of(status.address, arm, RunFolder(status.run))
     within = stage.total * share - (stage.number - 1)
     now = elapsed * (1.0 - within) / within if within > EARLY else max(EXPECTED.get(stage.name, 0.0) - elapsed, 0.0)
-    later = [name for name in names[names.index(stage.name) + 1 :] if not _skipped(status, name)]
+    later = [name for name in names[names.index(stage.name) + 1 :] if name in planned]
     pace = 0.2 if is_virtual(status.address) else 1.0
     seconds = now + pace * sum(EXPECTED[name] for name in later)
     coming = sum(TURNS.get(name, 0.0) for name in later) + (1.0 - within) * TURNS.get(stage.name, 0.0)
     return f"about {_minutes(seconds)} and {coming:.0f} turns of the joints left; {turns:.0f} turns done"
 
 
-def _skipped(status: Status, name: str) -> bool:
-    arm, run = status.arm, status.run
-    return arm is None or run is None or name not in stages_of(status.address, arm, RunFolder(run))
-
-
 def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
-def repair(*, quick: bool = False) -> Job:
-    """Return what repairs the arm; it goes on where an earlier one ended."""
+def repair(studio: Studio, *, quick: bool = False) -> None:
+    """Repair the arm; it goes on where an earlier repair ended."""
+    from rejoint.pages.report.page import before_after, read_contents
 
-    def job(studio: Studio) -> None:
-        from rejoint.pages.report.page import before_after, read_contents
-
-        run, status = studio.begin_run(quick=quick), studio.status
-        done = rejoint.repair(
-            status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-        )
-        errors, advice = before_after(read_contents(run.path)), done.recommendation
-        sentence = "" if errors is None else errors.sentence
-        if quick:
-            sentence = f"A quick try, which is no result. {sentence}"
-        studio.keep(diagnosis=done.diagnosis, repaired=sentence, advice=advice)
-        studio.change(done=f"Repaired. {advice.controller if advice else ''} drives the arm from now on.")
-
-    return job
+    run, status = studio.begin_run(quick=quick), studio.status
+    done = rejoint.repair(
+        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
+    )
+    errors, advice = before_after(read_contents(run.path)), done.recommendation
+    sentence = "" if errors is None else errors.sentence
+    if quick:
+        sentence = f"A quick try, which is no result. {sentence}"
+    studio.keep(diagnosis=done.diagnosis, repaired=sentence, advice=advice)
+    studio.change(done=f"Repaired. {advice.controller if advice else ''} drives the arm from now on.")
 
 
 def again(studio: Studio) -> None:
@@ -280,34 +197,29 @@ def again(studio: Studio) -> None:
     studio.keep(diagnosis=None, repaired=None, advice=None, proof=None)
 
 
-def calibrate(by: str, count: int, board: Path, camera: int) -> Job:
-    """Return what measures where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
+def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> None:
+    """Measure where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
+    run, status = studio.begin_run(), studio.status
+    settings, gauge = studio.settings, cast("GaugeLike | None", None)
+    if by == RULER:
+        gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
+    elif by == CAMERA:
+        from rejoint.studio.pictures import shown_camera
 
-    def job(studio: Studio) -> None:
-        run, status = studio.begin_run(), studio.status
-        settings, gauge = studio.settings, cast("GaugeLike | None", None)
-        if by == RULER:
-            gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
-        elif by == CAMERA:
-            require("measuring with a camera", "camera")
-            from rejoint.studio.pictures import shown_camera
-
-            gauge = shown_camera(studio, status.address, board, camera)
-        found = rejoint.calibrate(
-            status.address,
-            run=run,
-            gauge=gauge,
-            count=count,
-            arm=status.arm,
-            settings=settings,
-            observer=studio.observer,
-        )
-        helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
-        seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
-        known = f"{1e3 * found.after:.1f} mm from where the calibration does"
-        studio.change(done=f"The tool is {seen}, and {known}. {helps}.")
-
-    return job
+        gauge = shown_camera(studio, status.address, board, camera)
+    found = rejoint.calibrate(
+        status.address,
+        run=run,
+        gauge=gauge,
+        count=count,
+        arm=status.arm,
+        settings=settings,
+        observer=studio.observer,
+    )
+    helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
+    seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
+    known = f"{1e3 * found.after:.1f} mm from where the calibration does"
+    studio.change(done=f"The tool is {seen}, and {known}. {helps}.")
 
 
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
@@ -327,72 +239,56 @@ def _where(stop: Stop) -> str:
     )
 
 
-def prove(points: Sequence[Array]) -> Job:
-    """Return what drives to an owner's ``points`` (3,) [m], first as the arm was and then as it is now."""
-
-    def job(studio: Studio) -> None:
-        if not points:
-            raise InputError("there are no points yet; add some, or click on the table")
-        studio.keep(proof=None)
-        studio.release()
-        status, run, proof = studio.status, studio.run, list[Deployed]()
-        plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
-        for number, settings in enumerate((plain, studio.settings)):
-            part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
-            arm = status.arm if run is None else None
-            done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
-            proof.append(done)
-        studio.keep(proof=tuple(proof))
-        before, after = (f"{1e3 * one.error:.2f} mm" for one in proof)
-        studio.change(done=f"Before: {before}. After, with {proof[1].controller}: {after}.")
-
-    return job
+def prove(studio: Studio, points: Sequence[Array]) -> None:
+    """Drive to an owner's ``points`` (3,) [m], first as the arm was and then as it is now."""
+    if not points:
+        raise InputError("there are no points yet; add some, or click on the table")
+    studio.keep(proof=None)
+    studio.release()
+    status, run, proof = studio.status, studio.run, list[Deployed]()
+    plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
+    for number, settings in enumerate((plain, studio.settings)):
+        part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
+        arm = status.arm if run is None else None
+        done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
+        proof.append(done)
+    studio.keep(proof=tuple(proof))
+    before, after = (f"{1e3 * one.error:.2f} mm" for one in proof)
+    studio.change(done=f"Before: {before}. After, with {proof[1].controller}: {after}.")
 
 
-def go_to(target: Array, within: float = 2e-3) -> Job:
-    """Return what brings the tool to ``target`` (3,) [m], and ``within`` [m]."""
-
-    def job(studio: Studio) -> None:
-        session = studio.session()
-        state = session.move_to(target, within_m=within)
-        error = float("nan") if state is None or state.error_m is None else 1e3 * state.error_m
-        studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
-
-    return job
+def go_to(studio: Studio, target: Array, within: float = 2e-3) -> None:
+    """Bring the tool to ``target`` (3,) [m], and ``within`` [m]."""
+    session = studio.session()
+    state = session.move_to(target, within_m=within)
+    error = float("nan") if state is None or state.error_m is None else 1e3 * state.error_m
+    studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
 
 
-def record(points: list[Array]) -> Job:
-    """Return what adds the place of the tool to ``points``, such as one to which the arm was moved by hand."""
-    return lambda studio: points.append(studio.session().state.tool_m)
+def record(studio: Studio, points: list[Array]) -> None:
+    """Add the place of the tool to ``points``, such as one to which the arm was moved by hand."""
+    points.append(studio.session().state.tool_m)
 
 
 SPEED = 0.05
 """[m/s] of a played path (chosen)"""
 
 
-def play(points: Sequence[Array], repeat: int) -> Job:
-    """Return what drives through ``points`` (3,) [m] as a smooth path."""
-
-    def job(studio: Studio) -> None:
-        if len(points) < 2:
-            raise InputError("a path needs two points; add the places where the tool is to go")
-        legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-        path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
-        _followed(studio, path, repeat)
-
-    return job
+def play(studio: Studio, points: Sequence[Array], repeat: int) -> None:
+    """Drive through ``points`` (3,) [m] as a smooth path."""
+    if len(points) < 2:
+        raise InputError("a path needs two points; add the places where the tool is to go")
+    legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
+    _followed(studio, path, repeat)
 
 
-def play_file(content: bytes) -> Job:
-    """Return what drives along a path of a CSV file."""
-
-    def job(studio: Studio) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "path.csv"
-            path.write_bytes(content)
-            _followed(studio, path, 1)
-
-    return job
+def play_file(studio: Studio, content: bytes) -> None:
+    """Drive along a path of a CSV file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "path.csv"
+        path.write_bytes(content)
+        _followed(studio, path, 1)
 
 
 def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
@@ -404,38 +300,26 @@ def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
         )
 
 
-def carry(mass: float) -> Job:
-    """Return what tells the arm that its hand carries a ``mass`` [kg]."""
-
-    def job(studio: Studio) -> None:
-        studio.release()
-        studio.settings = replace(studio.settings, payload=mass or None)
-        studio.session()
-        studio.change(done=f"The hand carries {1e3 * mass:.0f} g from now on.")
-
-    return job
+def carry(studio: Studio, mass: float) -> None:
+    """Tell the arm that its hand carries a ``mass`` [kg]."""
+    studio.release()
+    studio.settings = replace(studio.settings, payload=mass or None)
+    studio.session()
+    studio.change(done=f"The hand carries {1e3 * mass:.0f} g from now on.")
 
 
-def serve(listen: str) -> Job:
-    """Return what lets other programs drive the arm until it is stopped."""
-
-    def job(studio: Studio) -> None:
-        run = studio.begin_run()
-        rejoint.serve(studio.status.address, run, listen=listen, settings=studio.settings, observer=studio.observer)
-        studio.change(done="Serving has ended. The arm holds its position.")
-
-    return job
+def serve(studio: Studio, listen: str) -> None:
+    """Let other programs drive the arm until it is stopped."""
+    run = studio.begin_run()
+    rejoint.serve(studio.status.address, run, listen=listen, settings=studio.settings, observer=studio.observer)
+    studio.change(done="Serving has ended. The arm holds its position.")
 
 
-def export(kind: str, lerobot: str) -> Job:
-    """Return what writes what the run has found for other programs; ``lerobot``: calibration file of LeRobot."""
-
-    def job(studio: Studio) -> None:
-        file = Path(lerobot) if lerobot and kind == "lerobot" else None
-        path, told = export_run(studio.begin_run(), kind, lerobot=file)
-        studio.change(done=f"{path}: {told}")
-
-    return job
+def export(studio: Studio, kind: str, lerobot: str) -> None:
+    """Write what the run has found for other programs; ``lerobot``: calibration file of LeRobot."""
+    file = Path(lerobot) if lerobot and kind == "lerobot" else None
+    path, told = export_run(studio.begin_run(), kind, lerobot=file)
+    studio.change(done=f"{path}: {told}")
 
 
 def check_again(studio: Studio) -> None:

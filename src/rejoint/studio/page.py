@@ -1,13 +1,17 @@
-"""The page of the studio: the scene of the live view, a stop button, and the panel of the step."""
+"""The page of the studio: the scene of the live view, a stop button, and the panel of the step.
+
+Each panel shows the status, and offers what one can do next.
+"""
 
 from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.cookies import SimpleCookie
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -17,14 +21,15 @@ import websockets.asyncio.server as sockets
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from rejoint.arms import Array, load_arm
+from rejoint.arms import CATALOGUE, Array, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observers
 from rejoint.pages.html import macros
 from rejoint.pages.live.page import AMBER, GREEN, GREY, PACES, RED, SLOWER, TARGET, WebPage
 from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
 from rejoint.robots import DEFAULT_ARM
-from rejoint.studio import jobs, panels
+from rejoint.runs.exports import KINDS
+from rejoint.studio import jobs
 from rejoint.studio.machine import Job, Status, StepName, Studio
 from rejoint.system.errors import InputError
 
@@ -92,6 +97,17 @@ def _text(status: HTTPStatus, text: str) -> Response:
     return Response(status, status.phrase, Headers({"Content-Type": "text/plain; charset=utf-8"}), text.encode())
 
 
+TITLES: dict[StepName, str] = {
+    "find": "1  Find the arm",
+    "check": "2  Check it",
+    "diagnose": "3  What is wrong?",
+    "repair": "4  Repair",
+    "calibrate": "5  Calibrate the tool",
+    "prove": "6  Before and after",
+    "use": "7  Use it",
+}
+
+
 class StudioPage(WebPage):
     """Shows a studio to any number of browsers."""
 
@@ -127,7 +143,7 @@ class StudioPage(WebPage):
         self._stop.on_click(lambda _: self.studio.stop())
         self.texts["now"] = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal", visible=False)
-        self._step = gui.add_dropdown("Step", list(panels.TITLES.values()))
+        self._step = gui.add_dropdown("Step", list(TITLES.values()))
         self._step.on_update(lambda event: self._go(event.client is not None))
         self._panel_of_step = gui.add_folder("Find the arm")
         with gui.add_folder("The arm now", expand_by_default=False):
@@ -152,16 +168,9 @@ class StudioPage(WebPage):
         act()
         self._drawn = ()
 
-    def job(self, label: str, title: str, make: Callable[[], Job], *, first: bool = False) -> None:
+    def job(self, label: str, title: str, job: Job, *, first: bool = False) -> None:
         """Add a button that begins a job."""
-        self.button(label, lambda: self.begin(title, make), first=first)
-
-    def begin(self, title: str, make: Callable[[], Job]) -> None:
-        """Begin a job; what was typed wrong is said on the page."""
-        try:
-            self.studio.do(title, make())
-        except InputError as error:
-            self.studio.change(error=str(error))
+        self.button(label, lambda: self.studio.do(title, job), first=first)
 
     def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401
         made.on_update(lambda _: self.form.update({key: made.value}))
@@ -185,10 +194,12 @@ class StudioPage(WebPage):
         """Add a box to tick."""
         self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual))))
 
-    def upload(self, label: str, act: Callable[[bytes], None]) -> None:
-        """Add a button that takes a file."""
+    def upload(self, label: str, title: str, job: Callable[[Studio, bytes], object]) -> None:
+        """Add a button that takes a file and begins a job with its content."""
         made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self._busy)
-        made.on_upload(lambda _: act(made.value.content))
+        made.on_upload(
+            lambda _: self._act(lambda: self.studio.do(title, lambda studio: job(studio, made.value.content)))
+        )
         self._parts.append(made)
 
     def html(self, macro: str, *given: object) -> None:
@@ -234,11 +245,11 @@ class StudioPage(WebPage):
         """Show the status."""
         status, studio = self.studio.status, self.studio
         left = jobs.left(studio)
-        self.texts["now"].content = str(self._words.now(status, left, panels.TITLES))
+        self.texts["now"].content = str(self._words.now(status, left, TITLES))
         self._bar.visible = status.busy
         self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
         self._stop.label = "Stopping ..." if status.stopping else "STOP"
-        title = panels.TITLES[status.step]
+        title = TITLES[status.step]
         if self._step.value != title:
             self._step.value = title  # type: ignore[misc]  # declared read-only, and is not
         shape = (status.step, status.busy, status.question, status.address, status.found, status.picture is None)
@@ -258,12 +269,12 @@ class StudioPage(WebPage):
         for part in self._parts:
             part.remove()
         self._parts.clear()
-        self._panel_of_step.label = panels.TITLES[status.step]
+        self._panel_of_step.label = TITLES[status.step]
         with self._panel_of_step:
-            panels.PANELS[status.step](self, status)
+            PANELS[status.step](self, status)
 
     def _go(self, by_hand: bool) -> None:
-        step: StepName = next(name for name, title in panels.TITLES.items() if title == self._step.value)
+        step: StepName = next(name for name, title in TITLES.items() if title == self._step.value)
         if by_hand and step != self.studio.status.step:
             self.studio.change(step=step, done="", lines=())
 
@@ -277,7 +288,7 @@ class StudioPage(WebPage):
         self.server.scene.add_icosphere("/clicked", 0.006, TARGET, position=place)
         self._drawn = ()
         if self.form.get("at once"):
-            self.begin("Going to the point", lambda: jobs.go_to(panels.point(self.form)))
+            self.studio.do("Going to the point", lambda studio: jobs.go_to(studio, point(self.form)))
 
     def _report(self) -> bytes | None:
         run = self.studio.run
@@ -296,3 +307,159 @@ class StudioView(LiveView):
     def page_at(self, host: str, port: int) -> StudioPage:
         """Serve the page of the studio."""
         return StudioPage(self._studio, host, port, self._token)
+
+
+QUICK = "A quick try takes little of everything, and gives no result to rely on."
+
+
+def find(page: StudioPage, status: Status) -> None:
+    """Choose an arm, or type its address."""
+    known: dict[str, str] = status.found.get("arms") or {}
+    page.html("hint", "Connect the arm and switch it on. Or try everything with an emulated one.")
+    if known:
+        page.choice("Arm", "arm", list(known))
+    page.text("or its address", "address")
+    page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
+    page.job("Connect", "Connecting", lambda studio: connect(studio, page.form, known), first=True)
+    page.job("Look for arms again", "Looking for arms", jobs.look)
+
+
+def connect(studio: Studio, form: Mapping[str, Any], known: Mapping[str, str]) -> None:
+    """Connect to the typed address, else to the chosen arm, of the chosen kind."""
+    kind = form["kind"] if form["kind"] in CATALOGUE else None
+    jobs.choose(studio, str(form["address"] or known.get(form.get("arm", ""), "")), kind)
+
+
+def check(page: StudioPage, status: Status) -> None:
+    """Look at servos and surroundings, and confirm a small motion."""
+    page.html("checks", status.found.get("checks") or ())
+    if status.question:
+        page.html("question", status.question)
+        page.button("Yes", lambda: page.studio.answer("yes"), first=True, anyway=True)
+        page.button("No", lambda: page.studio.answer("no"), anyway=True)
+        return
+    page.html("surroundings")
+    page.job("The table is clear: move one joint", "A small motion", jobs.nudge, first=True)
+    page.job("Look again", "Looking at the servos", jobs.see)
+
+
+def diagnose(page: StudioPage, status: Status) -> None:
+    """Find out what is wrong."""
+    found = status.found.get("diagnosis")
+    page.html("hint", f"The arm goes to ten targets and turns each joint. {QUICK}")
+    page.tick("Quick try", "quick")
+    page.job(
+        "Diagnose",
+        "Diagnosis",
+        lambda studio: jobs.diagnose(studio, quick=bool(page.form["quick"])),
+        first=found is None,
+    )
+    if found is not None:
+        page.html("diagnosis", found)
+        page.button("Next: repair", lambda: page.studio.change(step="repair"), first=True)
+
+
+def repair(page: StudioPage, status: Status) -> None:
+    """Repair the arm."""
+    done = status.found.get("repaired")
+    page.html(
+        "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
+    )
+    page.tick("Quick try", "quick")
+    page.job("Repair", "Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
+    if done is not None:
+        page.html("repaired", done, status.found.get("advice"))
+        page.button("Next: before and after", lambda: page.studio.change(step="prove"), first=True)
+        page.job("Begin a new repair", "Another repair", jobs.again)
+
+
+def calibrate(page: StudioPage, status: Status) -> None:
+    """Measure where the tool really is."""
+    if status.picture is not None:
+        page.picture(status.picture)
+    if status.question:
+        page.html("question", status.question)
+        page.form["measured"] = ""
+        page.text("x y z in mm", "measured")
+        page.button("Enter", lambda: page.studio.answer(str(page.form["measured"])), first=True, anyway=True)
+        return
+    page.html("hint", "Encoders do not see everything. A few measured points show where the tool really is.")
+    page.choice("Measure with", "gauge", jobs.gauges(status.address))
+    page.number("Postures", "count", 10)
+    page.text("Board", "board", "board.toml")
+    page.number("Camera", "camera", 0)
+    page.job("Calibrate", "Calibration", lambda studio: measure(studio, page.form), first=True)
+
+
+def measure(studio: Studio, form: Mapping[str, Any]) -> None:
+    """Calibrate with what was typed."""
+    jobs.calibrate(studio, form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
+
+
+def prove(page: StudioPage, status: Status) -> None:
+    """Compare before and after on points of the owner."""
+    page.html("hint", "Your own points, in mm from the middle of the base. A click on the table fills in x and y.")
+    places(page, status)
+    points = page.form.setdefault("points", [])
+    page.html("points", points)
+    page.button("Add the point", lambda: points.append(point(page.form)))
+    page.button("Remove all points", points.clear)
+    page.job(
+        "Compare before and after", "Before and after", lambda studio: jobs.prove(studio, list(points)), first=True
+    )
+    if status.found.get("proof"):
+        page.html("proof", status.found["proof"])
+        page.button("Next: use it", lambda: page.studio.change(step="use"), first=True)
+
+
+def places(page: StudioPage, status: Status) -> None:
+    """Type a point."""
+    middle = (
+        [150.0, 0.0, 150.0] if status.arm is None else 500.0 * (status.arm.targets.lower + status.arm.targets.upper)
+    )
+    for name, usual in zip("xyz", middle, strict=True):
+        page.number(f"{name} mm", name, round(float(usual)))
+
+
+def use(page: StudioPage, status: Status) -> None:
+    """Drive the arm, let others drive it, and look after it."""
+    page.html("hint", "Type a point, or click on the table: the height is that of z.")
+    places(page, status)
+    page.number("Accept mm", "within", 2.0, step=0.1)
+    page.tick("Click to go", "at once")
+    page.job(
+        "Go",
+        "Going to the point",
+        lambda studio: jobs.go_to(studio, point(page.form), 1e-3 * page.form["within"]),
+        first=True,
+    )
+    path = page.form.setdefault("path", [])
+    page.html("points", path)
+    page.button("Record the point", lambda: path.append(point(page.form)))
+    page.job("Record where the tool is", "Recording", lambda studio: jobs.record(studio, path))
+    page.button("Forget the path", path.clear)
+    page.number("Times", "times", 1.0)
+    page.job("Play the path", "Path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
+    page.upload("Play a path file (CSV)", "Path", jobs.play_file)
+    page.number("Load g", "load", 0.0)
+    page.job(
+        "The hand carries this load", "Payload", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0))
+    )
+    page.text("For programs", "listen", "127.0.0.1:9001")
+    page.job("Let programs drive it", "Serving", lambda studio: jobs.serve(studio, str(page.form["listen"])))
+    page.choice("Export", "export", KINDS)
+    page.text("LeRobot file", "lerobot")
+    page.job(
+        "Write the file", "Export", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"]))
+    )
+    page.job("Check again", "Check", jobs.check_again)
+    page.job("History of all arms", "History", jobs.history)
+    page.html("history", status.found.get("history") or ())
+
+
+PANELS = dict(zip(TITLES, (find, check, diagnose, repair, calibrate, prove, use), strict=True))
+
+
+def point(form: Mapping[str, Any]) -> Array:
+    """Return the typed point (3,) [m]."""
+    return np.array([1e-3 * float(form[name]) for name in "xyz"])

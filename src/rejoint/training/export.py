@@ -43,7 +43,8 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     The exported function is the mean action clipped to [-1, 1].
     """
     model = policy_graph(network, contract.observation_size)
-    answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
+    session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    answers = session.run((OUTPUT,), {INPUT: probe_observations(contract.observation_size).astype(np.float32)})[0]
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
     write_whole(path, lambda temporary: temporary.write_bytes(seal(model.SerializeToString())))
@@ -87,11 +88,6 @@ def to_onnx(module: nn.Module, inputs: dict[str, int], outputs: list[str], **opt
     model = onnx.load_from_string(file.getvalue())
     model.ir_version, model.producer_name = IR_VERSION, "rejoint"
     return model
-
-
-def _run(model: onnx.ModelProto, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-    session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    return session.run((OUTPUT,), {INPUT: observations})[0]
 
 
 def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:

@@ -53,17 +53,6 @@ def privileged_constants(arm: Arm, draw: Draw) -> Observation:
     return np.concatenate(parts, axis=-1).clip(-8.0, 8.0).astype(np.float32)
 
 
-def privileged_motion(distance: Array, speed: Array, velocity: Array, lag: Array, period: Array) -> Observation:
-    """Part (N, 4 + 2 n) of the privileged observation that varies.
-
-    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n) [rad]
-    behind the servo's reference, control ``period`` (N,) [s].
-    """
-    scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * period)
-    joints = np.concatenate([0.5 * velocity, 4.0 * lag], axis=-1).clip(-8.0, 8.0)
-    return np.concatenate([np.stack(scalars, axis=-1), joints], axis=-1).astype(np.float32)
-
-
 @dataclass(frozen=True, kw_only=True)
 class TaskSettings:
     """Settings of a task."""
@@ -168,8 +157,7 @@ class ReachTask:
         if staggered:  # so that a batch holds all phases of a motion and not the same one everywhere
             self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
-        distance = np.linalg.norm(self._aim - self._tcp, axis=-1)
-        return self.observer.observe(self._inputs()), self._privileged(distance, np.zeros(self.agents))
+        return self.observer.observe(self._inputs()), self._privileged(np.zeros(self.agents))
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -183,7 +171,7 @@ class ReachTask:
         self._tcp = tcp
         distance = np.linalg.norm(self._aim - tcp, axis=-1)
         self._step += 1
-        final, final_privileged = self.observer.observe(self._inputs()), self._privileged(distance, speed)
+        final, final_privileged = self.observer.observe(self._inputs()), self._privileged(speed)
         late = self._step >= self.settings.hold_steps
         reward, reached, collided = self.judge(np.asarray(action, dtype=float), before, distance, speed, late)
         cut = (late | collided) & ~reached
@@ -249,8 +237,7 @@ class ReachTask:
         rows = np.flatnonzero(ended)
         observation, privileged = final.copy(), final_privileged.copy()
         observation[rows] = self.observer.observe(self._inputs(), rows)
-        distance = np.linalg.norm(self._aim[rows] - self._tcp[rows], axis=-1)
-        privileged[rows] = self._privileged(distance, np.zeros(len(rows)), rows)
+        privileged[rows] = self._privileged(np.zeros(len(rows)), rows)
         return observation, privileged
 
     def _new_targets(self, where: Mask) -> None:
@@ -310,9 +297,11 @@ class ReachTask:
         self.observer.reset_learned(where)
         self.commander.reset_learned(self._inputs(), where)
 
-    def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
-        """Privileged observation (N, p), or some ``rows`` of it."""
-        twins = self.simulation.twins
+    def _privileged(self, speed: Array, rows: Rows = ALL) -> Observation:
+        """Privileged observation (N, p), or some ``rows`` of it; ``speed`` (N,) [m/s] of the TCP."""
+        twins, distance = self.simulation.twins, np.linalg.norm(self._aim[rows] - self._tcp[rows], axis=-1)
         lag = self.simulation.reference.position[rows] - twins.qpos[rows]
-        moving = privileged_motion(distance, speed, twins.qvel[rows], lag, self._period[rows])
+        scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * self._period[rows])
+        joints = np.concatenate([0.5 * twins.qvel[rows], 4.0 * lag], axis=-1).clip(-8.0, 8.0)
+        moving = np.concatenate([np.stack(scalars, axis=-1), joints], axis=-1).astype(np.float32)
         return np.concatenate([moving, self._constants[rows]], axis=1)

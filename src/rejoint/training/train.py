@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +22,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
 from rejoint.training.export import export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
-from rejoint.training.presets import PpoSettings, Preset, load_preset
+from rejoint.training.presets import Preset, load_preset
 from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
@@ -58,13 +59,10 @@ class TrainingOptions:
     def recipe(self) -> Preset:
         """The preset with these numbers of agents and iterations."""
         preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
-        warm = None if preset.warm is None else self._sized(preset.warm)
-        return replace(preset, ppo=self._sized(preset.ppo), warm=warm)
-
-    def _sized(self, settings: PpoSettings) -> PpoSettings:
-        agents = settings.agents if self.agents is None else self.agents
-        iterations = settings.iterations if self.iterations is None else self.iterations
-        return replace(settings, agents=agents, iterations=iterations)
+        sizes = {"agents": self.agents, "iterations": self.iterations}
+        given: dict[str, Any] = {name: size for name, size in sizes.items() if size is not None}
+        warm = preset.warm and replace(preset.warm, **given)
+        return replace(preset, ppo=replace(preset.ppo, **given), warm=warm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,11 +195,9 @@ def describe(point: CurvePoint) -> str:
 def training_result(files: RunFolder, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
     """Sum up a training by its last updates."""
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
-    means = {name: float(np.mean([getattr(point, name) for point in recent])) for name in RECENT}
+    names = ("success_rate", "error_mm", "reward")
+    means = {name: float(np.mean([getattr(point, name) for point in recent])) for name in names}
     last = curve[-1]
     return TrainingResult(
         policy=files.policy, curves=files.curves, preset=recipe, seed=seed, steps=last.step, wall_s=last.wall_s, **means
     )
-
-
-RECENT = ("success_rate", "error_mm", "reward")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit, types
+from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
@@ -28,7 +28,7 @@ from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
 _DISABLED = "CONSTRAINT CONTACT ACTUATION SENSOR SPRING DAMPER WARMSTART AUTORESET"
 # [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
 _ARMATURE = {"servo": 0.01, "gear": 0.001}
-_CONTENT = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+_CONTENT = ("body_mass", "body_ipos", "body_inertia", "body_iquat", "body_pos", "body_quat")
 
 
 def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
@@ -107,7 +107,6 @@ class Plant:
         self.count = len(wears)
         self._pull = np.asarray(truth.gravity, dtype=float)
         self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
-        self._bent = () if truth.bodies is None else tuple(range(self.count))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -155,11 +154,6 @@ class Plant:
     goal = _State("goal")
     """(B, n) [rad] command in the firmware"""
 
-    @property
-    def power(self) -> Mask:
-        """(B,)."""
-        return np.asarray(self.servos["powered"].all(axis=1))
-
     def link_position(self) -> Array:
         """(B, n) [rad] true links, behind play and flex."""
         return self.qpos[:, 0::2] + self.qpos[:, 1::2]
@@ -172,13 +166,13 @@ class Plant:
         """(B, 4, 4) true tools."""
         links = self.link_position()
         pose = tcp_pose(self.arm, links)
-        for i in self._bent:
-            pose[i] = tcp_pose(self._carried[i], links[i])
+        for i, arm in self._carried.items():
+            pose[i] = tcp_pose(arm, links[i])
         return pose
 
-    def encoder(self, age: Array | float | None = None) -> Array:
+    def encoder(self, age: Array | float = 0.0) -> Array:
         """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
-        steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
+        steps = np.rint(np.broadcast_to(age, self.count) / servo.STEP).astype(np.int64)
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
@@ -204,10 +198,10 @@ class Plant:
         self._history[ids] = self.servos["measured"][ids][:, None]
         self._hold(ids, self._held(position, torque))
 
-    def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
+    def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
-        wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
+        wait = np.broadcast_to(delay, self.count)
         due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
         for i in self._selected(where):
             slot = int(np.argmax(self._due[i]))
@@ -228,13 +222,13 @@ class Plant:
 
     def set_power(self, on: Mask) -> None:
         """Switch the servos of each arm (B,). Off: only friction. On: hold."""
-        rising = np.flatnonzero(on & ~self.power)
+        rising = np.flatnonzero(on & ~self.servos["powered"].all(axis=1))
         self.servos["powered"] = np.asarray(on)[:, None]
         self._hold(rising, self.encoder())
 
-    def halt(self, where: Mask | None = None) -> None:
+    def halt(self) -> None:
         """Stop the reference and drop pending commands."""
-        self._hold(self._selected(where), self.servos["reference"])
+        self._hold(np.arange(self.count), self.servos["reference"])
 
     def freeze(self, joints: Mask) -> None:
         """Freeze the reported encoders of ``joints`` (B, n)."""
@@ -284,14 +278,14 @@ class Plant:
 
     def _load_tools(self) -> None:
         """Put the bodies of arms that differ into the batch."""
-        names = ("body_pos", "body_quat") if self._bent else ()
-        fields = {name: self.batch.expand(name) for name in (*_CONTENT, *names) if self._carried}
+        if not self._carried:
+            return
+        fields = {name: self.batch.expand(name) for name in _CONTENT}
         for i, arm in self._carried.items():
             body = build_model(arm, self._pull)
             for name, values in fields.items():
                 values[i] = getattr(body, name)
-        if self._carried:
-            self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)
@@ -314,8 +308,6 @@ def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int,
 
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     """`servo.JOINT` (n,) of an arm of some wear."""
-    if wear.position_gain.shape != (arm.joints,):
-        raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
     records = np.zeros(arm.joints, servo.JOINT)
     for name in (*PARAMETERS, "offset"):
         records[name] = getattr(wear, name)
@@ -342,10 +334,10 @@ class ServoPlant(Plant, ABC):
         super().set_speed_limit(speed)
         self.settings["speed"].T[:] = (self.servos["speed_limit"] / self.arm.encoder_step).T
 
-    def halt(self, where: Mask | None = None) -> None:
+    def halt(self) -> None:
         """Stop the reference and drop pending commands."""
         reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
-        self._hold(self._selected(where), reference * self.arm.encoder_step)
+        self._hold(np.arange(self.count), reference * self.arm.encoder_step)
 
     def _hold(self, ids: Ids, position: Array) -> None:
         """Set goal and reference to ``position`` (B, n) [rad]."""
@@ -381,7 +373,7 @@ class StsPlant(ServoPlant):
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
         self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
-        self._firmware = self.settings, self.status, self._rings
+        self._firmware = self.settings[..., None], self.status[..., None], self._rings
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -455,35 +447,19 @@ def plant_of(arm: Arm) -> type[Plant]:
 # ruff: noqa: ANN001, ANN201, ANN202, ARG001
 
 
-def aim(status, goal):
-    """Set the goal [counts] of a joint's servos."""
-
-
-@overload(aim)
-def _aim(status, goal):
-    def one(status, goal):
-        status.goal = goal
-
-    def several(status, goal):
-        for k in range(len(status)):
-            status[k].goal = goal
-
-    return several if isinstance(status, types.Array) else one
-
-
 def tick_servos(settings, status, rings, joint, state, tick, count, speed):
     """Let a joint's servos work for a millisecond; returns their torque [N m] on the output."""
 
 
 @overload(tick_servos)
 def _tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    def one(settings, status, rings, joint, state, tick, count, speed):
-        return sts3215.tick_servo(settings, status, rings, joint, state, tick, count, speed)
+    def sts(settings, status, rings, joint, state, tick, count, speed):
+        return sts3215.tick_servo(settings[0], status[0], rings, joint, state, tick, count, speed)
 
-    def several(settings, status, rings, joint, state, tick, count, speed):
+    def x(settings, status, rings, joint, state, tick, count, speed):
         return xseries.tick_servos(settings, status, state, count, speed)
 
-    return several if isinstance(status, types.Array) else one
+    return x if "aimed" in status.dtype.fields else sts
 
 
 @njit(cache=True)
@@ -491,7 +467,8 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
     """Write the next torques of the arms ``ids``.
 
     ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
-    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS and rings (B, n, ...) of the joints' servos.
+    velocities, torques (B, 2n); ``firmware``: None, or SETTING and STATUS (B, n, S), and rings
+    (B, n, ...), of joints with S servos.
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
@@ -500,7 +477,9 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
             servo.receive(tick[i], due[i], queue[i], servos[i])
             if firmware is not None:
                 for j in range(n):
-                    aim(firmware[1][i, j], int(np.rint(servos[i, j].goal / joints[i, j].encoder_step)))
+                    goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+                    for k in range(firmware[1].shape[2]):
+                        firmware[1][i, j, k].goal = goal
         for j in range(n):
             joint, state = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]

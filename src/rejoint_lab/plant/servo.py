@@ -218,32 +218,20 @@ def trapezoid(reference, rate, goal, speed, acceleration):
 
 Interval = tuple[float, float]
 
-_DRAWS = 3
-
-
-class Delays(NamedTuple):
-    """The channel in one cycle."""
-
-    latency: Array
-    """(B,) [s] from a command to its arrival"""
-    age: Array
-    """(B,) [s] of a reading at its arrival"""
-    period: Array
-    """(B,) [s]"""
-
 
 class Channel(NamedTuple):
     """Uniform delays; defaults: an idle wire."""
 
     latency: Interval = (0.008, 0.013)
-    """[s]"""
+    """[s] from a command to its arrival"""
     age: Interval = (0.006, 0.013)
-    """[s]"""
+    """[s] of a reading at its arrival"""
     period: Interval = (0.020, 0.030)
-    """[s]"""
+    """[s] of a cycle"""
 
-    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
-        """Delays of ``cycle`` (B,) by stream keys (B,)."""
-        unit = uniform(keys[:, None], cycle[:, None] * _DRAWS + np.arange(_DRAWS))
-        low, high = np.array([self.latency, self.age, self.period]).T
-        return Delays(*(low + unit * (high - low)).T)
+    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Array:
+        """Return the three (3, B) [s] in ``cycle`` (B,), by stream keys (B,)."""
+        draws = len(self)
+        unit = uniform(keys[:, None], cycle[:, None] * draws + np.arange(draws))
+        low, high = np.array(self).T
+        return (low + unit * (high - low)).T

@@ -5,6 +5,9 @@ Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, a measured sag (le
 
 from __future__ import annotations
 
+import csv
+from importlib.resources import files
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -55,13 +58,8 @@ STATUS = record_of(
 )
 """State: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks"""
 
-DEFAULTS = {
-    "p": 32, "d": 32, "i": 0, "startup": 16, "integral_limit": 0, "dead_cw": 1, "dead_ccw": 1, "torque_limit": 1000,
-    "least": 0, "most": 0, "acceleration": 10_000.0, "speed": 7500.0, "threshold": 2, "unloading": 44,
-    "protective": 200, "protection_ticks": 2000, "overload": 800, "current_limit": 310 * 0.0065, "current_ticks": 2000,
-    "heat_limit": 70.0, "low_voltage": 4.0, "high_voltage": 14.0, "torque_on": 1, "voltage": NOMINAL_VOLTAGE,
-    "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
-}  # fmt: skip
+with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
+    DEFAULTS = {row["name"]: float(row["value"]) for row in csv.DictReader(_file)}
 """As sold (C018), powered, torque on"""
 
 

@@ -1,7 +1,8 @@
 """The control loops of ROBOTIS' X series in counts and 1/885 of PWM, per millisecond; two servos may turn one joint.
 
 Sources: ROBOTIS' e-manual (PID, profiles, protection); Rhoban/bam (the XL330's divisor of 256, its motor and friction;
-those of MX-64 and MX-106, scaled, for XM430 and XM540). ``xseries.csv``: registers, and what a new servo is.
+those of MX-64 and MX-106, scaled, for XM430 and XM540). ``xseries.csv``: registers, the field of `SETTING` that holds
+each, and what a new servo is.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _ALARM_TICKS = 50  # outside the limits of voltage or heat (chosen)
 
 with (files(__package__) / "xseries.csv").open(encoding="utf-8") as _file:
     ROWS = tuple(csv.DictReader(_file))
-MODELS = tuple(ROWS[0])[6:]
+MODELS = tuple(ROWS[0])[7:]
 """Servos of the table"""
 NEW: dict[str, dict[str, float]] = {
     model: {row["name"]: float(row[model]) for row in ROWS if row[model]} for model in MODELS
@@ -78,20 +79,14 @@ STATUS = record_of(
 )
 """State: counts, counts/s, 1/885 PWM, A; ``alarms`` are bits that stay, then counters in ticks"""
 
-_SOLD = {
-    "p": "Position_P_Gain", "i": "Position_I_Gain", "d": "Position_D_Gain", "mode": "Operating_Mode",
-    "velocity_p": "Velocity_P_Gain", "velocity_i": "Velocity_I_Gain", "shutdown": "Shutdown",
-    "pwm_limit": "PWM_Limit", "heat_limit": "Temperature_Limit", "nominal": "nominal", "voltage": "nominal",
-    "stall": "stall", "stall_current": "stall_current", "no_load": "no_load", "divisor": "divisor",
-}  # fmt: skip
-
 
 def as_sold(model: str) -> NDArray[np.void]:
     """Return `SETTING` () of a model, powered, torque on."""
     setting, new = np.zeros((), SETTING), NEW[model]
-    for field, name in _SOLD.items():
-        setting[field] = new[name]
-    setting["torque_on"], setting["input_current"] = 1, model.startswith("XL330")
+    for row in ROWS:
+        if row["setting"]:
+            setting[row["setting"]] = new[row["name"]]
+    setting["torque_on"], setting["input_current"], setting["voltage"] = 1, model.startswith("XL330"), new["nominal"]
     setting["low_voltage"], setting["high_voltage"] = 0.1 * new["Min_Voltage_Limit"], 0.1 * new["Max_Voltage_Limit"]
     setting["current_goal"] = new.get("Current_Limit", 0) * new.get("current_unit", 0.0)
     setting["slope"] = new.get("PWM_Slope", np.inf) * 1.977e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,16 @@ from rejoint.arms import Arm
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.export import export_policy
-from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
-from rejoint.training.ppo import LAST_LAYER_SCALE, Critic, perceptron, unbounded
+from rejoint.training.learner import (
+    LAST_LAYER_SCALE,
+    REACHED_DISTANCE,
+    Critic,
+    CurvePoint,
+    ends,
+    on_threads,
+    perceptron,
+    unbounded,
+)
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask
 from rejoint.training.train import (
@@ -38,6 +47,7 @@ from rejoint.training.train import (
 )
 from rejoint.twin.twin import Twin
 
+LEARNING_RATE = 5e-4
 _REPORT_EVERY = 32  # control cycles
 _LOG_STD = (-5.0, 0.5)  # bounds of the noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
@@ -88,15 +98,11 @@ class OffPolicySettings:
     preset: Preset = DEFAULT
     cycles: int = 3840
     """two million transitions; chosen"""
-    gradient_steps: int = 2
-    """per control cycle"""
     batch: int = 1024
     memory: int = 400
     """control cycles kept"""
     warm_up: int = 32
     """control cycles before the first gradient step"""
-    learning_rate: float = 5e-4
-    polyak: float = 0.01
     seed: int = 0
     agents: int = 512
     threads: int = 2
@@ -104,14 +110,11 @@ class OffPolicySettings:
 
 def trainer(name: str, seed: int) -> Trainer:  # noqa: ARG001 - the entry point of several learners has a name
     """Trainer of the entry point ``sac``."""
-    settings = OffPolicySettings(seed=seed)
-    return lambda arm, twin, out, on_progress: train_offpolicy(
-        arm, twin, out=out, settings=settings, on_progress=on_progress
-    )
+    return partial(train_offpolicy, settings=OffPolicySettings(seed=seed))
 
 
 def train_offpolicy(
-    arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
+    arm: Arm, twin: Twin | None, out: Path, on_progress: Progress = no_progress, *, settings: OffPolicySettings
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
     recipe, files = know_stiffness(settings.preset, arm, twin), RunFolder(out)
@@ -169,7 +172,7 @@ def _point(
         reward=float(np.mean([one["reward"].mean() for one in done])),
         **ends(distance, distance < REACHED_DISTANCE, last),
         noise=agent.policy.spread,
-        learning_rate=settings.learning_rate,
+        learning_rate=LEARNING_RATE,
         policy_loss=losses.get("Loss / Policy loss", 0.0),
         value_loss=losses.get("Loss / Critic loss", 0.0),
         wall_s=wall_s,
@@ -189,11 +192,11 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> SAC:
         action_space=bounded(n),
         device="cpu",
         cfg=SAC_CFG(
-            gradient_steps=settings.gradient_steps,
+            gradient_steps=2,  # per control cycle
             batch_size=settings.batch,
             discount_factor=ppo.discount,
-            polyak=settings.polyak,
-            learning_rate=settings.learning_rate,
+            polyak=0.01,
+            learning_rate=LEARNING_RATE,
             learning_starts=settings.warm_up,
             grad_norm_clip=ppo.gradient_clip,
             initial_entropy_value=0.01,  # chosen: rewards are about 0.1 a cycle

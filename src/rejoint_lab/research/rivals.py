@@ -48,11 +48,11 @@ class PidController:
     heeds_turn = True
     proportional, integral, derivative, period = 0.40, 0.01, 5e-3, 0.02
     """[1], [1] per cycle or [1/s], [s], and dt of the equation [s]"""
+    _sum = _last = np.zeros((0, 1))  # until the first target
 
-    def __init__(self, arm: Arm, *, literal: bool) -> None:
+    def __init__(self, *, literal: bool) -> None:
         """``literal``: the sum is multiplied by dt, as printed; else a plain sum."""
         self.name, self._weight = "pid-literal" if literal else "pid-sum", self.period if literal else 1.0
-        self._sum = self._last = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Clear the integral of ``where`` (B,)."""
@@ -75,10 +75,11 @@ class PidController:
 class TunedLaw:
     """What the tuned laws share: gains, nominal stiffness, and joint speeds smoothed over about two cycles."""
 
+    _position = _speed = np.zeros((0, 1))  # until the first reading
+
     def __init__(self, arm: Arm, gains: Gains) -> None:
         self._arm, self._gains, self._pace = arm, SimpleNamespace(**gains), Pace()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
-        self._position = self._speed = np.zeros((0, arm.joints))
 
     def tick(self, state: JointState) -> tuple[Array, Array]:
         """Time (B, 1) [s] since the last reading, and joint speeds (B, n) [rad/s]."""
@@ -95,10 +96,7 @@ class ScheduledController(TunedLaw):
     """The law, around a ramp to the goal posture raised against gravity."""
 
     name = "tuned-feedforward"
-
-    def __init__(self, arm: Arm, gains: Gains) -> None:
-        super().__init__(arm, gains)
-        self._start = self._raised = self._integral = np.zeros((0, arm.joints))
+    _start = _raised = _integral = np.zeros((0, 1))  # until the first target
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
@@ -136,10 +134,7 @@ class AdaptiveController(TunedLaw):
     """Tomei's law for position servos."""
 
     name = "adaptive"
-
-    def __init__(self, arm: Arm, gains: Gains) -> None:
-        super().__init__(arm, gains)
-        self._regressor = self._estimate = np.zeros((3, 0, arm.joints))
+    _regressor = _estimate = np.zeros((3, 0, 1))  # until the first target
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new goals in ``where`` (B,); the estimates stay."""
@@ -190,8 +185,8 @@ class Rival(NamedTuple):
 
 _TABLE = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Gain]], "install rejoint again")
 RIVALS = {
-    "pid-sum": Rival(lambda arm, _: PidController(arm, literal=False), {}),
-    "pid-literal": Rival(lambda arm, _: PidController(arm, literal=True), {}),
+    "pid-sum": Rival(lambda *_: PidController(literal=False), {}),
+    "pid-literal": Rival(lambda *_: PidController(literal=True), {}),
     "tuned-feedforward": Rival(ScheduledController, _TABLE["tuned-feedforward"]),
     "adaptive": Rival(AdaptiveController, _TABLE["adaptive"]),
 }

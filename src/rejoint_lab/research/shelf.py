@@ -13,13 +13,13 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.training.export import begin_at
-from rejoint.training.presets import DEFAULT, PpoSettings, Preset
+from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import SLOW_BACKLASH, BroadRanges, MixedRanges, Ranges
 from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult, train
 
@@ -29,16 +29,6 @@ SO101_STIFFNESS = (12.0, 12.0, 12.0, 10.8, 10.8)
 
 ANYWHERE_TOO = PpoSettings(iterations=450, log_std=-1.0, critic_first=6)
 """Settings of the second part; chosen"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recipe:
-    """Training of one generic policy."""
-
-    seed: int = 0
-    """chosen: no other was tried"""
-    preset: Preset = DEFAULT
-    ranges: Callable[[Arm], Ranges] = lambda arm: BroadRanges(arm=arm)
 
 
 def _so101_ranges(arm: Arm) -> Ranges:
@@ -59,26 +49,29 @@ def _so101_ranges(arm: Arm) -> Ranges:
     return MixedRanges(first=found, second=worn, share=0.5)
 
 
-def _so101_preset() -> Preset:
+def _so101(arm: Arm) -> TrainingOptions:
     law = replace(DEFAULT.task.law, stiffness=SO101_STIFFNESS, decay_start=DECAY_START)
-    return replace(DEFAULT, task=replace(DEFAULT.task, law=law))
+    preset = replace(DEFAULT, task=replace(DEFAULT.task, law=law))
+    return TrainingOptions(preset=preset, ranges=_so101_ranges(arm))
 
 
-RECIPES = {"mycobot280": Recipe(), "so101": Recipe(preset=_so101_preset(), ranges=_so101_ranges)}
+RECIPES: dict[str, Callable[[Arm], TrainingOptions]] = {
+    "mycobot280": lambda arm: TrainingOptions(preset=DEFAULT, ranges=BroadRanges(arm=arm)),
+    "so101": _so101,
+}
 
 
 def make_shelf_policy(name: str, file: Path) -> TrainingResult:
     """Train the policy for the catalogue arm ``name``, and write ``file``."""
-    arm, recipe = load_arm(name), RECIPES[name]
+    arm = load_arm(name)
+    # One thread, so that the number of cores does not matter; no other seed than 0 was tried.
+    options = replace(RECIPES[name](arm), threads=1)
+    preset = options.recipe
+    near = replace(preset, task=replace(preset.task, anywhere=0.0))
     with tempfile.TemporaryDirectory(prefix="rejoint-shelf-") as folder:
-        near = replace(recipe.preset, task=replace(recipe.preset.task, anywhere=0.0))
-        options = TrainingOptions(  # one thread, so that the number of cores does not matter
-            seed=recipe.seed, threads=1, preset=near, ranges=recipe.ranges(arm)
-        )
-        first = train(arm, None, out=Path(folder) / "near", options=options)
-        options = replace(
-            options, preset=replace(recipe.preset, warm=ANYWHERE_TOO), start=begin_at(first.policy.read_bytes())
-        )
+        first = train(arm, None, out=Path(folder) / "near", options=replace(options, preset=near))
+        start = begin_at(first.policy.read_bytes())
+        options = replace(options, preset=replace(preset, warm=ANYWHERE_TOO), start=start)
         result = train(arm, None, out=Path(folder), options=options)
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(result.policy, file)

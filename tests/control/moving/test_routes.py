@@ -15,7 +15,7 @@ from rejoint.control.moving.reference import (
 )
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
-from rejoint_lab.research.evaluation.moving import played
+from rejoint_lab.research.evaluation.evaluate import played
 from standin import state_of
 
 ARM = mycobot280()

@@ -10,7 +10,7 @@ from rejoint.pages.html import render
 from rejoint.pages.report.figures import Gallery
 from rejoint.pages.report.page import read_curves
 from rejoint.training.train import policy_contract
-from rejoint_lab.research.reproduction.paper import PAPER
+from rejoint_lab.research.reproduction.campaign import PAPER
 
 
 @pytest.fixture

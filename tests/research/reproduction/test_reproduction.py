@@ -20,7 +20,7 @@ from rejoint_lab.research.reproduction.campaign import (
     run_experiments,
     write_page,
 )
-from rejoint_lab.research.reproduction.episodes import play
+from rejoint_lab.research.reproduction.measures import play
 
 ARM = mycobot280()
 

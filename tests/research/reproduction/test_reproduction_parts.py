@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.system.errors import RejointError
-from rejoint_lab.research.reproduction import models
+from rejoint_lab.research.reproduction import measures
 from rejoint_lab.research.reproduction.campaign import (
     QUICK,
     WORN,
@@ -26,14 +26,14 @@ def test_the_command_line_runs_and_refuses(tmp_path, cli):
 
 
 def test_overshoot_and_error_of_a_known_path():
-    steps = round(models.DWELL / models.STEP)
-    time = np.arange(steps) * models.STEP
+    steps = round(measures.FIG_10_DWELL / measures.STEP)
+    time = np.arange(steps) * measures.STEP
     ringing = 1.0 - np.exp(-8.0 * time) * np.cos(2 * np.pi * 2.0 * time)
     path = np.zeros((2 * steps, 3))
     path[:steps, 0], path[steps:, 0] = 0.2 * ringing, 0.2
     path[steps:, 1] = 0.1 * ringing
     targets = np.array([[0.203, 0.0, 0.0], [0.2, 0.103, 0.0]])
-    error, overshoot = models.judge(path, targets)
+    error, overshoot = measures.judge(path, targets)
     assert error == pytest.approx(3.0, abs=0.01)
     assert overshoot == pytest.approx(100 * (ringing.max() - 1.0), abs=0.1)
 

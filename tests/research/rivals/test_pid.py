@@ -21,7 +21,7 @@ def inputs(position):
 @pytest.mark.parametrize("literal", [False, True])
 def test_pid_by_hand(literal):
     """Two cycles of equation 27 worked out from its text: Kp .4, Ki .01, Kd .005, dt .02."""
-    controller = PidController(ARM, literal=literal)
+    controller = PidController(literal=literal)
     controller.reset(inputs(REST), ALL)
     goal = solve_position(ARM, TARGETS[:, 0], REST).q
     e0, e1 = goal - REST, goal - (REST + 0.01)
@@ -35,13 +35,13 @@ def test_pid_by_hand(literal):
 
 
 def test_pid_forgets_its_integral_only_where_it_is_reset():
-    controller = PidController(ARM, literal=False)
+    controller = PidController(literal=False)
     controller.reset(inputs(REST), ALL)
     for _ in range(5):
         controller.command(inputs(REST))
     some = np.array([True, False, False])
     controller.reset(inputs(REST), some)
-    fresh = PidController(ARM, literal=False)
+    fresh = PidController(literal=False)
     fresh.reset(inputs(REST), ALL)
     ours, new = controller.command(inputs(REST)), fresh.command(inputs(REST))
     np.testing.assert_allclose(ours[0], new[0], atol=1e-12)

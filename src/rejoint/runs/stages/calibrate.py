@@ -43,8 +43,7 @@ from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
-    from rejoint.camera.film import Film
-    from rejoint.camera.fit import Filmed
+    from rejoint.camera.film import Film, Filmed
 
 
 def _measured(

@@ -1,6 +1,7 @@
 """Controllers that take part in an evaluation, their trials on many arms, and what is concluded from them.
 
-Intervals resample whole arms. Calibrations take part like controllers.
+Intervals resample whole arms. Calibrations take part like controllers. Along moving targets each arm is first diagnosed
+and identified; the twins are kept.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -29,8 +30,15 @@ from rejoint.control.controllers.catalogue import (
     shelf_path,
     shelf_policy,
 )
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
+from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.drive import Along, Repetition, judge, missed
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Guide, PathReference, Stream, standard_path
+from rejoint.control.moving.reference import Path as MotionPath
+from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, command_for, home_of
+from rejoint.control.recording import Recording
 from rejoint.control.robot import Controller
 from rejoint.control.start import play
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -47,6 +55,7 @@ from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share,
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import (
     ArmFamily,
     Variant,
@@ -426,3 +435,112 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
 def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calibration]:
     """Calibrations of all arms from their first measurements."""
     return [fit(arm, one.rows(np.arange(count))) for one in measured]
+
+
+RATE = 30.0
+"""[Hz] of a path's setpoints where it is not known ahead"""
+REPETITIONS = 10
+BLOCK = 5
+"""Arms that move side by side (chosen)"""
+SENT, HEALTHY, AHEAD, STREAM = "worn, sent as it comes", "healthy, sent as it comes", "known ahead", "as it goes, 30 Hz"
+REPEATED = f"time {REPETITIONS} of one path"
+CASES = (HEALTHY, SENT, AHEAD, REPEATED, STREAM)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingRow:
+    """One case on one path, over the arms: rms errors."""
+
+    case: str
+    path: str
+    error: Spread
+    """[m] after the best single lag for online paths"""
+    largest: float
+    """[m] largest error of any arm at any time"""
+    lag: float
+    """[s] median"""
+    stopped: int
+
+
+def evaluate_moving(arm: Arm, family: ArmFamily, out: Path, on_progress: Progress) -> list[MovingRow]:
+    """Let every arm follow the standard paths in all cases; twins are kept in ``out``."""
+    found: dict[str, list[tuple[Along, bool]]] = {case: [] for case in CASES}
+    for first in range(0, family.arms, BLOCK):
+        seeds = family.wear_seeds[first : first + BLOCK]
+        ahead = part(on_progress, first / family.arms, (first + len(seeds)) / family.arms)
+        twins = own_twins(arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
+        for case, errors in _follow(arm, seeds, twins, family.threads, part(ahead, 0.5, 1.0)).items():
+            found[case] += errors
+    each = len(STANDARD)
+    return [_moving_row(case, path, found[case][i::each]) for case in CASES for i, path in enumerate(STANDARD)]
+
+
+def _follow(
+    arm: Arm, seeds: Sequence[int], twins: Sequence[Twin], threads: int, on_progress: Progress
+) -> dict[str, list[tuple[Along, bool]]]:
+    """Follow all paths with each arm; returns errors, and whether the guard stopped it, of each case."""
+    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
+    servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
+    paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
+    home, driven = home_of(arm, servos), dict[str, Recording]()
+
+    def drive(case: str, profile: str, guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0) -> Recording:
+        on_progress(len(driven) / len(CASES), case)
+        near = home if tracks else None
+        start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
+        wears = [load_wear(profile.format(seed), arm) for _, seed, _ in pairs]
+        robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
+        sent = command_for(arm, servos, np.repeat(start[None], 3, axis=0)) if tracks else start  # what holds it there
+        plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=sent, keep_going=True)
+        controller = Tracker(arm, servos) if tracks else DefaultController(arm)
+        driven[case] = run(robot, controller, PathReference(arm, guides, near), plan)
+        return driven[case]
+
+    worn = "worn?seed={}"
+    drive(HEALTHY, "healthy", paths, tracks=False)
+    drive(SENT, worn, paths, tracks=False)
+    known, lessons = paths, [Repetition(path) for path in paths]
+    for time in range(REPETITIONS):
+        recording = drive(REPEATED if time else AHEAD, worn, known, noise=time)  # the last time counts
+        known = [
+            replace(path, aim=lesson.learn(one.aimed, *missed(arm, recording, path, b)))
+            for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
+        ]
+    drive(STREAM, worn, [played(path, RATE) for path in paths])
+    return {
+        case: [(judge(arm, one, path, b).encoder, bool(one.tripped[b])) for b, path in enumerate(paths)]
+        for case, one in driven.items()
+    }
+
+
+def played(path: MotionPath, rate: float) -> Stream:
+    """Play the places of a path as a stream of ``rate`` [Hz], after a rest."""
+    times = np.concatenate([[0.0], np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate)])
+    return Stream(time=times.tolist(), rows=list(path.at(times - LEAD_IN)))
+
+
+def _moving_row(case: str, path: str, found: Sequence[tuple[Along, bool]]) -> MovingRow:
+    errors, late = [one for one, _ in found], case == STREAM
+    error = spread(np.array([one.rms_after if late else one.rms for one in errors]), np.arange(len(errors)))
+    assert error is not None  # noqa: S101 - every arm has an error along the way
+    return MovingRow(
+        case=case,
+        path=path,
+        error=error,
+        largest=max(one.largest_after if late else one.largest for one in errors),
+        lag=float(np.median([one.lag for one in errors])),
+        stopped=sum(stopped for _, stopped in found),
+    )
+
+
+def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
+    """Title, headers and rows: mean (95th percentile) over the arms in mm."""
+    title = (
+        f"{rows[0].error.count} arms: root mean square encoder error along the way in mm, mean over the arms (95th "
+        "percentile); as it goes: after the best single lag"
+    )
+    cells = [
+        [case, *(f"{1e3 * row.error.mean.value:.2f} ({1e3 * row.error.p95:.2f})" for row in rows if row.case == case)]
+        for case in CASES
+    ]
+    return title, ["case", *STANDARD], cells

@@ -103,13 +103,6 @@ class ArmFamily:
     threads: int = field(default=1, repr=False, compare=False)
     """of the simulation; no effect on results"""
 
-    def __post_init__(self) -> None:
-        if not 1 <= self.arms <= FAMILY_SIZE or min(self.targets, self.crossings, self.seed) < 0:
-            raise InputError(
-                f"family: {self.arms} arms, {self.targets} and {self.crossings} targets, seed {self.seed}; expected "
-                f"1 to {FAMILY_SIZE} arms, and no negative number"
-            )
-
     @property
     def wear_seeds(self) -> list[int]:
         """Seeds of all arms."""

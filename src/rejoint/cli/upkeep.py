@@ -1,35 +1,44 @@
-"""Commands that measure where the tool really is, and prepare that."""
+"""Commands that look after an arm: where its tool really is, how it wears over months, and many arms in one command."""
 
 from __future__ import annotations
 
+import os
 import re
 import sys
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 import numpy as np
 
 import rejoint
+from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, picked
-from rejoint.cli.options import Call, takes
+from rejoint.cli.options import Call, Result, takes
+from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
-from rejoint.runs.run import Run
+from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.calibrate import POINTS
+from rejoint.runs.stages.check import BETWEEN
 from rejoint.session.inputs import NO_GAUGE, GaugeLike
-from rejoint.system.errors import InputError
+from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
+from rejoint.system.files import write_text
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
+    from rejoint.runs.fleet.campaign import Executor, FleetResult
+    from rejoint.runs.fleet.file import FleetArm
 
 
 @takes("arm", "part", "live", "period", "seed", "dry_run")
@@ -53,8 +62,6 @@ def calibrate(
         raise InputError("--board and --board-on go with --measure camera")
     if kind == NO_GAUGE:
         raise InputError("--measure none goes with repair; name what measures, or leave it out")
-    if kind == "camera":
-        require("rejoint calibrate --measure camera", "camera")
     if run.exists():
         job = Run.open(run).seeded(call.settings.seed)
     else:
@@ -117,8 +124,7 @@ BOARD = Path("board.toml")
 """Description of the board where none is named, as `rejoint board board.pdf` writes it"""
 
 
-@dataclass(frozen=True)
-class Means:
+class Means(NamedTuple):
     """How the tool is measured, beside by what."""
 
     frame: str | None = None
@@ -146,7 +152,6 @@ class Means:
 
     def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
         """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
-        require("measuring with a camera", "camera")
         from rejoint.camera.board import ON_TABLE, ON_TOOL
         from rejoint.camera.filming import CameraGauge
         from rejoint.camera.tracker import LiveCamera
@@ -219,7 +224,6 @@ def board(
     measured_y: float | None = None,
 ) -> object:
     """Write a ChArUco board as a PDF in true size, with rulers to check the print."""
-    require("rejoint board", "camera")
     from rejoint.camera.board import ON_TABLE, ON_TOOL, write_board, write_pdf
 
     chosen = ON_TOOL if on == "tool" else ON_TABLE
@@ -241,3 +245,159 @@ def board(
     if measured_x is None or measured_y is None:
         call.say("Print it at 100 %, measure both rulers, and run this again with --measured-x and --measured-y.")
     return {"pdf": file, "board": description, "width_mm": width, "height_mm": height}
+
+
+DRIFTS, ALARM = 6, 7
+"""Exit codes of a check: watch the arm, repair it"""
+
+
+@takes("arm", "part", "live", "period", "dry_run")
+def check(
+    call: Call,
+    robot: str,
+    history: Path = RUNS,
+    name: str | None = None,
+    tolerance: float | None = None,
+    used: float | None = None,
+    date: datetime | None = None,
+    moved: bool = False,
+    repeat: int = 1,
+    prometheus: Path | None = None,
+    seed: int | None = None,
+) -> Result:
+    """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
+    chosen = call.arm(robot)
+    if call.named is not None:
+        name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
+    with call.watched("check", lambda found: call.result(found.line)) as observer:
+        for number in range(repeat):
+            when = None if date is None else date + number * BETWEEN
+            found = rejoint.check(
+                robot,
+                history=history,
+                name=name,
+                arm=chosen,
+                tolerance_mm=tolerance,
+                notes=rejoint.CheckNotes(used_h=used, when=when, moved=moved and not number),
+                settings=replace(call.settings, seed=seed),
+                observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
+            )
+    if call.settings.dry_run:
+        return Result(picked(found, "arm", "robot"))
+    for problem in found.unread:
+        call.say(f"left out: {problem}")
+    call.result(f"{found.arm}: {found.line}")
+    outlook = found.outlook
+    if prometheus is not None:
+        from rejoint.runs.history import prometheus_text
+
+        write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
+    value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
+    alarm = outlook.state == "alarm" or outlook.over
+    return Result(value | {"over": outlook.over}, ALARM if alarm else DRIFTS if outlook.state == "drifting" else 0)
+
+
+@takes()
+def history(
+    call: Call,
+    folder: Path = RUNS,
+    page: Path | None = None,
+) -> object:
+    """Show all arms of a folder, the worst first, as a table and as a page."""
+    from rejoint.logs.history import find_rows
+    from rejoint.runs.history import HEADERS, arms_of, cells, write_history
+
+    if not folder.is_dir():
+        raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
+    rows, unread = find_rows(folder)
+    for problem in unread:
+        call.say(f"left out: {problem}")
+    arms = arms_of(rows)
+    if arms:
+        call.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
+    else:
+        call.result(f"There are no checks and no runs below {folder}; begin with: rejoint check ROBOT")
+    path = page or folder / "history.html"
+    value = {"arms": [one.newest for one in arms], "left_out": unread}
+    try:
+        require("the page of the history", "report")
+    except MissingExtraError as error:
+        if page is not None:
+            raise
+        call.say(f"No page: {error}")
+        return value | {"page": None}
+    write_history(path, arms)
+    call.result(f"Page: {path}")
+    return value | {"page": path}
+
+
+@takes("dry_run")
+def fleet(
+    call: Call,
+    verb: Literal["check", "repair"],
+    file: Path,
+    only: str = "",
+    somebody: bool = False,
+    fresh: bool = False,
+    needed: bool = False,
+    address: str | None = None,
+    cpus: int | None = None,
+    training_cpus: float = 1.0,
+    preset: str = "default",
+    controllers: str = "all",
+    sets: int | None = None,
+    repetitions: int | None = None,
+    seed: int | None = None,
+    quick: bool = False,
+) -> Result:
+    """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
+    require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
+    from rejoint.cli.stages import rehearse
+    from rejoint.runs.fleet.campaign import FleetRules, run_fleet
+    from rejoint.runs.fleet.file import read_fleet
+    from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
+
+    found, names = read_fleet(file), opt.controller_names(only) if only else ()
+    if call.settings.dry_run:
+        for arm in found.only(names):
+            call.say(f"{arm.name}:")
+            with call.watched(verb) as observer:
+                if verb == "check":
+                    rejoint.check(arm.address, arm=arm.description, settings=call.settings, observer=observer)
+                else:
+                    rehearse(arm.address, arm.description, None, call.settings, observer, quick=quick)
+        return Result({"fleet": file})
+    if address is not None and not has_token():
+        call.say(
+            f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
+        )
+
+    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
+        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
+
+    trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
+    rules = FleetRules(
+        somebody=somebody,
+        fresh=fresh,
+        needed=needed,
+        plan=rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials),
+        seed=seed,
+        quick=quick,
+    )
+    if address is None:  # all control loops run here
+        rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
+    with call.unsaved(partial(_show_rows, call)):
+        result = run_fleet(found, verb, make_executor, rules, only=names, tell=call.say)
+    _show_rows(call, result)
+    if quick:
+        call.say("A quick try: little of everything was done, so none of this is a result.")
+    call.result(f"Page: {os.path.relpath(result.page)}")
+    return Result({"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}, result.code)
+
+
+def _show_rows(call: Call, result: FleetResult) -> None:
+    from rejoint.runs.fleet.campaign import HEADERS
+
+    call.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
+    for row in result.rows:
+        call.result(f"{row.name}: {row.found}")
