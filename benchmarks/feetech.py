@@ -31,7 +31,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import BLOCK, FRAME, FeetechBus
-from rejoint.robots.feetech.gains import TABLE
+from rejoint.robots.feetech.gains import KIND
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
@@ -116,8 +116,8 @@ def asked_of(bus, goal):
     """Return the packets of a cycle, the size of the answer, and their time [s] on the wire and in the adapter."""
     pairs = zip(bus.ids, bus.zeros.counts(goal), strict=True)
     goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in pairs)
-    write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals))
-    read = encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *bus.ids])))
+    write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([KIND.registers["goal"].address, 2]) + goals))
+    read = encode(Packet(BROADCAST, SYNC_READ, bytes([KIND.registers["position"].address, BLOCK, *bus.ids])))
     size = (BLOCK + FRAME) * len(bus.ids)
     answers = StsBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
     return write, read, size, (len(write) + len(read)) * BYTE + answers[-1].after + ADAPTER

@@ -195,14 +195,12 @@ def test_a_gripper_opens_beside_the_joints():
     arm = built()
     arm.servos[5]["Min_Position_Limit"], arm.servos[5]["Max_Position_Limit"] = 1500, 2040
     with serving(arm) as server, opened(server) as robot:
-        gripper = Gripper.find(robot.relay, place_of(server.address).detail.table)
+        gripper = Gripper.find(robot.bus)
         gripper.serve()
         assert arm.servos[5].writes == []
         gripper.goal = 50.0
         gripper.serve()
         assert arm.servos[5]["Goal_Position"] == 1770
-        with pytest.raises(RobotError, match="is not passed on"):
-            robot.relay(3, bytes([1, GOAL, 0, 0, 0, 0]))
 
 
 TARGETS = np.array([[KOCH.targets.lower, KOCH.targets.upper]])

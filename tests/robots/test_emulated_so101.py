@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots import open_robot
-from rejoint.robots.feetech.gains import for_all
+from rejoint.robots.feetech.gains import KIND
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import build_arm
 from rejoint_lab.plant.sts3215 import SETTING
@@ -22,7 +22,7 @@ def behind_its_bus(wear, gains):
     """An arm whose registers hold ``gains``, at rest."""
     arm = build_arm(ARM, wear, seed=5)
     for index, servo in enumerate(arm.servos[: ARM.joints]):
-        for name, values in for_all(gains, ARM.joints).items():
+        for name, values in KIND.for_all(gains, ARM.joints).items():
             servo[REGISTERS[name]] = values[index]
         arm.settle(index)
     arm.plant.reset(ARM.rest[None])
@@ -67,7 +67,7 @@ def test_its_address_names_the_gains_and_they_decide_how_far_it_sags():
 def test_gains_are_tuned_for_the_whole_batch_and_each_arm_moves_as_it_would_alone():
     wears = [load_wear(f"so101?seed={i}", ARM) for i in range(3)]
     both, alone = EmulatedRobot(ARM, wears, seed=3), EmulatedRobot(ARM, wears[2:], seed=3, first=2)
-    tuned = for_all({"p": 48, "i": 2}, 5)
+    tuned = KIND.for_all({"p": 48, "i": 2}, 5)
     for robot in (both, alone):
         robot.tune(tuned)
         assert {name: robot.servo_gains()[name] for name in tuned} == tuned

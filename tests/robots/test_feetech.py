@@ -14,9 +14,9 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.feetech.bus import FeetechBus, Wire, zeros_of
-from rejoint.robots.feetech.gains import KNOBS, TABLE
-from rejoint.robots.knobs import LIMIT, Tuning, strides_of
+from rejoint.robots.feetech.bus import FeetechBus, FeetechWire, zeros_of
+from rejoint.robots.feetech.gains import KIND
+from rejoint.robots.knobs import LIMIT, Tuning
 from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
@@ -108,7 +108,7 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
     class Memory:
-        names, load, gravity, strides = ("1", "2"), 0.0, 0.8, strides_of(KNOBS)
+        names, load, gravity, strides = ("1", "2"), 0.0, 0.8, KIND.strides
         gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
 
         def read_gains(self):
@@ -167,7 +167,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
     with serving() as server, closing(open_robot(server.address)) as robot:
         servo = server.arm.servos[5]
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
-        gripper = Gripper.find(robot.relay, TABLE)
+        gripper = Gripper.find(robot.bus)
         assert gripper.opened == pytest.approx(100 * (servo["Present_Position"] - low) / (high - low))
         gripper.serve()
         assert servo.writes == []
@@ -179,11 +179,9 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
         assert goal == (high, 500, 1)
         assert gripper.opened > 90.0
         assert len([1 for address, _ in servo.writes if address == GOAL]) == 1
-        assert Gripper.find(robot.relay, TABLE, 9) is None
-        for payload in ([1, GOAL, 0, 0], [6, LOCK, 0], [6, 5, 7]):
-            with pytest.raises(RobotError, match="is not passed on"):
-                robot.relay(3, bytes(payload))
         assert all(servo["Torque_Enable"] == servo["Lock"] == 1 for servo in server.arm.servos)
+        servo["ID"] = 9
+        assert Gripper.find(robot.bus) is None
 
 
 def test_gains_that_came_during_a_connection_are_set_again_on_the_next_one():
@@ -331,7 +329,7 @@ def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
 
 def test_the_end_of_a_run_does_not_say_that_joints_hold_which_lost_their_torque(monkeypatch):
     with serving() as server, closing(open_robot(server.address)) as robot:
-        ask, asked = Wire.read_all, []
+        ask, asked = FeetechWire.read_all, []
 
         def lose(wire, servos, address, size):
             asked.append(servos)
@@ -341,7 +339,7 @@ def test_the_end_of_a_run_does_not_say_that_joints_hold_which_lost_their_torque(
                 return {}
             return ask(wire, servos, address, size)
 
-        monkeypatch.setattr(Wire, "read_all", lose)
+        monkeypatch.setattr(FeetechWire, "read_all", lose)
         with pytest.raises(PowerLostError) as caught:
             run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=1.5))
     assert "What has no torque does not hold" in " ".join(caught.value.__notes__)
@@ -353,16 +351,16 @@ def test_servos_that_began_anew_are_not_switched_on_by_the_next_goal(monkeypatch
     """A dip of the supply resets servos: they are silent for a moment, joints fall, and any goal would lift them."""
     with serving() as server, closing(open_robot(server.address)) as robot:
         robot.step(ARM.rest[None])
-        ask = Wire.read_all
+        ask = FeetechWire.read_all
 
         def silent_once(wire, servos, address, size):
-            monkeypatch.setattr(Wire, "read_all", ask)
+            monkeypatch.setattr(FeetechWire, "read_all", ask)
             for servo in fallen:
                 server.arm.servos[servo - 1]["Torque_Enable"] = 0
                 server.arm.settle(servo - 1)
             return {servo: data for servo, data in ask(wire, servos, address, size).items() if servo not in fallen}
 
-        monkeypatch.setattr(Wire, "read_all", silent_once)
+        monkeypatch.setattr(FeetechWire, "read_all", silent_once)
         with pytest.raises(PowerLostError, match=r"elbow_flex .servo 3.* has lost its torque"):
             robot.step(ARM.rest[None])
         robot.stop()

@@ -14,7 +14,7 @@ from rejoint.control.controllers.contract import decode_contract, encode_contrac
 from rejoint.control.servogains import GainsFound, OverloadedError, Round
 from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
-from rejoint.robots.feetech.gains import for_all
+from rejoint.robots.feetech.gains import KIND
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.session import context, controllers
@@ -27,7 +27,7 @@ from rejoint_lab.emulator.feetech import StsSession, build_arm
 from rejoint_lab.emulator.servers import on_port
 from servorobot import ARM, ServoRobot
 
-FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
+FOUND = KIND.for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
 SEEN = Round(error=np.zeros(5), unrest=np.zeros(5), tool=0.0)
 
 

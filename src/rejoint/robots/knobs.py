@@ -1,19 +1,22 @@
-"""Servos on a bus: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
+"""Kinds of servos: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 from urllib.parse import parse_qs, urlsplit
 
+import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, ServoGains
+from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
 from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.system.errors import InputError, RobotError
+from rejoint.system.files import read_toml
 from rejoint.system.stopping import ending
 
 
@@ -46,7 +49,16 @@ def signed(word: int, bit: int) -> int:
     return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 
-class Knob(NamedTuple):
+LIMIT = "limit"
+"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+
+Gains = Mapping[str, int]
+Values = dict[str, tuple[int, ...]]
+"""One per joint, by name"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knob:
     """An adjustable gain."""
 
     names: tuple[str, ...]
@@ -59,38 +71,63 @@ class Knob(NamedTuple):
     """other registers that a value above zero needs"""
 
 
-LIMIT = "limit"
-"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+class Model(NamedTuple):
+    """A model of servos."""
 
-Knobs = Mapping[str, Knob]
-Gains = Mapping[str, int]
-Values = dict[str, tuple[int, ...]]
-"""One per joint, by name"""
+    name: str
+    full: float
+    """value of the register ``load`` at the largest torque"""
+    supply: bool = False
+    """the load is the current of the supply, of which the torque goes as the root"""
 
-
-def strides_of(knobs: Knobs) -> dict[str, int]:
-    """`Knob.stride` by register; one beside changes at once."""
-    found = {name: knob.stride for knob in knobs.values() for name in knob.names}
-    return {name: most for knob in knobs.values() for name, most in knob.beside} | found
-
-
-def read_gains(given: Mapping[str, str], knobs: Knobs) -> Gains:
-    """Read gains from address options; ValueError."""
-    found = {}
-    for name, text in given.items():
-        knob = knobs[name]
-        if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
-            raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
-        found[name] = int(text)
-    return found
+    def share(self, load: int) -> float:
+        """Share of the largest torque, -1 to 1."""
+        part = min(abs(load) / self.full, 1.0)
+        return copysign(part**0.5 if self.supply else part, load)
 
 
-def for_all(gains: Gains, joints: int, knobs: Knobs) -> Values:
-    """Equal gains for all ``joints``, with what they need beside."""
-    found: dict[str, int] = {}
-    for knob, value in gains.items():
-        found |= dict(knobs[knob].beside if value else ()) | dict.fromkeys(knobs[knob].names, value)
-    return {name: (value,) * joints for name, value in found.items()}
+class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Servos of one maker, from a ``servo.toml``."""
+
+    registers: dict[str, Register]
+    memory: tuple[str, ...]
+    """registers of gains"""
+    knobs: dict[str, Knob]
+    ladder: tuple[Rung, ...]
+    """search order of gains"""
+    models: dict[int, Model]
+    """by number"""
+    faults: dict[int, str]
+    """names of error bits"""
+
+    @classmethod
+    def beside(cls, module: str) -> Self:
+        """Read the file beside a ``module``; FileError."""
+        return read_toml(Path(module).with_name("servo.toml"), cls, "install rejoint again")
+
+    @property
+    def strides(self) -> dict[str, int]:
+        """`Knob.stride` by register; one beside changes at once."""
+        found = {name: knob.stride for knob in self.knobs.values() for name in knob.names}
+        return {name: most for knob in self.knobs.values() for name, most in knob.beside} | found
+
+    def read_gains(self, given: Mapping[str, str]) -> Gains:
+        """Read gains from address options; ValueError."""
+        found = {}
+        for name, text in given.items():
+            knob = self.knobs[name]
+            if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
+                raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
+            found[name] = int(text)
+        return found
+
+    def for_all(self, gains: Gains, joints: int) -> Values:
+        """Equal gains for all ``joints``, with what they need beside."""
+        found: dict[str, int] = {}
+        for name, value in gains.items():
+            knob = self.knobs[name]
+            found |= dict(knob.beside if value else ()) | dict.fromkeys(knob.names, value)
+        return {name: (value,) * joints for name, value in found.items()}
 
 
 PAUSE = 0.05
@@ -222,11 +259,10 @@ def _degrees(text: str) -> tuple[float, ...]:
 class ServoAddress:
     """A bus of servos, and what is known of its arm."""
 
-    port: ClassVar[int]
+    kind: ClassVar[ServoKind]
+    port: ClassVar[int] = 9000
     """of TCP addresses"""
     baud: ClassVar[int] = 1_000_000
-    knobs: ClassVar[Knobs] = {}
-    table: ClassVar[Mapping[str, Register]] = {}
     driven: ClassVar[Gains] = {}
     """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
@@ -241,7 +277,7 @@ class ServoAddress:
     zero: tuple[float, ...] = ()
     """[deg] of each joint in mid-range; empty: unsaid"""
     gains: Gains = field(default_factory=dict)
-    """by `knobs`; empty: unchanged"""
+    """empty: unchanged"""
 
     @property
     def spot(self) -> str:
@@ -259,7 +295,7 @@ class ServoAddress:
         """Read ``SCHEME:///dev/DEVICE`` or ``SCHEME://HOST:PORT``, with options; ValueError."""
         plain, _, query = text.partition("?")
         options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
-        known = ("baud", *cls.options, *cls.knobs)
+        known = ("baud", *cls.options, *cls.kind.knobs)
         if set(options) - set(known) or any(len(values) > 1 or not values[0] for values in options.values()):
             raise ValueError(f"expected each of {', '.join(known)} once at most, got {query!r}")
         given = {name: values[0] for name, values in options.items()}
@@ -272,6 +308,6 @@ class ServoAddress:
             wire = tcp_address(plain, port=cls.port)
         return cls(
             wire=replace(wire, text=text),
-            gains=read_gains({name: given[name] for name in cls.knobs if name in given}, cls.knobs),
+            gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),
             **{name: read(given[name]) for name, read in cls.options.items() if name in given},
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
@@ -20,27 +20,15 @@ from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2P
 from rejoint.arms import Arm
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.dynamixel.registers import CURRENT_BASED, ERRORS, MODELS, RUNGS, TABLE, DynamixelAddress, Model
+from rejoint.robots.dynamixel.registers import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.knobs import LIMIT, Values
-from rejoint.robots.servobus import (
-    OK,
-    QUIET,
-    RETRY,
-    SILENT,
-    STEP,
-    VOLT,
-    BlockingPort,
-    ServoBus,
-    Zeros,
-    judge,
-    listed,
-    read_calibration,
-    trouble,
-)
+from rejoint.robots.knobs import Model, Values
+from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
+from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
 from rejoint.system.errors import InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
 
+TABLE = KIND.registers
 ALERT = 0x80
 """Bit of the error byte: the servo has switched itself off"""
 LATENCY = 50.0
@@ -49,7 +37,7 @@ ECHO = 0.002
 """[s] after the answer of one servo in which another's with the same ID would come (chosen)"""
 REFUSED = {4: "a value out of range", 6: "a value beyond a limit", 7: "a register that is locked under torque"}
 """Numbers in an error byte that say why"""
-_ID, _LENGTH, _ERROR = 4, 5, 8  # places in a status packet
+_LENGTH = 5  # its place in a status packet
 _BETWEEN = 4  # [bytes] error, ID and CRC around each servo's data in a fast answer
 
 
@@ -61,13 +49,17 @@ class DynamixelPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the mak
         self.setPacketTimeoutMillis(self.tx_time_per_byte * length + LATENCY)
 
 
-class DynamixelWire:
-    """An open bus, see `rejoint.robots.servobus.ServoWire`."""
+class DynamixelWire(ServoWire):
+    """An open bus of Dynamixel servos."""
+
+    places = 4, 8
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        self._port = DynamixelPort(address).connect()
-        self.quieten, self.close = self._port.quieten, self._port.closePort
-        self._client = Protocol2PacketHandler()
+        port, client = DynamixelPort(address).connect(), Protocol2PacketHandler()
+        orders = (partial(order, port) for order in (client.readTx, client.writeTxRx, client.syncWriteTxOnly))
+        ask, write, write_all = orders
+        super().__init__(port, ask, partial(client.rxPacket, port, False), write, write_all)
+        self._client = client
         self.fast = False
         """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
@@ -81,72 +73,37 @@ class DynamixelWire:
         self._take(result, servo, error)
         return int(number)
 
-    def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read ``size`` registers."""
-        packet: list[int] = []
-        result = self._client.readTx(self._port, servo, address, size)
-        while result == OK and (not packet or packet[_ID] != servo):
-            packet, result = self._client.rxPacket(self._port, False)
-        self._take(result, servo, packet[_ERROR] if result == OK else 0)
-        data = _data(packet)
-        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
-            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
-        return data
-
-    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
-        """Write registers; the servo confirms."""
-        result, error = self._client.writeTxRx(self._port, servo, address, len(data), list(data))
-        self._take(result, servo, error)
-        if error & ~ALERT:
-            why = REFUSED.get(error & ~ALERT, f"error {error & ~ALERT}")
+    def write(self, servo: int, address: int, data: Sequence[int]) -> int:
+        """Write registers; ValueError where the servo refuses."""
+        error = super().write(servo, address, data) & ~ALERT
+        if error:
+            why = REFUSED.get(error, f"error {error}")
             raise ValueError(f"servo {servo} refused {list(data)} for register {address}: {why}")
-
-    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
-        """Read ``size`` registers of all ``servos``; without silent ones."""
-        judge(self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast), servos[0])
-        rows = self._fast(len(servos), size) if self.fast else self._each(len(servos))
-        found = {}
-        for servo, error, data in rows:
-            if servo in servos and len(data) == size:
-                found[servo] = data
-                (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
-        return found
-
-    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write registers of all ``servos``, without answers."""
-        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        judge(self._client.syncWriteTxOnly(self._port, address, len(data[0]), words, len(words)), servos[0])
+        return error
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
         judge(self._client.reboot(self._port, servo)[0], servo)
 
+    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
+        found: int = self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast)
+        return found
+
+    def _answers(self, count: int, size: int) -> Iterable[tuple[int, int, bytes]]:
+        if not self.fast:
+            return super()._answers(count, size)
+        step = size + _BETWEEN
+        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, step * count)
+        places = range(0, len(data) if result == OK else 0, step)
+        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in places]
+
+    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:  # noqa: ARG002
+        _, error = self.places
+        return bytes(packet[error + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])  # behind them: a CRC
+
     def _take(self, result: int, servo: int, error: int) -> None:
         judge(result, servo)
         (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
-
-    def _fast(self, count: int, size: int) -> list[tuple[int, int, bytes]]:
-        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, (size + _BETWEEN) * count)
-        if result != OK:
-            return []
-        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in range(0, len(data), size + _BETWEEN)]
-
-    def _each(self, count: int) -> list[tuple[int, int, bytes]]:
-        rows = []
-        for _ in range(2 * count):  # among them garbled ones
-            packet, result = self._client.rxPacket(self._port, False)
-            if result in SILENT:
-                break
-            if result == OK:
-                rows.append((packet[_ID], packet[_ERROR], _data(packet)))
-            if len({servo for servo, *_ in rows}) == count:
-                break
-        return rows
-
-
-def _data(packet: Sequence[int]) -> bytes:
-    """Return the data of a status packet, which end before its last two counted bytes."""
-    return bytes(packet[_ERROR + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])
 
 
 POSITION, MODES = 3, (3, 4, CURRENT_BASED)
@@ -196,9 +153,6 @@ class DynamixelBus(ServoBus):
 
     name = "Dynamixel arm"
     advice = f"{Bus.advice} `rejoint emulate --arm koch` starts an arm to try"
-    models = {number: model.name for number, model in MODELS.items()}  # noqa: RUF012
-    ladder = RUNGS
-    memory: tuple[str, ...] = ("p", "i", "d", LIMIT, "speed", "acceleration")
     confirms, last = 2, 20
     wire: DynamixelWire
 
@@ -215,7 +169,6 @@ class DynamixelBus(ServoBus):
         super().__init__(address, arm, ids)
         self._owner = address
         self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
-        self._kinds: dict[int, Model] = {}
         self._volts: list[float] = []
         self._first_volts: list[float] = []
         self._words = [""] * len(self.ids)
@@ -227,9 +180,8 @@ class DynamixelBus(ServoBus):
         """Open the port."""
         self._wire = DynamixelWire(self.place)
 
-    def check_model(self, servo: int, number: int) -> None:
+    def check_model(self, servo: int, model: Model) -> None:
         """Require the model of the arm's description."""
-        model = self._kinds[servo] = MODELS[number]
         wanted = (self._arm.servos or (model.name,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
         if model.name not in wanted:
             raise RobotError(
@@ -242,7 +194,7 @@ class DynamixelBus(ServoBus):
         if servo in self.wire.alerts and self._owner.reboot and not self._was_ready:
             self._restart(servo)
         if servo in self.wire.alerts and not self._was_ready:
-            errors = trouble(ERRORS, self.get(servo, "error"))
+            errors = trouble(KIND.faults, self.get(servo, "error"))
             raise RobotError(
                 f"{self.call(servo)} has switched itself off ({errors}); find out why, let it cool down, support the "
                 "arm, then say reboot=yes in the address, or switch the power off and on"
@@ -285,7 +237,7 @@ class DynamixelBus(ServoBus):
         for servo, based in zip(self.ids, mode == CURRENT_BASED, strict=True):
             if based and servo not in self._currents:
                 self._currents[servo] = self.get(servo, "current"), self.get(servo, "largest")
-                self.memory = (*type(self).memory, "current")
+                self.memory = (*KIND.memory, "current")
         free = mode != POSITION
         rows = (
             middle,
@@ -318,14 +270,16 @@ class DynamixelBus(ServoBus):
         rows = [BLOCK.unpack(row) for row in self.ask_all(TABLE["load"].address, BLOCK.size)]
         if self.wire.alerts:
             errors = self.ask_all(TABLE["error"].address, 1)
-            self._words = [trouble(ERRORS, error[0]) or word for error, word in zip(errors, self._words, strict=True)]
+            self._words = [
+                trouble(KIND.faults, error[0]) or word for error, word in zip(errors, self._words, strict=True)
+            ]
         self._sound = not self.wire.alerts
         places = self.zeros.radians([row[2] for row in rows])
         position = [places[lead] for lead in self.leads]
         pairs = zip(places, self.joint.tolist(), self._words, strict=True)
         words = [word or FIGHT * (abs(place - position[j]) > APART * STEP) for place, j, word in pairs]
         words = self._named(words) if any(words) else [""] * len(position)
-        loads = [self._kinds[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
+        loads = [self.found[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
         return Reading(
             position=np.array(position),
             load=self._sign * loads,
@@ -358,11 +312,6 @@ class DynamixelBus(ServoBus):
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
         """Further questions."""
         return (self._care,)
-
-    def strain(self, joint: int) -> tuple[float, float]:
-        """Share of the largest torque, and temperature [deg C]."""
-        servo = self.ids[self.leads[joint]]
-        return abs(self._kinds[servo].share(self.get(servo, "load"))), self.get(servo, "heat")
 
     def close(self) -> None:
         """Put registers back and release the port; the servos hold."""

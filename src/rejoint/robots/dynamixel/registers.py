@@ -1,106 +1,18 @@
-"""A Dynamixel X servo's registers and gains, and addresses of arms with such servos.
-
-Sources: ROBOTIS' e-manual, pages of XL330, XL430, XC430, XM430 and XM540.
-"""
+"""Dynamixel X servos: addresses of arms with them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import copysign
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import Rung
-from rejoint.robots.knobs import COMPLEMENT, LIMIT, Gains, Knob, Register, ServoAddress
+from rejoint.robots.knobs import Gains, ServoAddress, ServoKind
 
-TABLE = {
-    "id": Register(7),
-    "delay": Register(9),
-    "drive": Register(10),
-    "mode": Register(11),
-    "homing": Register(20, 4, COMPLEMENT),
-    "largest": Register(38, 2),
-    "high": Register(48, 4, COMPLEMENT),
-    "low": Register(52, 4, COMPLEMENT),
-    "torque": Register(64),
-    "confirms": Register(68),
-    "error": Register(70),
-    "d": Register(80, 2),
-    "i": Register(82, 2),
-    "p": Register(84, 2),
-    "watchdog": Register(98),
-    LIMIT: Register(100, 2),
-    "current": Register(102, 2, COMPLEMENT),
-    "acceleration": Register(108, 4),
-    "speed": Register(112, 4),
-    "goal": Register(116, 4, COMPLEMENT),
-    "load": Register(126, 2, COMPLEMENT),
-    "position": Register(132, 4, COMPLEMENT),
-    "voltage": Register(144, 2),
-    "heat": Register(146),
-}
-"""Registers below 64 are kept without power, and never written"""
-KNOBS = {
-    "p": Knob(("p",), 50, 4000, 50),
-    "i": Knob(("i",), 0, 1600, 50),
-    "d": Knob(("d",), 0, 8000, 200),
-    LIMIT: Knob((LIMIT,), 100, 885, 885),
-    "current": Knob(("current",), 1, 100, 100),
-    "speed": Knob(("speed",), 0, 1023, 1023),
-    "acceleration": Knob(("acceleration",), 0, 32767, 32767),
-}
-"""Gains and tried limits (chosen). The limit of the output is in 1/885; that of the current, which acts in the mode
-`CURRENT_BASED` alone, in percent of the servo's own; speed and acceleration are those of the profile, 0: none"""
-RUNGS = (
-    Rung((LIMIT,), (885,)),
-    Rung(("current",), (100,)),
-    Rung(("p",), (800, 1200, 1800, 2700)),
-    Rung(("p",), (2700,), beside=(("d", 4000),)),
-    Rung(("i",), (400, 1600), alone=True),
-    Rung(("acceleration",), (100,), beside=(("speed", 1023),), alone=True),
-)
-"""Search order (chosen: within `KNOBS`). More D is tried where a joint is restless under more P; the last ones, I and a
-profile, would lag behind a controller"""
+KIND = ServoKind.beside(__file__)
 CURRENT_BASED = 5
 """Operating mode"""
-
-
-class Model(NamedTuple):
-    """A kind of servo."""
-
-    name: str
-    full: float
-    """value of the register ``load`` at the largest torque: the stall current, or 100 % in an XL430 and XC430"""
-    supply: bool = False
-    """the current is that of the supply, of which the torque goes as the root"""
-
-    def share(self, load: int) -> float:
-        """Share of the largest torque, -1 to 1."""
-        part = min(abs(load) / self.full, 1.0)
-        return copysign(part**0.5 if self.supply else part, load)
-
-
-MODELS = {
-    1190: Model("XL330-M077", 1470.0, supply=True),
-    1200: Model("XL330-M288", 1470.0, supply=True),
-    1060: Model("XL430-W250", 1000.0),
-    1070: Model("XC430-W150", 1000.0),
-    1020: Model("XM430-W350", 2.3 / 0.00269),
-    1120: Model("XM540-W270", 4.4 / 0.00269),
-}
-"""Known ones, by number"""
-ERRORS = {
-    1: "voltage",
-    4: "heat",
-    8: "encoder",
-    16: "electrical shock, or too little power",
-    32: "overload",
-}
-"""Bits of the register ``error``"""
-
-FORM = "dynamixel:///dev/DEVICE or dynamixel://HOST:PORT"
 
 
 def _ids(text: str) -> tuple[tuple[int, ...], ...]:
@@ -119,7 +31,7 @@ def _yes(text: str) -> bool:
 class DynamixelAddress(ServoAddress):
     """A bus of Dynamixel servos."""
 
-    port, knobs, table = 9000, KNOBS, TABLE
+    kind = KIND
     driven: ClassVar[Gains] = {"speed": 0, "acceleration": 0}
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
         **ServoAddress.options,
