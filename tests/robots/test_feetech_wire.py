@@ -13,7 +13,8 @@ import pytest
 
 from rejoint.robots.family import serial_address, tcp_address
 from rejoint.robots.feetech.bus import FeetechWire
-from rejoint_lab.emulator.feetech import Packet, encode
+from rejoint_lab.emulator.feetech import encode
+from rejoint_lab.emulator.servobus import Packet
 
 READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"
 """A synchronous read of two registers from 56 on, of the servos 1 to 3"""

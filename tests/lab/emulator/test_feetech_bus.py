@@ -6,15 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
-from rejoint_lab.emulator import feetech as packets
-from rejoint_lab.emulator.feetech import BROADCAST, SIZE, TABLE, Packet, PacketFinder, StsBus, build_arm
+from rejoint_lab.emulator import servobus as packets
+from rejoint_lab.emulator.feetech import SIZE, TABLE, PacketFinder, StsArm, StsBus
+from rejoint_lab.emulator.servobus import BROADCAST, Packet
 
 ARM = load_arm("so101")
 
 
 @pytest.fixture
 def bus():
-    return StsBus(build_arm(ARM, "so101"))
+    return StsBus(StsArm.build(ARM, "so101"))
 
 
 def word(value):
@@ -49,7 +50,7 @@ def test_every_servo_answers_its_ping_and_tells_its_model(bus):
 def test_a_synchronous_read_is_answered_in_its_order_and_its_slots(bus):
     request = Packet(BROADCAST, packets.SYNC_READ, bytes([56, 15, 6, 1, 9, 2]))
     found = bus.execute(request)
-    assert [answer.servo for answer in found] == [5, 0, 1]
+    assert [PacketFinder().feed(answer.data)[0].id for answer in found] == [6, 1, 2]
     assert all(len(answer.data) == 21 for answer in found)
     first, second, fourth = (answer.after for answer in found)
     assert second - first == pytest.approx(24 * 10e-6)
@@ -120,4 +121,4 @@ def test_no_packet_ends_the_bus(number, code, parameters):
     assert np.isfinite(BUS.arm.angles).all()
 
 
-BUS = StsBus(build_arm(ARM, "so101"))
+BUS = StsBus(StsArm.build(ARM, "so101"))

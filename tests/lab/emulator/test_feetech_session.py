@@ -5,18 +5,8 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import (
-    BROADCAST,
-    READ,
-    SYNC_READ,
-    SYNC_WRITE,
-    Packet,
-    PacketFinder,
-    StsSession,
-    build_arm,
-    encode,
-)
-from rejoint_lab.emulator.servobus import ADAPTER
+from rejoint_lab.emulator.feetech import PacketFinder, StsArm, StsBus, encode
+from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, READ, SYNC_READ, SYNC_WRITE, BusSession, Packet
 
 ARM = load_arm("so101")
 MOVE = encode(Packet(BROADCAST, SYNC_WRITE, bytes([42, 2, 1, 0, 8, 2, 0, 8])))
@@ -33,8 +23,8 @@ class Client:
         faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
-        arm = build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
-        self.session = StsSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        arm = StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
+        self.session = BusSession(StsBus(arm), faults=faults, clock=lambda: self.now, await_data=self._await)
         self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
         self.session.bus.execute = self._obey
         self.session.converse(self)
