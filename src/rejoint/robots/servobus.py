@@ -55,7 +55,7 @@ class ServoBus(Bus):
         """models of the servos"""
         self.names = [self.call(self.ids[lead]) for lead in self.leads]
         self._tuning = Tuning(self, kind.for_all({**address.driven, **address.gains}, arm.joints))
-        self.zeros = Zeros(middle=(), zero=(), low=(), high=(), step=())
+        self.zeros: Zeros
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
         self._until: float | None = None  # [s] deadline of `prepare`
@@ -155,8 +155,7 @@ class ServoBus(Bus):
 
     def get(self, servo: int, name: str) -> int:
         """Read a register, again where the answer is lost."""
-        register = self.table[name]
-        return register.decode(self.read_block(servo, register.address, register.size))
+        return int(self._decoded((name,), [self.read_block(servo, (name,))])[0, 0])
 
     def get_all(self, name: str) -> Counts:
         """Read a register of every servo, (m,)."""
@@ -175,16 +174,29 @@ class ServoBus(Bus):
                 f"{self.table['confirms'].address} to {self.confirms}"
             ) from error
 
-    def read_block(self, servo: int, address: int, size: int) -> bytes:
-        """Read neighbouring registers, again where the answer is lost."""
-        return self.sure(partial(self.wire.read, servo, address, size))
+    def span(self, names: Sequence[str]) -> tuple[int, int]:
+        """First address and size of neighbouring registers."""
+        first = min(self.table[name].address for name in names)
+        return first, max(self.table[name].address + self.table[name].size for name in names) - first
 
-    def ask_all(self, address: int, size: int) -> list[bytes]:
-        """Read registers of all servos at once; TimeoutError names those that are missing."""
-        answers = self.wire.read_all(self.ids, address, size)
+    def read_block(self, servo: int, names: Sequence[str]) -> bytes:
+        """Read neighbouring registers, again where the answer is lost."""
+        return self.sure(partial(self.wire.read, servo, *self.span(names)))
+
+    def ask_all(self, *names: str) -> Counts:
+        """Read neighbouring registers of all servos at once, a row (m,) each; TimeoutError names those missing."""
+        answers = self.wire.read_all(self.ids, *self.span(names))
         if len(answers) < len(self.ids):
             self._require([servo for servo in self.ids if servo not in answers])
-        return [answers[servo] for servo in self.ids]
+        return self._decoded(names, [answers[servo] for servo in self.ids])
+
+    def _decoded(self, names: Sequence[str], blocks: Sequence[bytes]) -> Counts:
+        """Values (k, b) of k registers in blocks that hold all of them."""
+        first, _ = self.span(names)
+        registers = [self.table[name] for name in names]
+        return np.array(
+            [[one.decode(block[one.address - first :][: one.size]) for block in blocks] for one in registers]
+        )
 
     def call(self, servo: int) -> str:
         """Name of a servo in messages."""
@@ -270,14 +282,9 @@ class ServoBus(Bus):
 
     def read_gains(self) -> Values:
         """Ask each joint's first servo for all its gains at once."""
-        registers = [self.table[name] for name in self.memory]
-        first = min(register.address for register in registers)
-        size = max(register.address + register.size for register in registers) - first
-        blocks = [self.read_block(self.ids[lead], first, size) for lead in self.leads]
-        return {
-            name: tuple(one.decode(block[one.address - first :][: one.size]) for block in blocks)
-            for name, one in zip(self.memory, registers, strict=True)
-        }
+        blocks = [self.read_block(self.ids[lead], self.memory) for lead in self.leads]
+        values = self._decoded(self.memory, blocks).tolist()
+        return {name: tuple(row) for name, row in zip(self.memory, values, strict=True)}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all joints."""
@@ -301,30 +308,27 @@ STEP = 2 * np.pi / COUNTS_PER_TURN
 
 
 class Zeros(NamedTuple):
-    """Counts and radians of m servos, as plain numbers for speed."""
+    """Counts and radians of m servos."""
 
-    middle: tuple[float, ...]
+    middle: Array
     """(m,) [counts] at ``zero``"""
-    zero: tuple[float, ...]
+    zero: Array
     """(m,) [rad]"""
-    low: tuple[int, ...]
+    low: Counts
     """(m,) [counts] goals"""
-    high: tuple[int, ...]
+    high: Counts
     """(m,) [counts]"""
-    step: tuple[float, ...]
+    step: Array
     """(m,) [rad] per count"""
 
-    def radians(self, counts: Sequence[int]) -> list[float]:
+    def radians(self, counts: Sequence[int]) -> Array:
         """Joint positions (m,) [rad]."""
-        rows = zip(counts, self.middle, self.zero, self.step, strict=True)
-        return [(count - middle) * step + zero for count, middle, zero, step in rows]
+        return (np.array(counts) - self.middle) * self.step + self.zero
 
     def counts(self, position: Array) -> list[int]:
         """Goals (m,) of positions [rad], within the servos' limits."""
-        rows = zip(position.tolist(), *self, strict=True)
-        return [
-            min(max(round((angle - zero) / step + middle), low), high) for angle, middle, zero, low, high, step in rows
-        ]
+        goal = np.rint((position - self.zero) / self.step + self.middle)
+        return list(map(int, np.clip(goal, self.low, self.high)))
 
 
 SAGGING = 0.75
@@ -344,14 +348,13 @@ def trouble(names: Mapping[int, str], bits: int, voltage: float = 1.0, before: f
 class MotorRanges(NamedTuple):
     """LeRobot's calibration of the motors (n,)."""
 
-    ids: tuple[int, ...]
+    ids: tuple[tuple[int, ...], ...]
+    """of each joint's servos: LeRobot calls a second one ``shoulder_shadow``"""
     homing: Counts
     low: Counts
     high: Counts
     turned: Counts
     """drive modes"""
-    seconds: dict[int, tuple[int]]
-    """IDs of second servos, by joint: LeRobot calls them ``shoulder_shadow``"""
 
     def require(self, arm: Arm, homing: Counts) -> None:
         """Raise RobotError unless the servos of ``arm`` have these offsets (n,)."""
@@ -369,23 +372,14 @@ def read_calibration(path: Path, arm: Arm, *, turned: bool = False) -> MotorRang
     motors = read_homing(path, turned=turned)
     columns = match_joints(list(motors), arm, path, "calibration").columns
     joints = [list(motors.values())[column] for column in columns]
-    try:
-        ids, homing, low, high = (
-            np.array([int(joint[name]) for joint in joints])
-            for name in ("id", "homing_offset", "range_min", "range_max")
-        )
-        seconds = {
-            j: (int(motors[name]["id"]),)
-            for j, joint in enumerate(arm.joint_names)
-            if (name := f"{joint}_shadow") in motors
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        wanted = "id, homing_offset, range_min and range_max of every motor"
-        raise InputError(f"{path}: expected {wanted} ({error!r})") from error
+    homing, low, high = (
+        np.array([joint[name] for joint in joints]) for name in ("homing_offset", "range_min", "range_max")
+    )
     if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
         raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
-    modes = np.array([joint.get("drive_mode", 0) for joint in joints])
-    return MotorRanges(tuple(ids.tolist()), homing, low, high, modes, seconds)
+    pairs = [(joint, motors.get(f"{name}_shadow")) for name, joint in zip(arm.joint_names, joints, strict=True)]
+    ids = tuple(tuple(motor["id"] for motor in pair if motor) for pair in pairs)
+    return MotorRanges(ids, homing, low, high, np.array([joint.get("drive_mode", 0) for joint in joints]))
 
 
 SOFT = 500

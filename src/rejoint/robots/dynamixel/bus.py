@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2PacketHandler
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel.registers import CURRENT_BASED, KIND, DynamixelAddress
@@ -126,10 +125,8 @@ LEAVE = 3.0
 DELAY_UNIT, PROMPT = 2, 20
 """[us] per count of a servo's return delay, and the longest that is not named (chosen)"""
 TIMER = "/sys/bus/usb-serial/devices/{}/latency_timer"
-BLOCK = struct.Struct("<hii")
-"""Registers ``load``, velocity and ``position``"""
-SUPPLY = struct.Struct("<HB")
-"""Registers ``voltage`` and ``heat``"""
+MEASURED = ("load", "position")
+"""Registers of a cycle"""
 
 
 @cache
@@ -159,9 +156,7 @@ class DynamixelBus(ServoBus):
     def __init__(self, address: DynamixelAddress, arm: Arm) -> None:
         path = address.calibration
         self._file = file = None if path is None else read_calibration(path, arm, turned=True)
-        ids = [*address.ids] or counted(arm)
-        if file and not address.ids:
-            ids = [(servo, *file.seconds.get(j, ())) for j, servo in enumerate(file.ids)]
+        ids = address.ids or (counted(arm) if file is None else file.ids)
         if len(ids) != arm.joints:
             raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
         if strange := set(address.reverse) - set(arm.joint_names):
@@ -169,8 +164,8 @@ class DynamixelBus(ServoBus):
         super().__init__(address, arm, ids)
         self._owner = address
         self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
-        self._volts: list[float] = []
-        self._first_volts: list[float] = []
+        self._volts: Array
+        self._first_volts: Array | None = None
         self._words = [""] * len(self.ids)
         self._currents: dict[int, tuple[int, int]] = {}  # limits of servos that obey them: found, and largest
         self._before: Values = {}
@@ -239,24 +234,23 @@ class DynamixelBus(ServoBus):
                 self._currents[servo] = self.get(servo, "current"), self.get(servo, "largest")
                 self.memory = (*KIND.memory, "current")
         free = mode != POSITION
-        rows = (
-            middle,
-            self.address.middle(arm)[self.joint],
-            np.where(free, -FARTHEST, low),
-            np.where(free, FARTHEST, high),
-            STEP * self._sign[self.joint],
+        return Zeros(
+            middle=middle,
+            zero=self.address.middle(arm)[self.joint],
+            low=np.where(free, -FARTHEST, low),
+            high=np.where(free, FARTHEST, high),
+            step=STEP * self._sign[self.joint],
         )
-        return Zeros(*(tuple(row.tolist()) for row in rows))
 
     def set_up(self) -> None:
         """Find what is quick, and what was set."""
-        wire, block = self.wire, TABLE["load"].address
+        wire, block = self.wire, self.span(MEASURED)
         wire.fast = True
-        wire.fast = any(len(wire.read_all(self.ids, block, BLOCK.size)) == len(self.ids) for _ in range(2))
+        wire.fast = any(len(wire.read_all(self.ids, *block)) == len(self.ids) for _ in range(2))
         wire.quieten(0.0 if wire.fast else QUIET)
         self._before = self._before or self.read_gains()
         self._care()
-        self._first_volts = self._first_volts or self._volts
+        self._first_volts = self._volts if self._first_volts is None else self._first_volts
         slow = DELAY_UNIT * int(self.get_all("delay").max())
         if slow > PROMPT:
             say(f"A servo waits {slow} us before it answers; register {TABLE['delay'].address} set to 0 would end that")
@@ -267,23 +261,20 @@ class DynamixelBus(ServoBus):
     def read(self) -> Reading:
         """Ask all servos; those with an alert, why."""
         self._sound = False
-        rows = [BLOCK.unpack(row) for row in self.ask_all(TABLE["load"].address, BLOCK.size)]
+        loads, counts = self.ask_all(*MEASURED)
         if self.wire.alerts:
-            errors = self.ask_all(TABLE["error"].address, 1)
-            self._words = [
-                trouble(KIND.faults, error[0]) or word for error, word in zip(errors, self._words, strict=True)
-            ]
+            (errors,) = self.ask_all("error")
+            self._words = [trouble(KIND.faults, error) or word for error, word in zip(errors, self._words, strict=True)]
         self._sound = not self.wire.alerts
-        places = self.zeros.radians([row[2] for row in rows])
-        position = [places[lead] for lead in self.leads]
-        pairs = zip(places, self.joint.tolist(), self._words, strict=True)
-        words = [word or FIGHT * (abs(place - position[j]) > APART * STEP) for place, j, word in pairs]
-        words = self._named(words) if any(words) else [""] * len(position)
-        loads = [self.found[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
+        places = self.zeros.radians(counts)
+        position = places[self.leads]
+        fights = np.abs(places - position[self.joint]) > APART * STEP
+        words = self._named([word or FIGHT * fight for word, fight in zip(self._words, fights.tolist(), strict=True)])
+        shares = [self.found[self.ids[lead]].share(loads[lead]) for lead in self.leads]
         return Reading(
-            position=np.array(position),
-            load=self._sign * loads,
-            voltage=np.array(self._volts)[self.leads],
+            position=position,
+            load=self._sign * shares,
+            voltage=self._volts[self.leads],
             fault=np.array([bool(word) for word in words]),
             trouble=tuple(words) if any(words) else None,
         )
@@ -323,11 +314,11 @@ class DynamixelBus(ServoBus):
 
     def _care(self) -> Vitals:
         """Ask for supply and temperature."""
-        rows = [SUPPLY.unpack(row) for row in self.ask_all(TABLE["voltage"].address, SUPPLY.size)]
-        self._volts = [VOLT * row[0] for row in rows]
-        before = self._first_volts or self._volts
-        self._words = [trouble({}, 0, volt, was) for volt, was in zip(self._volts, before, strict=True)]
-        return Vitals(temperature=np.maximum.reduceat([float(row[1]) for row in rows], self.leads))
+        volts, heats = self.ask_all("voltage", "heat")
+        self._volts = VOLT * volts
+        before = self._volts if self._first_volts is None else self._first_volts
+        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, before, strict=True)]
+        return Vitals(temperature=np.maximum.reduceat(heats, self.leads))
 
     def _named(self, words: list[str]) -> list[str]:
         """Join the troubles of each joint's servos."""

@@ -6,7 +6,6 @@ the servos' memory.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,8 +16,7 @@ from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech.gains import KIND, DutyLaw, FeetechAddress, duty_laws
-from rejoint.robots.knobs import signed
+from rejoint.robots.feetech.gains import KIND, FeetechAddress, duty_laws
 from rejoint.robots.servobus import (
     STEP,
     VOLT,
@@ -70,8 +68,8 @@ class FeetechWire(ServoWire):
 
 
 POSITION_MODE = 0
-BLOCK = 15
-"""Measured registers from ``position`` on"""
+MEASURED = ("position", "load", "voltage", "heat", "status", "target")
+"""Registers of a cycle"""
 PROMPT = 254
 """[100 counts/s^2] as LeRobot sets it"""
 
@@ -84,8 +82,8 @@ class FeetechBus(ServoBus):
 
     def __init__(self, address: FeetechAddress, arm: Arm) -> None:
         self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
-        ids = range(1, arm.joints + 1) if self._file is None else self._file.ids
-        super().__init__(address, arm, [(servo,) for servo in ids])
+        ids = [(servo,) for servo in range(1, arm.joints + 1)] if self._file is None else self._file.ids
+        super().__init__(address, arm, ids)
         self.supply: tuple[float, ...] = ()
         """(n,) [V] at the start"""
 
@@ -122,8 +120,17 @@ class FeetechBus(ServoBus):
 
     def read(self) -> Reading:
         """Ask all servos."""
-        rows = self.ask_all(self.table["position"].address, BLOCK)
-        return decode(rows, self.zeros, duty_laws(self._tuning.values), self.supply)
+        places, duties, volts, heats, statuses, targets = self.ask_all(*MEASURED)
+        laws = zip(duty_laws(self._tuning.values), duties, targets - places, strict=True)
+        words = [trouble(KIND.faults, *seen) for seen in zip(statuses, VOLT * volts, self.supply, strict=True)]
+        return Reading(
+            position=self.zeros.radians(places),
+            load=np.array([law.share(duty, error) for law, duty, error in laws]),
+            voltage=VOLT * volts,
+            temperature=heats,
+            fault=np.array([bool(word) for word in words]),
+            trouble=tuple(words) if any(words) else None,
+        )
 
     def keep(self, gains: ServoGains) -> None:
         """Save gains; each lock is open meanwhile."""
@@ -164,28 +171,4 @@ def zeros_of(
             "in the middle of its range"
         )
     zero = np.zeros(arm.joints) if turned is None else turned
-    rows = (least + most) / 2, zero, low, high, np.full(arm.joints, STEP)
-    return Zeros(*(tuple(values.tolist()) for values in rows))
-
-
-# of the measured registers position, load, voltage, temperature, status and goal
-_ROW = struct.Struct("<HxxHBBxBxHxx")
-
-
-def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
-    """Read the ``rows`` of n servos; ``supply`` [V] at the start."""
-    table, words = [], []
-    for row, law, before in zip(rows, laws, supply, strict=True):
-        position, duty, volt, heat, status, goal = _ROW.unpack(row)
-        place, voltage = signed(position, 15), volt * VOLT
-        table.append((place, law.share(signed(duty, 10), signed(goal, 15) - place), voltage, heat))
-        words.append(trouble(KIND.faults, status, voltage, before))
-    places, loads, voltages, heats = zip(*table, strict=True)
-    return Reading(
-        position=np.array(zeros.radians(places)),
-        load=np.array(loads),
-        voltage=np.array(voltages),
-        temperature=np.array(heats),
-        fault=np.array([bool(word) for word in words]),
-        trouble=tuple(words) if any(words) else None,
-    )
+    return Zeros(middle=(least + most) / 2, zero=zero, low=low, high=high, step=np.full(arm.joints, STEP))
