@@ -36,7 +36,9 @@ class Register(NamedTuple):
         return word if self.sign is None else signed(word, self.sign)
 
     def encode(self, value: int) -> bytes:
-        """Write a value; one below zero as two's complement."""
+        """Write a value, without a sign bit as two's complement."""
+        if self.sign not in (None, COMPLEMENT):
+            value = magnitude(value, self.sign)
         return value.to_bytes(self.size, "little", signed=value < 0)
 
 
@@ -44,8 +46,15 @@ COMPLEMENT = -1
 """`Register.sign` of two's complement"""
 
 
+def magnitude(value: int, bit: int) -> int:
+    """Return the size and sign ``bit`` of a value; ValueError if it does not fit."""
+    if abs(value) >= 1 << bit:
+        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
+    return -value | 1 << bit if value < 0 else value
+
+
 def signed(word: int, bit: int) -> int:
-    """Return number with a sign ``bit``."""
+    """Inverse of `magnitude`."""
     return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 

@@ -246,15 +246,11 @@ class ServoBus(Bus):
             if model not in self.kind.models:
                 raise RobotError(f"{self.call(servo)} is of model {model}, expected {listed(self.kind.models)}")
             self.found[servo] = self.kind.models[model]
-            self.check_model(servo, self.found[servo])
         known = {*self.ids, max(self.ids) + 1}
         search = () if self._was_ready or not missing else set(range(self.last + 1)) - known
         self._require(missing, [servo for servo in search if self.answers(servo)], RobotError)  # the others do answer
         for servo in self.ids:
             self.check(servo)
-
-    def check_model(self, servo: int, model: Model) -> None:
-        """Raise RobotError for a model that the arm does not have there."""
 
     def _require_torque(self) -> None:
         self._limp = {servo for servo in self.ids if self.get(servo, "torque") != 1}

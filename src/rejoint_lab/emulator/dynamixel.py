@@ -6,11 +6,13 @@ software leaves in the servos). Where the manual is silent, a comment says what 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from typing import NamedTuple
 
 from rejoint.arms import Arm
+from rejoint.robots.knobs import COMPLEMENT
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
@@ -20,7 +22,6 @@ from rejoint_lab.emulator.servobus import (
     SYNC_READ,
     SYNC_WRITE,
     TURN,
-    TWO,
     WRITE,
     Answer,
     Codec,
@@ -42,6 +43,7 @@ FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
+_WORDS = struct.Struct("<HH")  # address and size
 _CLEAR = b"\x01DXL\x22"
 
 
@@ -115,7 +117,7 @@ def table_of(model: str) -> dict[str, MemoryField]:
             row["name"],
             row["access"],
             int(row[model]),
-            TWO if row["low"].startswith("-") else None,
+            COMPLEMENT if row["low"].startswith("-") else None,
             row["low"],
             row["high"],
         )
@@ -461,7 +463,7 @@ class XBus(EmulatedBus[XServo]):
                 return None
             if len(data) != 4:
                 return LENGTH, b""
-            return self._read(servo, *_words(data))
+            return self._read(servo, *_WORDS.unpack(data))
         error = self._do(servo, request, shadow)
         answers = servo["Status_Return_Level"] == 2 and request.id != BROADCAST
         return (error, b"") if answers else None
@@ -528,7 +530,7 @@ class XBus(EmulatedBus[XServo]):
         place = len(head)
         while place + 5 - len(head) <= len(data):
             start = place + 5 - len(head)
-            address, size = _words(head or data[place + 1 : start])
+            address, size = _WORDS.unpack(head or data[place + 1 : start])
             end = start + size * (code in self.writes)
             if end <= len(data):
                 yield Part(data[place], address, size, data[start:end])
@@ -546,7 +548,3 @@ class XBus(EmulatedBus[XServo]):
             frame += bytes([self._error(servo, error), servo.number]) + data
             frame += crc(frame)
         return [Answer(self._delay(heard[0][0][0]) + len(frame) * self.byte, frame)]
-
-
-def _words(data: bytes) -> tuple[int, ...]:
-    return tuple(int.from_bytes(data[k : k + 2], "little") for k in range(0, len(data), 2))

@@ -12,15 +12,13 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.robots.knobs import Register
 from rejoint.robots.wireserver import ByteStream, Finder, await_data
 from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
 from rejoint_lab.plant.servo import STEP
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
-
-TWO = -1
-"""Sign of numbers in two's complement"""
 
 
 class Packet(NamedTuple):
@@ -49,28 +47,20 @@ class MemoryField(NamedTuple):
     """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept"""
     default: int
     sign: int | None = None
-    """sign bit, `TWO`, or None"""
+    """as of a `Register`"""
     low: str = ""
     high: str = ""
     """limits: numbers or names of registers"""
 
     @property
+    def register(self) -> Register:
+        """Its bytes."""
+        return Register(self.address, self.size, self.sign)
+
+    @property
     def cells(self) -> slice:
         """Its place."""
         return slice(self.address, self.address + self.size)
-
-
-def magnitude(value: int, bit: int) -> int:
-    """``value`` as size and sign ``bit``."""
-    if abs(value) >= 1 << bit:
-        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
-    return -value | 1 << bit if value < 0 else value
-
-
-def signed(word: int, bit: int) -> int:
-    """Inverse of `magnitude`."""
-    size = word & ~(1 << bit)
-    return -size if word & 1 << bit else size
 
 
 class Registers:
@@ -96,14 +86,12 @@ class Registers:
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
         field = self.fields[name]
-        word = int.from_bytes(self.cells[field.cells], "little", signed=field.sign == TWO)
-        return word if field.sign in (None, TWO) else signed(word, field.sign)
+        return field.register.decode(bytes(self.cells[field.cells]))
 
     def __setitem__(self, name: str, value: int) -> None:
         """Set a register."""
         field = self.fields[name]
-        word = value if field.sign in (None, TWO) else magnitude(value, field.sign)
-        self.cells[field.cells] = word.to_bytes(field.size, "little", signed=field.sign == TWO)
+        self.cells[field.cells] = field.register.encode(value)
 
     @property
     def number(self) -> int:

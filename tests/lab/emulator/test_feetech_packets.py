@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rejoint.robots.knobs import magnitude, signed
 from rejoint_lab.emulator.feetech import PacketFinder, encode
-from rejoint_lab.emulator.servobus import BROADCAST, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet, magnitude, signed
+from rejoint_lab.emulator.servobus import BROADCAST, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
 
 GOAL = (0x0873).to_bytes(2, "little")
 GOLDEN = {

@@ -21,7 +21,7 @@ from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel.registers import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.knobs import Model, Values
+from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
 from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
 from rejoint.system.errors import InputError, RejointError, RobotError
@@ -175,17 +175,15 @@ class DynamixelBus(ServoBus):
         """Open the port."""
         self._wire = DynamixelWire(self.place)
 
-    def check_model(self, servo: int, model: Model) -> None:
-        """Require the model of the arm's description."""
-        wanted = (self._arm.servos or (model.name,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
-        if model.name not in wanted:
-            raise RobotError(
-                f"{self.call(servo)} is of model {model.name}, and {self._arm.name} has {wanted} there; say which arm "
-                "this is with --arm, or which servos turn each joint with ids= in the address"
-            )
-
     def check(self, servo: int) -> None:
-        """Require a mode with positions and no alert; switch a watchdog off, which would refuse goals."""
+        """Require the model of the arm's description, a mode with positions and no alert; switch a watchdog off."""
+        model = self.found[servo].name
+        wanted = (self._arm.servos or (model,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
+        if model not in wanted:
+            raise RobotError(
+                f"{self.call(servo)} is of model {model}, and {self._arm.name} has {wanted} there; say which arm this "
+                "is with --arm, or which servos turn each joint with ids= in the address"
+            )
         if servo in self.wire.alerts and self._owner.reboot and not self._was_ready:
             self._restart(servo)
         if servo in self.wire.alerts and not self._was_ready:
