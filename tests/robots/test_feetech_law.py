@@ -31,6 +31,6 @@ def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
 
 @given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(KIND.strides)))
 def test_gains_change_in_small_steps_and_arrive(before, wanted, name):
-    values = [step[name][0] for step in steps({name: (before,)}, {name: (wanted,)}, KIND.strides)]
+    values = [row[0] for _, row in steps({name: (before,)}, {name: (wanted,)}, KIND.strides)]
     assert np.abs(np.diff([before, *values])).max(initial=0) <= abs(KIND.strides[name])
     assert [before, *values][-1] == wanted

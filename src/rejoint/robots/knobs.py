@@ -15,48 +15,10 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
 from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_toml
 from rejoint.system.stopping import ending
-
-
-class Register(NamedTuple):
-    """A value in the memory of a servo, lowest byte first."""
-
-    address: int
-    size: int = 1
-    sign: int | None = None
-    """sign bit, `COMPLEMENT`, or None"""
-
-    def decode(self, data: bytes) -> int:
-        """Read the value."""
-        if self.sign == COMPLEMENT:
-            return int.from_bytes(data, "little", signed=True)
-        word = int.from_bytes(data, "little")
-        return word if self.sign is None else signed(word, self.sign)
-
-    def encode(self, value: int) -> bytes:
-        """Write a value, without a sign bit as two's complement."""
-        if self.sign not in (None, COMPLEMENT):
-            value = magnitude(value, self.sign)
-        return value.to_bytes(self.size, "little", signed=value < 0)
-
-
-COMPLEMENT = -1
-"""`Register.sign` of two's complement"""
-
-
-def magnitude(value: int, bit: int) -> int:
-    """Return the size and sign ``bit`` of a value; ValueError if it does not fit."""
-    if abs(value) >= 1 << bit:
-        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
-    return -value | 1 << bit if value < 0 else value
-
-
-def signed(word: int, bit: int) -> int:
-    """Inverse of `magnitude`."""
-    return -(word & ~(1 << bit)) if word & 1 << bit else word
-
 
 LIMIT = "limit"
 """Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
@@ -145,8 +107,8 @@ LOOKS = 6
 """Further looks at a servo that labours (chosen: 0.3 s)"""
 
 
-def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) -> Iterator[dict[str, list[int]]]:
-    """Yield values to write in small steps, by name, one per joint; `LIMIT` rises first and falls last."""
+def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) -> Iterator[tuple[str, list[int]]]:
+    """Yield names and values to write, one per joint, in small steps; `LIMIT` rises first and falls last."""
     ways = [(name, before[name], wanted[name]) for name in before if name in wanted and name != LIMIT]
     if LIMIT in wanted:
         most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
@@ -155,7 +117,7 @@ def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) ->
         now, stride = list(here), abs(strides[name])
         while now != list(there):
             now = [min(max(end, value - stride), value + stride) for value, end in zip(now, there, strict=True)]
-            yield {name: now}
+            yield name, now
 
 
 class GainMemory(Protocol):
@@ -215,25 +177,23 @@ class Tuning:
             known = f"{', '.join(before)} of {joints} joints"
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
         there, strides = self._memory.read_gains(), self._memory.strides
-        for step in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
-            self._take(step)
+        for name, values in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
+            self._take(name, values)
             try:
                 if not ending():
-                    self._require_strength(step, there, hottest)
+                    self._require_strength(name, values, there[name], hottest)
             except OverloadedError:
                 for back in steps(self._memory.read_gains(), before, strides):
-                    self._take(back)
+                    self._take(*back)
                 raise
         self.look_up()
 
-    def _take(self, step: Mapping[str, Sequence[int]]) -> None:
-        for name, values in step.items():
-            self._memory.write_gain(name, values)
+    def _take(self, name: str, values: Sequence[int]) -> None:
+        self._memory.write_gain(name, values)
         self._memory.wait(PAUSE)
 
-    def _require_strength(self, step: Mapping[str, Sequence[int]], there: Values, hottest: float) -> None:
-        ((name, values),) = step.items()
-        for joint, (old, value) in enumerate(zip(there[name], values, strict=True)):
+    def _require_strength(self, name: str, values: Sequence[int], there: Sequence[int], hottest: float) -> None:
+        for joint, (old, value) in enumerate(zip(there, values, strict=True)):
             if (value - old) * self._memory.strides[name] <= 0:
                 continue  # else one that labours could not be relieved
             load, heat = self._strain(joint)

@@ -12,7 +12,7 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from rejoint.arms import Arm
-from rejoint.robots.knobs import COMPLEMENT
+from rejoint.robots.registers import COMPLEMENT
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (

@@ -81,11 +81,9 @@ def size_of(data: bytes) -> int | None:
     return None if len(data) < size else size * (checksum(data[2 : size - 1]) == data[size - 1])
 
 
-class PacketFinder(Finder[Packet]):
-    """Finds packets in a stream of bytes."""
-
-    def __init__(self) -> None:
-        super().__init__(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
+def finder() -> Finder[Packet]:
+    """Find packets in a stream of bytes."""
+    return Finder(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
 
 
 COUNTS = 4096
@@ -221,7 +219,7 @@ _WORD = 2
 class StsBus(EmulatedBus[Servo]):
     """Servos of an SO-101 on their wire."""
 
-    scheme, codec, ping_bytes = "feetech", Codec(PacketFinder, encode), _SLOT
+    scheme, codec, ping_bytes = "feetech", Codec(finder, encode), _SLOT
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
     def _parts(self, request: Packet) -> Iterator[Part]:

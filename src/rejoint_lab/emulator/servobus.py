@@ -12,9 +12,9 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.knobs import Register
+from rejoint.robots.registers import Register
 from rejoint.robots.wireserver import ByteStream, Finder, await_data
-from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
+from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
 from rejoint_lab.plant.servo import STEP
@@ -191,6 +191,13 @@ class ServoArm(EmulatedArm, Generic[S]):
         """Whether the supply is off."""
         return bool(in_force(self.faults, "power", self._elapsed))
 
+    @property
+    def silent(self) -> set[int]:
+        """Servos, from 0, that neither hear nor answer."""
+        if self.unpowered:
+            return {*range(len(self.servos))}
+        return {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
+
     @abstractmethod
     def restart(self, servo: S) -> None:
         """Cycle the power of a servo."""
@@ -256,7 +263,7 @@ class Part(NamedTuple):
 
 
 class EmulatedBus(Generic[S]):
-    """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
+    """Servos of ``arm`` on their wire."""
 
     scheme: ClassVar[str]
     """of its address"""
@@ -272,7 +279,6 @@ class EmulatedBus(Generic[S]):
 
     def __init__(self, arm: Any) -> None:  # noqa: ANN401 - of its own kind
         self.arm = arm
-        self.muted: Callable[[], Iterable[int]] = lambda: ()
         self.rate: int | None = None
         """[1/s] at which the client speaks; None: that of all"""
 
@@ -283,11 +289,11 @@ class EmulatedBus(Generic[S]):
 
     def hearing(self) -> list[S]:
         """Servos that hear the client."""
-        muted = set(self.muted())
+        silent = self.arm.silent
         return [
             servo
             for index, servo in enumerate(self.arm.servos)
-            if index not in muted and self.rate in (None, self.rates[servo["Baud_Rate"]])
+            if index not in silent and self.rate in (None, self.rates[servo["Baud_Rate"]])
         ]
 
     def execute(self, request: Packet) -> list[Answer]:
@@ -393,24 +399,11 @@ def await_promptly(readable: int | None, pause: float) -> bool:
 class BusSession(EmulatedConversation[Packet]):
     """The servos of ``bus`` for one client at a time, with timing."""
 
-    def __init__(
-        self,
-        bus: EmulatedBus[Any],
-        *,
-        adapter: float = ADAPTER,
-        faults: Faults = NONE,
-        **options: Any,  # noqa: ANN401
-    ) -> None:
-        super().__init__(bus.arm, faults=faults, **{"await_data": await_promptly} | options)
+    def __init__(self, bus: EmulatedBus[Any], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(bus.arm, **{"await_data": await_promptly} | options)
         self.bus, self.scheme = bus, bus.scheme
-        bus.muted = lambda: self._silenced(faults, self._elapsed(self._clock()))
         # until when the wire is busy
-        self._adapter, self._free = adapter, 0.0
-
-    def _silenced(self, faults: Faults, now: float) -> Iterable[int]:
-        if in_force(faults, "power", now):
-            return range(len(self.bus.arm.servos))
-        return {joint for spell in in_force(faults, "mute", now) for joint in spell.joints}
+        self._free = 0.0
 
     def _finder(self) -> Finder[Packet]:
         return self.bus.codec.finder()
@@ -435,7 +428,7 @@ class BusSession(EmulatedConversation[Packet]):
             pieces[-1] += first
             pieces += rest
         self._free += answers[-1].after
-        due = self._free + self._adapter + self._wire.delay
+        due = self._free + ADAPTER + self._wire.delay
         self.wait(None, due - PROMPT)
         self._await_data(None, max(due - self._clock(), 0.0))
         self._say(channel, pieces)

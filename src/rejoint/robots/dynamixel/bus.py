@@ -19,7 +19,7 @@ from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2P
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.dynamixel.registers import CURRENT_BASED, KIND, DynamixelAddress
+from rejoint.robots.dynamixel.address import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
@@ -55,9 +55,13 @@ class DynamixelWire(ServoWire):
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
         port, client = DynamixelPort(address).connect(), Protocol2PacketHandler()
-        orders = (partial(order, port) for order in (client.readTx, client.writeTxRx, client.syncWriteTxOnly))
-        ask, write, write_all = orders
-        super().__init__(port, ask, partial(client.rxPacket, port, False), write, write_all)
+        super().__init__(
+            port,
+            partial(client.readTx, port),
+            partial(client.rxPacket, port, False),
+            partial(client.writeTxRx, port),
+            partial(client.syncWriteTxOnly, port),
+        )
         self._client = client
         self.fast = False
         """whether all servos answer in one packet"""
