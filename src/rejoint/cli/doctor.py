@@ -9,12 +9,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
-from rejoint.system.errors import RejointError, first_line
+from rejoint.system.errors import RejointError, RobotError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
 
@@ -45,10 +45,8 @@ DRIFT = 0.02
 """Largest difference of two clocks (chosen)"""
 COBOT = ("tcp", "serial")
 """Addresses of a myCobot"""
-VERSION, VOLTAGES, STATUS = 0x02, 0xE3, 0xE4
-"""Questions to a myCobot"""
-TRIED = 73
-"""Firmware version, times ten, of a myCobot with which the driver was tried"""
+TRIED = 7.3
+"""Firmware version of a myCobot with which the driver was tried"""
 STATES = ("voltage", "encoder", "heat", "over-current", "", "overload")
 """Bits of a servo's status"""
 
@@ -74,8 +72,6 @@ class Surroundings:
     """[s] by both clocks"""
     opened: Robot | None = None
     arm: Arm | None = None
-    answers: list[bytes] = field(default_factory=list)
-    """of a myCobot, to `VERSION`, `VOLTAGES` and `STATUS`"""
 
     @property
     def place(self) -> Place[object] | None:
@@ -229,8 +225,6 @@ def robot(case: Surroundings) -> Iterator[Symptom]:
         found, _, fix = other.partition(": ")
         yield Symptom(f"{found.removesuffix(' answers there')} answers at {place}", fix)
         return
-    if isinstance(place.detail, lines.Wire) and place.family.scheme in COBOT:
-        case.answers = [lines.ask_mycobot(place.detail, command) for command in (VERSION, VOLTAGES, STATUS)]
     case.opened = open_robot(place.text, arm=case.arm)
     case.stack.callback(case.opened.close)
     yield Symptom(f"{place} answers: {case.opened.arm.name}, {case.opened.arm.joints} joints")
@@ -242,13 +236,13 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         return
     state, names = case.opened.read(), case.opened.arm.joint_names
     volts, status = _row(state.voltage), list(state.trouble or ())
-    if case.answers:
-        version, power, states = case.answers
-        told, right = f"{version[0] / 10:.1f}" if version else "none", version[:1] == bytes((TRIED,))
-        expected, fix = ("", "") if right else (f", expected {TRIED / 10:.1f}", "update it with the maker's myStudio")
-        yield Symptom(f"firmware: {told}{expected}", fix)
-        volts = np.frombuffer(power, np.uint8) / 10 if len(power) == len(names) else None
-        status = [", ".join(word for bit, word in enumerate(STATES) if one & 1 << bit) for one in states]
+    if case.place is not None and case.place.family.scheme in COBOT:
+        methods = ("get_system_version", "get_servo_voltages", "get_servo_status")
+        version, power, states = (_reply_of(case.opened, method) for method in methods)
+        expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
+        yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
+        volts = np.array(power) if power else None
+        status = [", ".join(word for bit, word in enumerate(STATES) if bit in (one or ())) for one in states or ()]
     heat = _row(state.temperature)
     for what, values, unit, bad, fix in (
         (
@@ -274,6 +268,13 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
                 else "let it rest, and look at the joint"
             )
             yield Symptom(f"{names[j]} reports: {word}", fix)
+
+
+def _reply_of(robot: Any, method: str) -> Any:  # noqa: ANN401
+    """Return what a myCobot answers to a method of the vendor's client; None: nothing."""
+    with suppress(RobotError):
+        return robot.bus.ask(method)
+    return None
 
 
 def _row(values: object) -> np.ndarray | None:
