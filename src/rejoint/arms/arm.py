@@ -171,6 +171,19 @@ def _freeze(instance: object) -> None:
             object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))
 
 
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Loaded(Readable):
+    """An arm and its assumptions."""
+
+    arm: Arm
+    notes: tuple[str, ...] = ()
+    """a sentence per missing or wrong value"""
+
+
+UNKNOWN = Box(lower=np.full(3, np.nan), upper=np.full(3, np.nan))
+"""Targets of an unfinished arm"""
+
+
 MODELS = Path(__file__).parent / "models"
 """Descriptions of the catalogue's arms"""
 

@@ -92,14 +92,19 @@ def frames(arm: Arm, q: Array) -> Frames:
     return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
 
 
+def origins(arm: Arm, q: Array) -> Array:
+    """Origins (..., n + 1, 3) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
+    return _by_posture(all_poses(arm, q), q)[..., 3]
+
+
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return _by_posture(all_poses(arm, q), q)[..., 2, 3]
+    return origins(arm, q)[..., 2]
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP positions (..., 3) [m] at ``q`` (..., n) [rad]."""
-    return _by_posture(all_poses(arm, q), q)[..., -1, :, 3]
+    return origins(arm, q)[..., -1, :]
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:

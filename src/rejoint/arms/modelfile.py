@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.draft import UNKNOWN, Loaded
+from rejoint.arms.arm import UNKNOWN, Arm, Array, Loaded
 from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, rigid_body, usable
 from rejoint.arms.rotations import inverse, pose_of
 from rejoint.system.errors import FileError, InputError
@@ -267,7 +266,7 @@ def _speeds(root: ET.Element) -> dict[str, float]:
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Loaded:
-    """Unfinished arm from body ``base`` to the body or site ``tip``, see `rejoint.arms.draft.finish`.
+    """Unfinished arm from body ``base`` to the body or site ``tip``, see `rejoint.arms.loading.finish`.
 
     Default ``tip``: last link of the longest chain of hinges without a gripper; ``base``: the root. Slides are held;
     other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or an impossible joint.
