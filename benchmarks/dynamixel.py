@@ -19,10 +19,10 @@ from scipy.optimize import least_squares
 
 from benchmarks.feetech import bus_cost
 from rejoint.arms import Arm, Box
-from rejoint.robots.dynamixel.bus import BLOCK, DynamixelBus
-from rejoint.robots.dynamixel.registers import TABLE
-from rejoint_lab.emulator.dynamixel import BROADCAST, FAST_SYNC_READ, SYNC_WRITE, TURN, encode
-from rejoint_lab.emulator.servobus import ADAPTER, BYTE, Packet
+from rejoint.robots.dynamixel.address import KIND
+from rejoint.robots.dynamixel.bus import MEASURED, DynamixelBus
+from rejoint_lab.emulator.dynamixel import FAST_SYNC_READ, encode
+from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_WRITE, TURN, Packet
 from rejoint_lab.plant.plant import Truth, XPlant
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import NEW
@@ -35,10 +35,11 @@ def asked_of(bus, goal):
     """Return the packets of a cycle, the size of the answer, and their time [s] on the wire and in the adapter."""
     pairs = zip(bus.ids, bus.zeros.counts(goal[bus.joint]), strict=True)
     goals = b"".join(bytes([one]) + count.to_bytes(4, "little") for one, count in pairs)
-    write = TABLE["goal"].address.to_bytes(2, "little") + (4).to_bytes(2, "little") + goals
-    read = TABLE["load"].address.to_bytes(2, "little") + BLOCK.size.to_bytes(2, "little") + bytes(bus.ids)
+    write = KIND.registers["goal"].address.to_bytes(2, "little") + (4).to_bytes(2, "little") + goals
+    first, length = bus.span(MEASURED)
+    read = first.to_bytes(2, "little") + length.to_bytes(2, "little") + bytes(bus.ids)
     write, read = (encode(Packet(BROADCAST, *one)) for one in ((SYNC_WRITE, write), (FAST_SYNC_READ, read)))
-    size = 8 + len(bus.ids) * (BLOCK.size + 4)
+    size = 8 + len(bus.ids) * (length + 4)
     return write, read, size, (len(write) + len(read) + size) * BYTE + TURN + ADAPTER
 
 

@@ -30,24 +30,15 @@ from rejoint.control.controllers.classical import DefaultController, IntegratorC
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.feetech.bus import BLOCK, FRAME, FeetechBus
-from rejoint.robots.feetech.gains import TABLE
+from rejoint.robots.feetech.bus import FRAME, MEASURED, FeetechBus
+from rejoint.robots.feetech.gains import KIND
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.twin import NO_TWIN
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.emulator.feetech import (
-    BROADCAST,
-    SYNC_READ,
-    SYNC_WRITE,
-    Packet,
-    PacketFinder,
-    StsBus,
-    build_arm,
-    encode,
-)
-from rejoint_lab.emulator.servobus import ADAPTER, BYTE
+from rejoint_lab.emulator.feetech import StsArm, StsBus, encode, finder
+from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_READ, SYNC_WRITE, Packet
 from rejoint_lab.plant.plant import Plant, StsPlant
 from rejoint_lab.plant.wear import load_wear
 
@@ -116,10 +107,10 @@ def asked_of(bus, goal):
     """Return the packets of a cycle, the size of the answer, and their time [s] on the wire and in the adapter."""
     pairs = zip(bus.ids, bus.zeros.counts(goal), strict=True)
     goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in pairs)
-    write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals))
-    read = encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *bus.ids])))
-    size = (BLOCK + FRAME) * len(bus.ids)
-    answers = StsBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
+    write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([KIND.registers["goal"].address, 2]) + goals))
+    read = encode(Packet(BROADCAST, SYNC_READ, bytes([*bus.span(MEASURED), *bus.ids])))
+    size = (bus.span(MEASURED)[1] + FRAME) * len(bus.ids)
+    answers = StsBus(StsArm.build(ARM, "so101")).execute(finder().feed(read)[0])
     return write, read, size, (len(write) + len(read)) * BYTE + answers[-1].after + ADAPTER
 
 

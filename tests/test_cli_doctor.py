@@ -20,9 +20,10 @@ from rejoint.robots.mycobot import wire
 from rejoint.runs.run import Run
 from rejoint.system import extras
 from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.feetech import StsSession, build_arm
+from rejoint_lab.emulator.feetech import StsArm, StsBus
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import on_port
+from rejoint_lab.emulator.servobus import BusSession
 from test_newcomer import COBOT, serial_line
 
 SO101 = load_arm("so101")
@@ -35,10 +36,10 @@ class Bench:
         self.patch, self.folder, self._stack = patch, folder, stack
 
     def so101(self, fault="", **registers):
-        arm = build_arm(SO101, "so101")
+        arm = StsArm.build(SO101, "so101")
         for name, value in registers.items():
             arm.servos[2][name] = value
-        return self._stack.enter_context(on_port(StsSession(arm, faults=parse_faults(fault, 5)))).address
+        return self._stack.enter_context(on_port(BusSession(StsBus(arm), faults=parse_faults(fault, 5)))).address
 
     def mycobot(self, fault=""):
         computer = build_firmware(mycobot280(), "worn")

@@ -1,6 +1,6 @@
 # The public names: `rejoint` loads each from its module at its first use.
 from rejoint.arms.arm import Arm as Arm
-from rejoint.arms.draft import Loaded as Loaded
+from rejoint.arms.arm import Loaded as Loaded
 from rejoint.arms.loading import load_arm as load_arm
 from rejoint.arms.loading import read_arm as read_arm
 from rejoint.control.comparison.recommend import Recommendation as Recommendation

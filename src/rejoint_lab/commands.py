@@ -40,6 +40,7 @@ def emulate(
     require("rejoint emulate", SIMULATOR)
     from rejoint_lab.emulator import dynamixel, feetech, firmware, servers
     from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
+    from rejoint_lab.emulator.servobus import BusSession, EmulatedBus
 
     chosen = load_arm(arm)
     if chosen.name not in CATALOGUE:
@@ -55,12 +56,13 @@ def emulate(
             stack.callback(truth.close)
         session: servers.EmulatedConversation[Any]
         known: dict[str, Any] = {"seed": seed, "faults": faults, "log": truth}
-        if chosen.name in dynamixel.FITTINGS:
-            chain = dynamixel.build_arm(chosen, wear, seed=seed, resistance=size_of(faults, "sag"))
-            session = dynamixel.XSession(chain, **known)
-        elif on_bus:
-            servos = feetech.build_arm(chosen, wear, seed=seed, resistance=size_of(faults, "sag"))
-            session = feetech.StsSession(servos, **known)
+        if on_bus:
+            built: dict[str, Any] = {"seed": seed, "resistance": size_of(faults, "sag")}
+            if chosen.name in dynamixel.FITTINGS:
+                bus: EmulatedBus[Any] = dynamixel.XBus(dynamixel.XArm.build(chosen, wear, **built))
+            else:
+                bus = feetech.StsBus(feetech.StsArm.build(chosen, wear, **built))
+            session = BusSession(bus, **known)
         else:
             computer = firmware.build_firmware(chosen, wear, seed=seed)
             session = servers.WireSession(computer, **known)

@@ -13,9 +13,9 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.dynamixel import registers as xservos
+from rejoint.robots.dynamixel import address as xservos
 from rejoint.robots.feetech import gains as sts
-from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values, for_all, strides_of
+from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
@@ -37,10 +37,10 @@ class EmulatedServos:
         """``gains`` are in force from the start."""
         self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
         self._sts = isinstance(plant, StsPlant)
-        law: Any = sts if self._sts else xservos
-        self.strides = {name: stride for name, stride in strides_of(law.KNOBS).items() if name != "current"}
-        self.rungs = tuple(rung for rung in law.RUNGS if rung.names[0] in self.strides)
-        for name, values in for_all(gains, plant.arm.joints, law.KNOBS).items():
+        kind = sts.KIND if self._sts else xservos.KIND
+        self.strides = {name: stride for name, stride in kind.strides.items() if name != "current"}
+        self.rungs = tuple(rung for rung in kind.ladder if rung.names[0] in self.strides)
+        for name, values in kind.for_all(gains, plant.arm.joints).items():
             self.write_gain(name, values)
         self.tuning = Tuning(self, {})
         self.tuning.look_up()

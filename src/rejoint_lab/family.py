@@ -9,9 +9,9 @@ from rejoint.arms import CATALOGUE, Arm, load_arm
 from rejoint.arms.inertia import bare
 from rejoint.control.robot import Robot
 from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.dynamixel.registers import KNOBS
-from rejoint.robots.feetech.gains import KNOBS as STS_KNOBS
-from rejoint.robots.knobs import Gains, read_gains
+from rejoint.robots.dynamixel.address import KIND as X_SERIES
+from rejoint.robots.feetech.gains import KIND as STS
+from rejoint.robots.knobs import Gains
 from rejoint_lab.plant.xseries import drives
 
 SIMULATOR = "mujoco"
@@ -46,7 +46,7 @@ def _profile(text: str) -> EmulatedAddress:
     if not base or base.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
     parts = [part.partition("=") for part in query.split("&")] if query else []
-    given = {key: value for key, _, value in parts if key in ("payload", *STS_KNOBS, *KNOBS)}
+    given = {key: value for key, _, value in parts if key in ("payload", *STS.knobs, *X_SERIES.knobs)}
     words, arm = [key for key, equals, _ in parts if not equals], None
     if words or (base in CATALOGUE and not (_PROFILES / f"{base}.toml").is_file()):
         arm, base = base, words[0] if words else "new"
@@ -60,8 +60,8 @@ def _profile(text: str) -> EmulatedAddress:
     if not 0.0 <= payload < 100.0:
         raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
     profile = f"{base}?{rest}" if rest else base
-    knobs = KNOBS if arm and drives(load_arm(arm).servos) else STS_KNOBS
-    return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=read_gains(given, knobs))
+    kind = X_SERIES if arm and drives(load_arm(arm).servos) else STS
+    return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=kind.read_gains(given))
 
 
 def _profile_arm(address: EmulatedAddress) -> str:

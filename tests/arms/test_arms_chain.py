@@ -15,8 +15,8 @@ from rejoint.arms import (
     solve_position,
     tcp_pose,
 )
-from rejoint.arms.draft import finish
 from rejoint.arms.inertia import pseudo_inertia, rigid_body
+from rejoint.arms.loading import finish
 from rejoint.arms.modelfile import cut, read_tree
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose

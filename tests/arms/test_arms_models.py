@@ -27,7 +27,7 @@ from rejoint.arms import (
     tcp_pose,
 )
 from rejoint.arms.arm import MODELS
-from rejoint.arms.draft import finish
+from rejoint.arms.loading import finish
 from rejoint.arms.modelfile import cut, read_tree
 
 ROBOPAL = "assets/models/manipulators"

@@ -19,8 +19,8 @@ from rejoint.control.servogains import (
     stiffness_under,
     under_gains,
 )
-from rejoint.robots.feetech.gains import KNOBS, for_all
-from rejoint.robots.knobs import LIMIT, steps, strides_of
+from rejoint.robots.feetech.gains import KIND
+from rejoint.robots.knobs import LIMIT, steps
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
 from standin import inputs_of, state_of
@@ -165,15 +165,15 @@ def test_stiffness_goes_with_p():
 
 
 def test_gains_go_in_small_steps_with_the_limit_before_the_i_part_and_after_it():
-    before = for_all({"p": 32, "i": 0}, 2) | {LIMIT: (0, 0)}
-    there = list(steps(before, for_all({"p": 40, "i": 2}, 2), strides_of(KNOBS)))
-    assert there[0] == {LIMIT: [50, 50]}
-    assert [step["p"] for step in there if "p" in step] == [[36, 36], [40, 40]]
-    back = list(steps(for_all({"p": 40, "i": 2}, 2), before, strides_of(KNOBS)))
-    assert back[-1] == {LIMIT: [0, 0]}
-    assert [step["i"] for step in back if "i" in step] == [[1, 1], [0, 0]]
-    assert list(steps(before, before, strides_of(KNOBS))) == []
+    before = KIND.for_all({"p": 32, "i": 0}, 2) | {LIMIT: (0, 0)}
+    there = list(steps(before, KIND.for_all({"p": 40, "i": 2}, 2), KIND.strides))
+    assert there[0] == (LIMIT, [50, 50])
+    assert [row for name, row in there if name == "p"] == [[36, 36], [40, 40]]
+    back = list(steps(KIND.for_all({"p": 40, "i": 2}, 2), before, KIND.strides))
+    assert back[-1] == (LIMIT, [0, 0])
+    assert [row for name, row in back if name == "i"] == [[1, 1], [0, 0]]
+    assert list(steps(before, before, KIND.strides)) == []
     one, other = {LIMIT: (50, 0), "i": (1, 0)}, {LIMIT: (0, 50), "i": (0, 1)}
-    assert list(steps(one, other, strides_of(KNOBS))) == [{LIMIT: [50, 50]}, {"i": [0, 1]}, {LIMIT: [0, 50]}], (
+    assert list(steps(one, other, KIND.strides)) == [(LIMIT, [50, 50]), ("i", [0, 1]), (LIMIT, [0, 50])], (
         "0 is no limit at all"
     )

@@ -19,9 +19,10 @@ from rejoint.robots.family import tcp_address
 from rejoint.robots.servobus import Gripper
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import AddressError, ConnectionLostError, GuardTripError, PowerLostError, RobotError
-from rejoint_lab.emulator.dynamixel import XSession, build_arm
+from rejoint_lab.emulator.dynamixel import XArm, XBus
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.servers import on_port
+from rejoint_lab.emulator.servobus import BusSession
 
 pytestmark = pytest.mark.realtime
 
@@ -32,13 +33,15 @@ WRITE = "FF FF FD 00 FE 25 00 83 74 00 04 00" + "".join(f" 0{i} 00 08 00 00" for
 
 
 def built(arm=KOCH):
-    return build_arm(arm, "healthy")
+    return XArm.build(arm, "healthy")
 
 
 @contextmanager
 def serving(arm=None, fault="", pty=False):
     arm = arm or built()
-    with (TerminalServer if pty else on_port)(XSession(arm, faults=parse_faults(fault, arm.arm.joints))) as server:
+    with (TerminalServer if pty else on_port)(
+        BusSession(XBus(arm), faults=parse_faults(fault, arm.arm.joints))
+    ) as server:
         server.arm = arm
         yield server
 
@@ -91,7 +94,7 @@ def test_torque_comes_on_where_the_arm_is_in_whatever_turn_a_servo_counts():
     for index, servo in enumerate(arm.servos):
         servo["Torque_Enable"], servo["Goal_Position"] = 0, 3000
         servo.base += 4096 * (index - 2)
-        arm.settle(index)
+        arm.settle(servo)
     with serving(arm) as server, opened(server) as robot:
         held = robot.read().position[0]
         assert held == pytest.approx(arm.angles, abs=np.radians(2.5))
@@ -143,7 +146,7 @@ def test_another_baud_rate_is_named(monkeypatch):
 
 def test_a_servo_that_switched_itself_off_is_restarted_only_if_its_owner_says_so():
     arm = built()
-    arm._status[2]["alarms"] = 32
+    arm.servos[2].status["alarms"] = 32
     arm.advance(0.05)
     with serving(arm) as server:
         with pytest.raises(
@@ -195,14 +198,12 @@ def test_a_gripper_opens_beside_the_joints():
     arm = built()
     arm.servos[5]["Min_Position_Limit"], arm.servos[5]["Max_Position_Limit"] = 1500, 2040
     with serving(arm) as server, opened(server) as robot:
-        gripper = Gripper.find(robot.relay, place_of(server.address).detail.table)
+        gripper = Gripper.find(robot.bus)
         gripper.serve()
         assert arm.servos[5].writes == []
         gripper.goal = 50.0
         gripper.serve()
         assert arm.servos[5]["Goal_Position"] == 1770
-        with pytest.raises(RobotError, match="is not passed on"):
-            robot.relay(3, bytes([1, GOAL, 0, 0, 0, 0]))
 
 
 TARGETS = np.array([[KOCH.targets.lower, KOCH.targets.upper]])
@@ -272,9 +273,9 @@ def test_gains_of_a_connection_hold_on_the_next_one():
 def test_limits_of_the_current_are_gains_where_servos_obey_them_and_profiles_everywhere():
     omx = load_arm("omx")
     arm = built(omx)
-    for index, servo in enumerate(arm.servos[:2]):
+    for servo in arm.servos[:2]:
         servo["Operating_Mode"], servo["Goal_Current"], servo["Profile_Velocity"] = 5, 401, 77
-        arm.settle(index)
+        arm.settle(servo)
     with serving(arm) as server, opened(server, "?acceleration=9", arm=omx) as robot:
         before = robot.servo_gains()
         assert before["current"] == (34, 34, 100, 100)

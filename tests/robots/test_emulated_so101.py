@@ -5,9 +5,9 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots import open_robot
-from rejoint.robots.feetech.gains import for_all
+from rejoint.robots.feetech.gains import KIND
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.emulator.feetech import build_arm
+from rejoint_lab.emulator.feetech import HOMING, MIDDLE, StsArm
 from rejoint_lab.plant.sts3215 import SETTING
 from rejoint_lab.plant.wear import load_wear
 
@@ -20,11 +20,11 @@ ENDS = {"least", "most"}
 
 def behind_its_bus(wear, gains):
     """An arm whose registers hold ``gains``, at rest."""
-    arm = build_arm(ARM, wear, seed=5)
+    arm = StsArm.build(ARM, wear, seed=5)
     for index, servo in enumerate(arm.servos[: ARM.joints]):
-        for name, values in for_all(gains, ARM.joints).items():
+        for name, values in KIND.for_all(gains, ARM.joints).items():
             servo[REGISTERS[name]] = values[index]
-        arm.settle(index)
+        arm.settle(servo)
     arm.plant.reset(ARM.rest[None])
     return arm
 
@@ -42,8 +42,9 @@ def test_the_arm_behind_its_bus_and_that_in_virtual_time_move_alike(wear, gains)
     for k in range(60):
         goal = rest + np.rint(200 * np.sin(0.15 * k + np.arange(ARM.joints)))
         for index, count in enumerate(goal):
-            bus.servos[index]["Goal_Position"] = int(count) - bus._shift(index)
-            bus.go(index)
+            servo = bus.servos[index]
+            servo["Goal_Position"] = int(count) - (servo["Homing_Offset"] - HOMING[index] - MIDDLE)
+            bus.go(servo)
         bus.advance(0.02)
         seen.append(robot.step(goal[None] * ARM.encoder_step).position[0])
         np.testing.assert_array_equal(seen[-1], bus.angles)
@@ -67,7 +68,7 @@ def test_its_address_names_the_gains_and_they_decide_how_far_it_sags():
 def test_gains_are_tuned_for_the_whole_batch_and_each_arm_moves_as_it_would_alone():
     wears = [load_wear(f"so101?seed={i}", ARM) for i in range(3)]
     both, alone = EmulatedRobot(ARM, wears, seed=3), EmulatedRobot(ARM, wears[2:], seed=3, first=2)
-    tuned = for_all({"p": 48, "i": 2}, 5)
+    tuned = KIND.for_all({"p": 48, "i": 2}, 5)
     for robot in (both, alone):
         robot.tune(tuned)
         assert {name: robot.servo_gains()[name] for name in tuned} == tuned

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loneservo import lone_servo
-from rejoint.robots.feetech.gains import KNOBS, DutyLaw
-from rejoint.robots.knobs import steps, strides_of
+from rejoint.robots.feetech.gains import KIND, DutyLaw
+from rejoint.robots.knobs import steps
 
 
 @given(error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4))
@@ -29,8 +29,8 @@ def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
     assert load * duty >= 0.0
 
 
-@given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(strides_of(KNOBS))))
+@given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(KIND.strides)))
 def test_gains_change_in_small_steps_and_arrive(before, wanted, name):
-    values = [step[name][0] for step in steps({name: (before,)}, {name: (wanted,)}, strides_of(KNOBS))]
-    assert np.abs(np.diff([before, *values])).max(initial=0) <= abs(strides_of(KNOBS)[name])
+    values = [row[0] for _, row in steps({name: (before,)}, {name: (wanted,)}, KIND.strides)]
+    assert np.abs(np.diff([before, *values])).max(initial=0) <= abs(KIND.strides[name])
     assert [before, *values][-1] == wanted

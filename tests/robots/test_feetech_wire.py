@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from rejoint.robots.family import serial_address, tcp_address
-from rejoint.robots.feetech.bus import Wire
-from rejoint_lab.emulator.feetech import Packet, encode
+from rejoint.robots.feetech.bus import FeetechWire
+from rejoint_lab.emulator.feetech import encode
+from rejoint_lab.emulator.servobus import Packet
 
 READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"
 """A synchronous read of two registers from 56 on, of the servos 1 to 3"""
@@ -42,7 +43,7 @@ def wire_to(*answers, part=4096):
     try:
         with (
             pytest.MonkeyPatch.context() as patch,
-            closing(Wire(serial_address(f"serial://{os.ttyname(client)}", baud=1_000_000))) as wire,
+            closing(FeetechWire(serial_address(f"serial://{os.ttyname(client)}", baud=1_000_000))) as wire,
         ):
             patch.setattr(os, "write", answered)
             patch.setattr(os, "read", lambda line, size: read(line, min(size, part)))
@@ -66,7 +67,7 @@ def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
         (ANSWERS[3], {3}),
         (b"\x07\xff" + ANSWERS[1] + ANSWERS[2] + ANSWERS[3][:-2], {1, 2}),
         (ANSWERS[1] + ANSWERS[2][:-1] + b"\x00" + ANSWERS[3], {1, 3}),
-        (bytes.fromhex(READ_56) + ANSWERS[1] + ANSWERS[2], {1}),
+        (bytes.fromhex(READ_56) + ANSWERS[1] + ANSWERS[2], {1, 2}),
         (ANSWERS[2] + ANSWERS[1] + ANSWERS[3], {1, 2, 3}),
         (b"\xff" * 24, set()),
         (b"", set()),
@@ -128,7 +129,7 @@ def test_answers_that_come_in_parts_are_put_together(monkeypatch):
 def test_a_line_that_ends_is_a_broken_one():
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        closing(Wire(tcp_address(f"feetech://127.0.0.1:{server.getsockname()[1]}", port=9000))) as wire,
+        closing(FeetechWire(tcp_address(f"feetech://127.0.0.1:{server.getsockname()[1]}", port=9000))) as wire,
     ):
         server.accept()[0].close()
         with pytest.raises(OSError, match=r"gone|reset|pipe"):

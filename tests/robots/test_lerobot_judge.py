@@ -12,7 +12,7 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator import dynamixel, feetech
-from rejoint_lab.emulator.servobus import alone
+from rejoint_lab.emulator.servobus import BusSession, alone
 from rejoint_lab.plant.plant import Truth, XPlant
 from rejoint_lab.plant.wear import load_wear
 
@@ -43,8 +43,8 @@ def judged(session):
 
 
 def test_lerobot_connects_calibrates_moves_and_disconnects():
-    arm = feetech.build_arm(load_arm("so101"), "so101")
-    seen = judged(feetech.StsSession(arm))
+    arm = feetech.StsArm.build(load_arm("so101"), "so101")
+    seen = judged(BusSession(feetech.StsBus(arm)))
     assert seen["models"] == [777]
     assert [seen["held"][name][0] for name in feetech.NAMES] == list(feetech.HOMING)
     for servo in arm.servos:  # as LeRobot leaves an arm: limp, its calibration kept
@@ -58,7 +58,7 @@ def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
     wear = load_wear("new", koch)
     gripper = alone(koch, wear, np.array([-1.6, 0.03]), XPlant, "XL330-M288", 0)
     arm = dynamixel.XArm(XPlant(koch, [wear], seed=0, truth=floating), gripper, koch)
-    seen = judged(dynamixel.XSession(arm))
+    seen = judged(BusSession(dynamixel.XBus(arm)))
     assert seen["models"] == [1060, 1200]
     assert [seen["held"][name][0] for name in feetech.NAMES] == list(dynamixel.FITTINGS["koch"].homing)
     for servo in arm.servos:

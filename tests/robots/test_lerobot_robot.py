@@ -17,8 +17,9 @@ from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator.feetech import StsSession, build_arm
+from rejoint_lab.emulator.feetech import StsArm, StsBus
 from rejoint_lab.emulator.servers import on_port
+from rejoint_lab.emulator.servobus import BusSession
 
 ARM = load_arm("so101")
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
@@ -29,8 +30,8 @@ pytestmark = pytest.mark.realtime
 
 @contextmanager
 def serving(tmp_path, pty=False):
-    arm = build_arm(ARM, "so101")
-    with (TerminalServer if pty else on_port)(StsSession(arm)) as server:
+    arm = StsArm.build(ARM, "so101")
+    with (TerminalServer if pty else on_port)(BusSession(StsBus(arm))) as server:
         server.arm = arm
         server.run = Run.create(tmp_path / "run", server.address, ARM).path
         yield server

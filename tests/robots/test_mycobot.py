@@ -315,7 +315,7 @@ class SilentBus(MyCobotBus):
     def open(self):
         self.clock.wait(1.5)
 
-    def _call(self, method, *_arguments):
+    def ask(self, method, *_arguments):
         if not self.silent:
             return 1
         self.clock.wait(0.9)

@@ -14,7 +14,7 @@ from rejoint.control.controllers.policy import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, OverloadedError, Round
 from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
-from rejoint.robots.feetech.gains import for_all
+from rejoint.robots.feetech.gains import KIND
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.session import context
@@ -23,11 +23,12 @@ from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint.twin.parameters import nominal_parameters
-from rejoint_lab.emulator.feetech import StsSession, build_arm
+from rejoint_lab.emulator.feetech import StsArm, StsBus
 from rejoint_lab.emulator.servers import on_port
+from rejoint_lab.emulator.servobus import BusSession
 from servorobot import ARM, ServoRobot
 
-FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
+FOUND = KIND.for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
 SEEN = Round(error=np.zeros(5), unrest=np.zeros(5), tool=0.0)
 
 
@@ -114,8 +115,8 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
 
 
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, cli):
-    arm = build_arm(ARM, "so101")
-    with on_port(StsSession(arm)) as server:
+    arm = StsArm.build(ARM, "so101")
+    with on_port(BusSession(StsBus(arm))) as server:
         run = Run.create(tmp_path / "run", server.address, ARM)
         found = found_by(run, server.address)
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):

@@ -1,9 +1,8 @@
 """Arms: geometry, limits, masses; kinematics; the catalogue and arms from files."""
 
-from rejoint.arms.arm import Arm, Array, Box, Index, Mask, differing, mycobot280, so101
+from rejoint.arms.arm import Arm, Array, Box, Index, Loaded, Mask, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
 from rejoint.arms.displacement import Displacement
-from rejoint.arms.draft import Loaded
 from rejoint.arms.kinematics import (
     clip_norm,
     dls,

@@ -142,11 +142,19 @@ def dh_chain(rows: Array) -> tuple[Array, Array, Array]:
     """
     offsets, before = [], np.eye(4)
     for d, a, alpha, offset in rows:
-        c, s = np.cos(offset), np.sin(offset)
-        offsets.append(before @ np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
-        c, s = np.cos(alpha), np.sin(alpha)
-        before = np.array([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, d], [0, 0, 0, 1.0]])
+        offsets.append(before @ _about(offset, 0, 1))
+        before = _about(alpha, 1, 2)
+        before[:3, 3] = a, 0.0, d
     return np.array(offsets), np.tile([0.0, 0.0, 1.0], (len(rows), 1)), before
+
+
+def _about(angle: float, one: int, other: int) -> Array:
+    """Pose (4, 4) turned by ``angle`` [rad] in the plane of two axes."""
+    pose = np.eye(4)
+    pose[one, one] = pose[other, other] = np.cos(angle)
+    pose[other, one] = np.sin(angle)
+    pose[one, other] = -pose[other, one]
+    return pose
 
 
 def frozen(array: ArrayLike) -> NDArray[Any]:
@@ -161,6 +169,19 @@ def _freeze(instance: object) -> None:
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray | list):
             object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Loaded(Readable):
+    """An arm and its assumptions."""
+
+    arm: Arm
+    notes: tuple[str, ...] = ()
+    """a sentence per missing or wrong value"""
+
+
+UNKNOWN = Box(lower=np.full(3, np.nan), upper=np.full(3, np.nan))
+"""Targets of an unfinished arm"""
 
 
 MODELS = Path(__file__).parent / "models"

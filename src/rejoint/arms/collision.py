@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.kinematics import chain_of, frames, heights
+from rejoint.arms.kinematics import chain_of, heights, origins
 from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
@@ -58,7 +58,7 @@ def collision_shape(arm: Arm) -> CollisionShape:
     free = np.concatenate([arm.rest[None], solution.q[solution.converged]])  # rest and targets: without contacts
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
     high = np.append(0.0, heights(arm, arm.rest)) > ground + radius
-    apart = np.array([(i, j) for i in range(links) for j in range(i + 2, links)], dtype=np.int64).reshape(-1, 2)
+    apart = np.transpose(np.triu_indices(links, 2))
     boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
     shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
     distance = clearances_of(arm, shape, free, np.zeros(0))[:, : len(apart)]
@@ -113,6 +113,5 @@ def contact(arm: Arm, item: int) -> tuple[str, str]:
 def _moving(arm: Arm) -> NDArray[np.int64]:
     """Links (L,) with a moving end."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (16, arm.joints))
-    f = frames(arm, postures)
-    still = np.ptp(np.concatenate([f.position, f.tcp_position[:, None]], axis=1), axis=0).max(axis=-1) < _STILL
+    still = np.ptp(origins(arm, postures), axis=0).max(axis=-1) < _STILL
     return frozen(np.flatnonzero(~(np.append(True, still[:-1]) & still)))

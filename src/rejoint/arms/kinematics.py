@@ -86,42 +86,43 @@ def all_poses(arm: Arm, q: Array, rows: int = 3) -> Array:
 
 def frames(arm: Arm, q: Array) -> Frames:
     """All frames at ``q`` (..., n) [rad]."""
-    n, lead = arm.joints, q.shape[:-1]
     poses = all_poses(arm, q)
-    axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
-    joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
-    tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
-    axis = axes.transpose(2, 0, 1).reshape(*lead, n, 3)
+    axes = (arm.axis[:, None, None] @ poses[:-1, :, :3])[:, :, 0]
+    joints, axis, tcp = (_by_posture(values, q) for values in (poses[:-1], axes, poses[-1]))
     return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
+
+
+def origins(arm: Arm, q: Array) -> Array:
+    """Origins (..., n + 1, 3) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
+    return _by_posture(all_poses(arm, q), q)[..., 3]
 
 
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return _by_posture(arm, q)[..., 2, 3]
+    return origins(arm, q)[..., 2]
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP positions (..., 3) [m] at ``q`` (..., n) [rad]."""
-    return _by_posture(arm, q)[..., -1, :, 3]
+    return origins(arm, q)[..., -1, :]
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    return _by_posture(arm, q, 4)[..., -1, :, :]
+    return _by_posture(all_poses(arm, q, 4), q)[..., -1, :, :]
 
 
-def _by_posture(arm: Arm, q: Array, rows: int = 3) -> Array:
-    """First ``rows`` of the frames of joints and TCP, (..., n + 1, r, 4)."""
-    return all_poses(arm, q, rows).transpose(3, 0, 1, 2).reshape(*q.shape[:-1], arm.joints + 1, rows, 4)
+def _by_posture(values: Array, q: Array) -> Array:
+    """Values (..., s) of ``values`` (s, B) at B postures ``q`` (..., n)."""
+    return np.moveaxis(values, -1, 0).reshape(*q.shape[:-1], *values.shape[:-1])
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP (..., 3) [m] and its derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
-    n, lead = arm.joints, q.shape[:-1]
     poses = all_poses(arm, q)
-    columns = np.empty((3, n, poses.shape[-1]))
+    columns = np.empty((3, arm.joints, poses.shape[-1]))
     compiled.fill_columns(chain_of(arm).axes, poses, columns)
-    return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)
+    return _by_posture(poses[-1, :, 3], q), _by_posture(columns, q)
 
 
 def jacobian(arm: Arm, q: Array) -> Array:

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.draft import UNKNOWN, Loaded
+from rejoint.arms.arm import UNKNOWN, Arm, Array, Loaded
 from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, rigid_body, usable
 from rejoint.arms.rotations import inverse, pose_of
 from rejoint.system.errors import FileError, InputError
@@ -42,6 +41,18 @@ WORLD = 0
 """First body"""
 
 
+class Joint(NamedTuple):
+    """A joint of a model."""
+
+    number: int
+    name: str
+    kind: str
+    """``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (to its leader) or ``held`` (by the user)"""
+    body: int
+    leader: str
+    """joint that it follows, or empty"""
+
+
 class Tree(NamedTuple):
     """A model in the posture of its file. Places: its bodies, the world first, then its sites."""
 
@@ -52,12 +63,7 @@ class Tree(NamedTuple):
     """of places"""
     above: list[int]
     """bodies that carry the places"""
-    joints: list[str]
-    """names"""
-    kinds: list[str]
-    """of joints: ``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (to its leader) or ``held`` (by the user)"""
-    leaders: list[str]
-    """of joints that follow another, else empty"""
+    joints: list[Joint]
     speeds: dict[str, float]
     """[rad/s] of joints, where the file gives them"""
     notes: tuple[str, ...]
@@ -66,10 +72,9 @@ class Tree(NamedTuple):
         """Places from a root to ``place``."""
         return [] if place == WORLD else [*self.path(self.above[place]), place]
 
-    def joints_of(self, places: Iterable[int]) -> list[int]:
+    def joints_of(self, places: Iterable[int]) -> list[Joint]:
         """Joints in order."""
-        bodies = self.model.jnt_bodyid.tolist()
-        return [j for place in places for j, body in enumerate(bodies) if body == place]
+        return [joint for place in places for joint in self.joints if joint.body == place]
 
     def listed(self, places: Iterable[int]) -> str:
         """Names."""
@@ -100,17 +105,18 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
             raise FileError(
                 path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file"
             ) from error
-    data, joints = mujoco.MjData(model), [model.joint(j).name for j in range(model.njnt)]
-    leaders, kinds = [coupled.get(joint, "") for joint in joints], [_KINDS[kind] for kind in model.jnt_type]
+    data, joints = mujoco.MjData(model), list[Joint]()
     for j, at in enumerate(model.jnt_qposadr):
-        if model.jnt_limited[j] and kinds[j] in ("hinge", "slide"):
+        joint, kind = model.joint(j).name, _KINDS[model.jnt_type[j]]
+        if model.jnt_limited[j] and kind in ("hinge", "slide"):
             data.qpos[at] = np.clip(data.qpos[at], *model.jnt_range[j])
-        if kinds[j] == "hinge" and leaders[j]:
-            kinds[j] = "coupled"
+        if kind == "hinge" and joint in coupled:
+            kind = "coupled"
+        joints.append(Joint(j, joint, kind, int(model.jnt_bodyid[j]), coupled.get(joint, "")))
     for joint, position in (hold or {}).items():
-        j = _index(joint, "joint", joints)
+        j = _index(joint, "joint", [one.name for one in joints])
         notes.append(f"joint {joint}: held at {_holdable(model, j, joint, position)}, as given")
-        data.qpos[model.jnt_qposadr[j]], kinds[j] = position, "held"
+        data.qpos[model.jnt_qposadr[j]], joints[j] = position, joints[j]._replace(kind="held")
     mujoco.mj_kinematics(model, data)
     return Tree(
         name=name,
@@ -119,8 +125,6 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         names=[model.body(b).name for b in range(model.nbody)] + [model.site(s).name for s in range(model.nsite)],
         above=[*model.body_parentid.tolist(), *model.site_bodyid.tolist()],
         joints=joints,
-        kinds=kinds,
-        leaders=leaders,
         speeds=_speeds(root),
         notes=tuple(notes),
     )
@@ -262,7 +266,7 @@ def _speeds(root: ET.Element) -> dict[str, float]:
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Loaded:
-    """Unfinished arm from body ``base`` to the body or site ``tip``, see `rejoint.arms.draft.finish`.
+    """Unfinished arm from body ``base`` to the body or site ``tip``, see `rejoint.arms.loading.finish`.
 
     Default ``tip``: last link of the longest chain of hinges without a gripper; ``base``: the root. Slides are held;
     other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or an impossible joint.
@@ -284,9 +288,9 @@ def cut(tree: Tree, base: str | None, tip: str | None) -> Loaded:
     return Loaded(arm=_arm(tree, driven, start, end, notes), notes=tuple(notes))
 
 
-def _arm(tree: Tree, joints: list[int], start: int, end: int, notes: list[str]) -> Arm:
-    """Arm of the driven ``joints`` between two places, by MuJoCo's kinematics at their zeros."""
-    model, data, n = tree.model, copy(tree.data), len(joints)
+def _arm(tree: Tree, driven: list[Joint], start: int, end: int, notes: list[str]) -> Arm:
+    """Arm of the ``driven`` joints between two places, by MuJoCo's kinematics at their zeros."""
+    model, data, joints = tree.model, copy(tree.data), [joint.number for joint in driven]
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     turns, places = np.concatenate([data.xmat, data.site_xmat]), np.concatenate([data.xpos, data.site_xpos])
@@ -302,17 +306,17 @@ def _arm(tree: Tree, joints: list[int], start: int, end: int, notes: list[str]) 
     mass, com, inertia = zip(*_links(model, data, bodies.tolist(), inverse(frames)), strict=True)
     return Arm(
         name=tree.name,
-        joint_names=tuple(tree.joints[j] for j in joints),
+        joint_names=tuple(joint.name for joint in driven),
         offset=inverse(np.array([poses[start], *frames[:-1]])) @ frames,
         axis=(data.xaxis[joints, None] @ frames[:, :3, :3])[:, 0],
         tip=inverse(frames[-1]) @ poses[end],
         lower=low,
         upper=high,
-        max_speed=np.array([tree.speeds.get(tree.joints[j], np.nan) for j in joints]),
+        max_speed=np.array([tree.speeds.get(joint.name, np.nan) for joint in driven]),
         mass=np.array(mass),
         com=np.array(com),
         inertia=np.array(inertia),
-        rest=np.full(n, np.nan),
+        rest=np.full(len(driven), np.nan),
         targets=UNKNOWN,
         floor=np.nan,
         encoder_step=np.nan,
@@ -335,11 +339,10 @@ def _links(model: Any, data: Any, carriers: list[int], seen: Array) -> list[tupl
     return [rigid_body(one) for one in whole]
 
 
-def _driven(tree: Tree, joints: list[int], notes: list[str]) -> list[int]:
+def _driven(tree: Tree, joints: list[Joint], notes: list[str]) -> list[Joint]:
     """Hinges of a chain; a note for each slide."""
-    driven = [j for j in joints if tree.kinds[j] == "hinge"]
-    for j in joints:
-        name, kind, leader = tree.joints[j], tree.kinds[j], tree.leaders[j]
+    driven = [joint for joint in joints if joint.kind == "hinge"]
+    for j, name, kind, _, leader in joints:
         if kind == "slide":
             low, high = 1e3 * tree.model.jnt_range[j]
             span = f" ({low:.0f} to {high:.0f} mm)" if tree.model.jnt_limited[j] else ""
@@ -348,7 +351,7 @@ def _driven(tree: Tree, joints: list[int], notes: list[str]) -> list[int]:
                 f"joint {name} slides{span} and is not driven, only revolute joints are; it is taken as fixed at "
                 f"{place} mm, which the arm has to keep; if it stands elsewhere: --hold {name}={place}mm"
             )
-        elif kind not in ("hinge", "held") or leader in {tree.joints[other] for other in driven}:
+        elif kind not in ("hinge", "held") or leader in {other.name for other in driven}:
             follows = f" that follows {leader}" if leader else ""
             way = f", or hold both: --hold {name}=0deg,{leader}=0deg" if leader else ""
             raise InputError(
@@ -378,15 +381,17 @@ def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
     """
     path, axes = tree.path(end), tree.data.xaxis
     joints = tree.joints_of(path)
-    slides = list(takewhile(lambda j: tree.kinds[j] == "slide", joints))
-    if len(slides) > 1:
-        after = [j for j in joints[len(slides) :][:1] if tree.kinds[j] == "hinge"]
-        moving = slides + [j for j in after if (np.abs(axes[slides] @ axes[j]) < _ACROSS).all()]
-        root, names = int(tree.model.jnt_bodyid[moving[-1]]), ", ".join(tree.joints[j] for j in moving)
+    moving = list(takewhile(lambda joint: joint.kind == "slide", joints))
+    if len(moving) > 1:
+        slides = axes[[joint.number for joint in moving]]
+        for joint in joints[len(moving) :][:1]:
+            if joint.kind == "hinge" and (np.abs(slides @ axes[joint.number]) < _ACROSS).all():
+                moving.append(joint)
+        root, names = moving[-1].body, ", ".join(joint.name for joint in moving)
         notes.append(f"base: none given; {tree.names[root]} taken; {names} before it move all of it")
         return root
     root = path[0] if path else WORLD
-    if any(tree.kinds[j] not in ("free", "slide") for j in tree.joints_of([root])):
+    if any(joint.kind not in ("free", "slide") for joint in tree.joints_of([root])):
         root = WORLD
     notes.append(f"base: none given; {tree.names[root]} taken, the root of the tree")
     return root
@@ -400,7 +405,7 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     ends = [body for body in sorted(leaves) if hinges[body] == most]
     if most == 0:
         raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {tree.listed(hinges)}")
-    carried: dict[int, list[int]] = {}  # ends by the last joint before them
+    carried: dict[Joint, list[int]] = {}  # ends by the last joint before them
     for body in ends:
         carried.setdefault(tree.joints_of(tree.path(body))[-1], []).append(body)
     if len(carried) > 1:
@@ -413,7 +418,7 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     others = [body for body in ends if body != end] + [place for place in behind if place >= tree.model.nbody]
     more = f" (beside it are {tree.listed(others)}, which can be named instead)" if others else ""
     notes.append(f"tip: none given; {tree.names[end]} taken, the end of the longest chain{more}")
-    beyond = ", ".join(tree.joints[j] for j in tree.joints_of(behind) if tree.kinds[j] == "hinge")
+    beyond = ", ".join(joint.name for joint in tree.joints_of(behind) if joint.kind == "hinge")
     if beyond:
         notes.append(f"tip: {beyond} behind it taken for a gripper's and held; name a tip to drive it")
     return end
@@ -427,19 +432,19 @@ def _chains(tree: Tree, start: int | None) -> dict[int, int]:
         if start not in (None, WORLD, *path):
             continue
         joints = tree.joints_of(path[path.index(start) + 1 :] if start in path else path)
-        if start is None and joints and tree.kinds[joints[0]] == "free":
+        kinds = [joint.kind for joint in joints]
+        if start is None and kinds[:1] == ["free"]:
             del joints[0]
-        if all(_passable(tree, j) for j in joints) and not (joints and tree.kinds[joints[-1]] == "slide"):
-            hinges[body] = sum(tree.kinds[j] == "hinge" for j in joints)
+        if kinds[-1:] != ["slide"] and all(_passable(tree, joint) for joint in joints):
+            hinges[body] = kinds.count("hinge")
     return hinges
 
 
-def _passable(tree: Tree, j: int) -> bool:
+def _passable(tree: Tree, joint: Joint) -> bool:
     """Whether a chain goes on behind a joint: not behind those of grippers, which lead joints of other branches."""
-    name, bodies = tree.joints[j], tree.model.jnt_bodyid.tolist()
-    led = [body for body, leader in zip(bodies, tree.leaders, strict=True) if leader == name]
-    gripper = _GRIPPER.search(name) or any(bodies[j] not in tree.path(body) for body in led)
-    return tree.kinds[j] == "held" or (tree.kinds[j] in ("hinge", "slide") and not gripper)
+    led = [other.body for other in tree.joints if other.leader == joint.name]
+    gripper = _GRIPPER.search(joint.name) or any(joint.body not in tree.path(body) for body in led)
+    return joint.kind == "held" or (joint.kind in ("hinge", "slide") and not gripper)
 
 
 def _frame(tree: Tree, ends: Iterable[int]) -> int:

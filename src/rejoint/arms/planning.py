@@ -90,10 +90,10 @@ def plan(
     *,
     motors: Motors | None = None,
     speed: float = 1.0,
-    clearance: float = CLEARANCE,
-    seed: int = 0,
 ) -> JointTrajectory:
     """Plan a motion between rests, ``start`` (n,) to ``goal`` (n,) [rad].
+
+    The links keep twice, once or half of `CLEARANCE`, as there is a way; less where an end is closer.
 
     Parameters
     ----------
@@ -105,10 +105,6 @@ def plan(
         their torques: the plan respects their speed, and takes the lightest detour where they may not lift the arm
     speed
         share of ``arm.max_speed``
-    clearance
-        [m] margin of the links: twice, once or half of it, as there is a way; less where an end is closer
-    seed
-        of the search for a detour
 
     Returns
     -------
@@ -122,14 +118,14 @@ def plan(
     """
     start, goal = np.array(start, dtype=float), np.array(goal, dtype=float)
     found: list[tuple[float, _Field, Array]] = []
-    for room in (2.0 * clearance, clearance, 0.5 * clearance):
-        if found and room < clearance:  # rather heavy than so near
+    for room in (2.0 * CLEARANCE, CLEARANCE, 0.5 * CLEARANCE):
+        if found and room < CLEARANCE:  # rather heavy than so near
             break
         field = _Field.of(arm, start, goal, room)
         share, item = field.passes(start, goal, leaving=True)
-        way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
+        way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal)
         if way is not None:
-            way = way if motors is None else field.lightest(way, motors, seed)
+            way = way if motors is None else field.lightest(way, motors)
             load = 0.0 if motors is None else max(1.0, float(_load(arm, way[None], motors)[0]))
             found.append((load, field, way))
             if load <= 1.0:
@@ -183,9 +179,9 @@ class _Field:
         what, other = contact(self.arm, item)
         return f"{what} would come too near to {other}; the straight way is clear up to ({at}) mm"
 
-    def detour(self, start: Array, goal: Array, seed: int) -> Array | None:
+    def detour(self, start: Array, goal: Array) -> Array | None:
         """Corners (k, n) of a detour, with its ends; None: none found."""
-        rng, body = np.random.default_rng(seed), body_of(self.arm)
+        rng, body = np.random.default_rng(0), body_of(self.arm)
         begin = self._left(start, rng)
         if begin is None:
             return None
@@ -200,13 +196,13 @@ class _Field:
         corners = self._shortened(way, rng)
         return corners if begin is start else np.vstack([start, corners])
 
-    def lightest(self, way: Array, motors: Motors, seed: int) -> Array:
+    def lightest(self, way: Array, motors: Motors) -> Array:
         """Return the way (k, n), or where the ``motors`` may not lift the arm, the clear one that needs least."""
         arm, ends, straight = self.arm, way[[0, -1]], _load(self.arm, way[None], motors)[0]
         if straight <= 1.0:
             return way
         pool = pool_of(arm).posture
-        over = pool[np.random.default_rng(seed).integers(len(pool), size=_OTHERS)]
+        over = pool[np.random.default_rng(0).integers(len(pool), size=_OTHERS)]
         heavy = np.abs(gravity_torque(arm, ends[0])) > motors.usable  # such a joint waits until the others lightened it
         over[::2, heavy] = ends[0, heavy]
         ways = np.stack([np.tile(ends[0], (_OTHERS, 1)), over, np.tile(ends[1], (_OTHERS, 1))], axis=1)

@@ -84,10 +84,7 @@ def inverse(pose: Array) -> Array:
 
 def moved(pose: Array, change: Array) -> Array:
     """Poses (..., 4, 4) shifted [m] and turned on the spot [rad] by ``change`` (..., 6)."""
-    new = np.array(np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape[:-2], change.shape[:-1]), 4, 4)))
-    new[..., :3, :3] = turned(change[..., 3:]) @ pose[..., :3, :3]
-    new[..., :3, 3] = pose[..., :3, 3] + change[..., :3]
-    return new
+    return pose_of(turned(change[..., 3:]) @ pose[..., :3, :3], pose[..., :3, 3] + change[..., :3])
 
 
 def difference(seen: Array, told: Array) -> Array:

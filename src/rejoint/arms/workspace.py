@@ -21,6 +21,7 @@ from rejoint.arms.kinematics import (
     Solution,
     frames,
     gravity_torque,
+    heights,
     position_kinematics,
     solve_position,
     tcp_position,
@@ -72,7 +73,7 @@ def reach(arm: Arm) -> float:
 def rising_frames(arm: Arm, above: float = -np.inf) -> Mask:
     """Joint frames (n,) that change height, and are often ``above`` [m]."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
-    height = frames(arm, postures).position[..., 2]
+    height = heights(arm, postures)[:, :-1]
     return frozen((np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING))
 
 
@@ -186,8 +187,7 @@ def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> 
 def _largest_box(survey: _Survey, rest: Array) -> Box | None:
     """Grow boxes of good targets around the resting TCP, axis by axis; the largest one."""
     centre, step = tcp_position(survey.arm, rest), EDGES * survey.reach / STEPS
-    ticks = np.arange(-STEPS, STEPS + 1)
-    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    grid = np.moveaxis(np.indices((2 * STEPS + 1,) * 3), 0, -1) - STEPS
     good, spans = _good(survey, rest, centre + grid * step), []
     for order in permutations(range(3)):
         span = np.full((2, 3), STEPS)

@@ -9,11 +9,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
 from rejoint.studio.health import Symptom, look_at_servos
-from rejoint.system.errors import RejointError, first_line
+from rejoint.system.errors import RejointError, RobotError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
 
@@ -41,10 +42,8 @@ DRIFT = 0.02
 """Largest difference of two clocks (chosen)"""
 COBOT = ("tcp", "serial")
 """Addresses of a myCobot"""
-VERSION, VOLTAGES, STATUS = 0x02, 0xE3, 0xE4
-"""Questions to a myCobot"""
-TRIED = 73
-"""Firmware version, times ten, of a myCobot with which the driver was tried"""
+TRIED = 7.3
+"""Firmware version of a myCobot with which the driver was tried"""
 STATES = ("voltage", "encoder", "heat", "over-current", "", "overload")
 """Bits of a servo's status"""
 
@@ -62,8 +61,6 @@ class Surroundings:
     """[s] by both clocks"""
     opened: Robot | None = None
     arm: Arm | None = None
-    answers: list[bytes] = field(default_factory=list)
-    """of a myCobot, to `VERSION`, `VOLTAGES` and `STATUS`"""
 
     @property
     def place(self) -> Place[object] | None:
@@ -216,8 +213,6 @@ def robot(case: Surroundings) -> Iterator[Symptom]:
         found, _, fix = other.partition(": ")
         yield Symptom(f"{found.removesuffix(' answers there')} answers at {place}", fix)
         return
-    if isinstance(place.detail, lines.Wire) and place.family.scheme in COBOT:
-        case.answers = [lines.ask_mycobot(place.detail, command) for command in (VERSION, VOLTAGES, STATUS)]
     case.opened = open_robot(place.text, arm=case.arm)
     case.stack.callback(case.opened.close)
     yield Symptom(f"{place} answers: {case.opened.arm.name}, {case.opened.arm.joints} joints")
@@ -228,15 +223,21 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
     if case.opened is None:
         return
     arm, state = case.opened.arm, case.opened.read()
-    if case.answers:
-        version, power, states = case.answers
-        told, right = f"{version[0] / 10:.1f}" if version else "none", version[:1] == bytes((TRIED,))
-        expected, fix = ("", "") if right else (f", expected {TRIED / 10:.1f}", "update it with the maker's myStudio")
-        yield Symptom(f"firmware: {told}{expected}", fix)
-        volts = np.frombuffer(power, np.uint8)[None] / 10 if len(power) == arm.joints else None
-        status = [", ".join(word for bit, word in enumerate(STATES) if one & 1 << bit) for one in states]
-        state = replace(state, voltage=volts, trouble=tuple(status))
+    if case.place is not None and case.place.family.scheme in COBOT:
+        methods = ("get_system_version", "get_servo_voltages", "get_servo_status")
+        version, power, states = (_reply_of(case.opened, method) for method in methods)
+        expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
+        yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
+        status = [", ".join(word for bit, word in enumerate(STATES) if bit in (one or ())) for one in states or ()]
+        state = replace(state, voltage=np.array(power, float)[None] if power else None, trouble=tuple(status))
     yield from look_at_servos(arm, state)
+
+
+def _reply_of(robot: Any, method: str) -> Any:  # noqa: ANN401
+    """Return what a myCobot answers to a method of the vendor's client; None: nothing."""
+    with suppress(RobotError):
+        return robot.bus.ask(method)
+    return None
 
 
 def link(case: Surroundings) -> Iterator[Symptom]:

@@ -22,12 +22,12 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, is_loopback, picked, results_of
 from rejoint.cli.options import Call, ConsoleObserver, Result, takes
 from rejoint.control.recording import Observer
-from rejoint.control.robot import Relaying, part_of
+from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
-from rejoint.robots import place_of
+from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
-from rejoint.robots.servobus import Gripper
+from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
@@ -440,11 +440,11 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
     with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
-        wire, on_bus = part_of(arm.robot, Relaying), isinstance(detail, ServoAddress)
-        gripper = Gripper.find(wire.relay, detail.table) if wire and on_bus else None
+        bus = getattr(part_of(arm.robot, BusRobot), "bus", None)
+        gripper = Gripper.find(bus) if isinstance(bus, ServoBus) else None
         arm.beside += [] if gripper is None else [gripper.serve]
         arm.hold()
-        middle = detail.middle(arm.arm).tolist() if on_bus else [0.0] * arm.arm.joints
+        middle = detail.middle(arm.arm).tolist() if isinstance(detail, ServoAddress) else [0.0] * arm.arm.joints
         _answer({"joints": arm.arm.joint_names, "middle": middle, "gripper": gripper is not None})
         came = bytearray()
         while (line := _next(arm, came)) is not None:

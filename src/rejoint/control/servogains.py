@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -40,7 +40,8 @@ class OverloadedError(RobotError):
         self.joint = joint
 
 
-class Rung(NamedTuple):
+@dataclass(frozen=True)
+class Rung:
     """Values that a search tries."""
 
     names: tuple[str, ...]

@@ -184,7 +184,7 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[str | None]:
 LARGEST = 2047
 """[counts] of a homing offset: eleven bits and a sign"""
 
-_NUMBERS = ("homing_offset", "range_min", "range_max")
+_NUMBERS = ("id", "homing_offset", "range_min", "range_max")
 
 
 def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:

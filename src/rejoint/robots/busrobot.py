@@ -193,7 +193,7 @@ class BusRobot:
         self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
     ) -> None:
         self.arm, self.address, self.count = arm, address, 1
-        self._bus, self._period, self._clock = bus, period, bus.clock
+        self.bus, self._period, self._clock = bus, period, bus.clock
         self._link = Link(bus, address)
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
@@ -245,7 +245,7 @@ class BusRobot:
 
         def send() -> None:
             if self._clock.now() - began <= GAP:  # after a pause the arm is looked at first: it may stand elsewhere
-                self._bus.send(goal.copy())  # a bus may reckon in place, and may be asked again
+                self.bus.send(goal.copy())  # a bus may reckon in place, and may be asked again
 
         self._link.ask(send)
         ask_at = due - (self._read_cost or 0.0)
@@ -259,30 +259,30 @@ class BusRobot:
 
     def stop(self) -> None:
         """Hold; the power stays on."""
-        self._link.ask(self._bus.stop)
+        self._link.ask(self.bus.stop)
         self._command = None
 
     def servo_gains(self) -> ServoGains | None:
         """Return the servo gains; None: unknown."""
-        return self._bus.servo_gains()
+        return self.bus.servo_gains()
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
-        return self._bus.rungs()
+        return self.bus.rungs()
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps, see `Bus.tune`."""
         self._left = None  # under other gains it sags elsewhere
-        self._link.ask(lambda: self._bus.tune(gains))
+        self._link.ask(lambda: self.bus.tune(gains))
 
     def keep(self, gains: ServoGains) -> None:
         """Set gains permanently, see `Bus.keep`."""
         self._left = None
-        self._link.ask(lambda: self._bus.keep(gains))
+        self._link.ask(lambda: self.bus.keep(gains))
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask another device, see `Bus.relay`."""
-        return self._link.ask(lambda: self._bus.relay(command, payload))
+        return self._link.ask(lambda: self.bus.relay(command, payload))
 
     def close(self) -> None:
         """Close the connection; the arm holds."""
@@ -296,7 +296,7 @@ class BusRobot:
     def _read_once(self) -> tuple[float, Reading]:
         """Read and check; also returns the arrival [s]."""
         began = self._clock.now()
-        reading = _own(believed(self._bus.read), self.arm.joints)
+        reading = _own(believed(self.bus.read), self.arm.joints)
         now = self._clock.now()
         judge(reading.position, self.arm)
         self._continuity.check(now, reading.position)

@@ -1,52 +1,35 @@
-"""Servos on a bus: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
+"""Kinds of servos: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 from urllib.parse import parse_qs, urlsplit
 
+import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, ServoGains
+from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
 from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
+from rejoint.system.files import read_toml
 from rejoint.system.stopping import ending
 
+LIMIT = "limit"
+"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
 
-class Register(NamedTuple):
-    """A value in the memory of a servo, lowest byte first."""
-
-    address: int
-    size: int = 1
-    sign: int | None = None
-    """sign bit, `COMPLEMENT`, or None"""
-
-    def decode(self, data: bytes) -> int:
-        """Read the value."""
-        if self.sign == COMPLEMENT:
-            return int.from_bytes(data, "little", signed=True)
-        word = int.from_bytes(data, "little")
-        return word if self.sign is None else signed(word, self.sign)
-
-    def encode(self, value: int) -> bytes:
-        """Write a value; one below zero as two's complement."""
-        return value.to_bytes(self.size, "little", signed=value < 0)
+Gains = Mapping[str, int]
+Values = dict[str, tuple[int, ...]]
+"""One per joint, by name"""
 
 
-COMPLEMENT = -1
-"""`Register.sign` of two's complement"""
-
-
-def signed(word: int, bit: int) -> int:
-    """Return number with a sign ``bit``."""
-    return -(word & ~(1 << bit)) if word & 1 << bit else word
-
-
-class Knob(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Knob:
     """An adjustable gain."""
 
     names: tuple[str, ...]
@@ -59,38 +42,63 @@ class Knob(NamedTuple):
     """other registers that a value above zero needs"""
 
 
-LIMIT = "limit"
-"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+class Model(NamedTuple):
+    """A model of servos."""
 
-Knobs = Mapping[str, Knob]
-Gains = Mapping[str, int]
-Values = dict[str, tuple[int, ...]]
-"""One per joint, by name"""
+    name: str
+    full: float
+    """value of the register ``load`` at the largest torque"""
+    supply: bool = False
+    """the load is the current of the supply, of which the torque goes as the root"""
 
-
-def strides_of(knobs: Knobs) -> dict[str, int]:
-    """`Knob.stride` by register; one beside changes at once."""
-    found = {name: knob.stride for knob in knobs.values() for name in knob.names}
-    return {name: most for knob in knobs.values() for name, most in knob.beside} | found
-
-
-def read_gains(given: Mapping[str, str], knobs: Knobs) -> Gains:
-    """Read gains from address options; ValueError."""
-    found = {}
-    for name, text in given.items():
-        knob = knobs[name]
-        if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
-            raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
-        found[name] = int(text)
-    return found
+    def share(self, load: int) -> float:
+        """Share of the largest torque, -1 to 1."""
+        part = min(abs(load) / self.full, 1.0)
+        return copysign(part**0.5 if self.supply else part, load)
 
 
-def for_all(gains: Gains, joints: int, knobs: Knobs) -> Values:
-    """Equal gains for all ``joints``, with what they need beside."""
-    found: dict[str, int] = {}
-    for knob, value in gains.items():
-        found |= dict(knobs[knob].beside if value else ()) | dict.fromkeys(knobs[knob].names, value)
-    return {name: (value,) * joints for name, value in found.items()}
+class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Servos of one maker, from a ``servo.toml``."""
+
+    registers: dict[str, Register]
+    memory: tuple[str, ...]
+    """registers of gains"""
+    knobs: dict[str, Knob]
+    ladder: tuple[Rung, ...]
+    """search order of gains"""
+    models: dict[int, Model]
+    """by number"""
+    faults: dict[int, str]
+    """names of error bits"""
+
+    @classmethod
+    def beside(cls, module: str) -> Self:
+        """Read the file beside a ``module``; FileError."""
+        return read_toml(Path(module).with_name("servo.toml"), cls, "install rejoint again")
+
+    @property
+    def strides(self) -> dict[str, int]:
+        """`Knob.stride` by register; one beside changes at once."""
+        found = {name: knob.stride for knob in self.knobs.values() for name in knob.names}
+        return {name: most for knob in self.knobs.values() for name, most in knob.beside} | found
+
+    def read_gains(self, given: Mapping[str, str]) -> Gains:
+        """Read gains from address options; ValueError."""
+        found = {}
+        for name, text in given.items():
+            knob = self.knobs[name]
+            if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
+                raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
+            found[name] = int(text)
+        return found
+
+    def for_all(self, gains: Gains, joints: int) -> Values:
+        """Equal gains for all ``joints``, with what they need beside."""
+        found: dict[str, int] = {}
+        for name, value in gains.items():
+            knob = self.knobs[name]
+            found |= dict(knob.beside if value else ()) | dict.fromkeys(knob.names, value)
+        return {name: (value,) * joints for name, value in found.items()}
 
 
 PAUSE = 0.05
@@ -99,8 +107,8 @@ LOOKS = 6
 """Further looks at a servo that labours (chosen: 0.3 s)"""
 
 
-def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) -> Iterator[dict[str, list[int]]]:
-    """Yield values to write in small steps, by name, one per joint; `LIMIT` rises first and falls last."""
+def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) -> Iterator[tuple[str, list[int]]]:
+    """Yield names and values to write, one per joint, in small steps; `LIMIT` rises first and falls last."""
     ways = [(name, before[name], wanted[name]) for name in before if name in wanted and name != LIMIT]
     if LIMIT in wanted:
         most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
@@ -109,7 +117,7 @@ def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) ->
         now, stride = list(here), abs(strides[name])
         while now != list(there):
             now = [min(max(end, value - stride), value + stride) for value, end in zip(now, there, strict=True)]
-            yield {name: now}
+            yield name, now
 
 
 class GainMemory(Protocol):
@@ -169,25 +177,23 @@ class Tuning:
             known = f"{', '.join(before)} of {joints} joints"
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
         there, strides = self._memory.read_gains(), self._memory.strides
-        for step in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
-            self._take(step)
+        for name, values in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
+            self._take(name, values)
             try:
                 if not ending():
-                    self._require_strength(step, there, hottest)
+                    self._require_strength(name, values, there[name], hottest)
             except OverloadedError:
                 for back in steps(self._memory.read_gains(), before, strides):
-                    self._take(back)
+                    self._take(*back)
                 raise
         self.look_up()
 
-    def _take(self, step: Mapping[str, Sequence[int]]) -> None:
-        for name, values in step.items():
-            self._memory.write_gain(name, values)
+    def _take(self, name: str, values: Sequence[int]) -> None:
+        self._memory.write_gain(name, values)
         self._memory.wait(PAUSE)
 
-    def _require_strength(self, step: Mapping[str, Sequence[int]], there: Values, hottest: float) -> None:
-        ((name, values),) = step.items()
-        for joint, (old, value) in enumerate(zip(there[name], values, strict=True)):
+    def _require_strength(self, name: str, values: Sequence[int], there: Sequence[int], hottest: float) -> None:
+        for joint, (old, value) in enumerate(zip(there, values, strict=True)):
             if (value - old) * self._memory.strides[name] <= 0:
                 continue  # else one that labours could not be relieved
             load, heat = self._strain(joint)
@@ -222,11 +228,10 @@ def _degrees(text: str) -> tuple[float, ...]:
 class ServoAddress:
     """A bus of servos, and what is known of its arm."""
 
-    port: ClassVar[int]
+    kind: ClassVar[ServoKind]
+    port: ClassVar[int] = 9000
     """of TCP addresses"""
     baud: ClassVar[int] = 1_000_000
-    knobs: ClassVar[Knobs] = {}
-    table: ClassVar[Mapping[str, Register]] = {}
     driven: ClassVar[Gains] = {}
     """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
@@ -241,7 +246,7 @@ class ServoAddress:
     zero: tuple[float, ...] = ()
     """[deg] of each joint in mid-range; empty: unsaid"""
     gains: Gains = field(default_factory=dict)
-    """by `knobs`; empty: unchanged"""
+    """empty: unchanged"""
 
     @property
     def spot(self) -> str:
@@ -259,7 +264,7 @@ class ServoAddress:
         """Read ``SCHEME:///dev/DEVICE`` or ``SCHEME://HOST:PORT``, with options; ValueError."""
         plain, _, query = text.partition("?")
         options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
-        known = ("baud", *cls.options, *cls.knobs)
+        known = ("baud", *cls.options, *cls.kind.knobs)
         if set(options) - set(known) or any(len(values) > 1 or not values[0] for values in options.values()):
             raise ValueError(f"expected each of {', '.join(known)} once at most, got {query!r}")
         given = {name: values[0] for name, values in options.items()}
@@ -272,6 +277,6 @@ class ServoAddress:
             wire = tcp_address(plain, port=cls.port)
         return cls(
             wire=replace(wire, text=text),
-            gains=read_gains({name: given[name] for name in cls.knobs if name in given}, cls.knobs),
+            gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),
             **{name: read(given[name]) for name, read in cls.options.items() if name in given},
         )

@@ -98,15 +98,6 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
     return None
 
 
-def ask_mycobot(wire: Wire, command: int) -> bytes:
-    """Return what a myCobot answers to a ``command`` without parameters; empty: nothing."""
-    with suppress(OSError, ValueError), _port(wire, getattr(wire, "baud", 0)) as port:
-        _, found, answer = _answer(port, bytes((0xFE, 0xFE, 2, command, 0xFA))).partition(b"\xfe\xfe")
-        if found and len(answer) >= answer[0] + 1 > 2 and answer[1] == command:
-            return answer[2 : answer[0]]
-    return b""
-
-
 @contextmanager
 def _port(wire: Wire, baud: int) -> Iterator[int]:
     """Open a port, at ``baud`` [1/s] where it is a serial one; its descriptor."""

@@ -9,15 +9,14 @@ from typing import Any
 
 from rejoint.arms import CATALOGUE
 from rejoint.robots.busrobot import bus_family
-from rejoint.robots.dynamixel.registers import FORM as DYNAMIXEL
-from rejoint.robots.dynamixel.registers import DynamixelAddress
+from rejoint.robots.dynamixel.address import DynamixelAddress
 from rejoint.robots.family import (
     Family,
     Place,
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FORM, FeetechAddress
+from rejoint.robots.feetech.gains import FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 
@@ -42,7 +41,7 @@ FAMILIES: tuple[Family[Any], ...] = (
     bus_family(
         "rejoint.robots.feetech.bus:FeetechBus",
         scheme="feetech",
-        form=FORM,
+        form="feetech:///dev/DEVICE or feetech://HOST:PORT",
         parse=FeetechAddress.read,
         default_arm="so101",
         default_period=(0.020, 0.020),
@@ -53,7 +52,7 @@ FAMILIES: tuple[Family[Any], ...] = (
     bus_family(
         "rejoint.robots.dynamixel.bus:DynamixelBus",
         scheme="dynamixel",
-        form=DYNAMIXEL,
+        form="dynamixel:///dev/DEVICE or dynamixel://HOST:PORT",
         parse=DynamixelAddress.read,
         default_arm="koch",
         default_period=(0.020, 0.020),

@@ -186,8 +186,7 @@ class ServedArm(Mover, Reference):
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
 
     def _stay(self) -> None:
-        for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
-            self._motion.place(joint, float(angle))
+        self._motion.place(slice(None), np.clip(self.angles, self.lower, self.upper))
 
     # --- what clients ask -------------------------------------------------------------------
 
@@ -225,18 +224,18 @@ class ServedArm(Mover, Reference):
 
     def in_position(self, angles: Array) -> bool:
         """Whether the arm is at ``angles`` (n,) [rad], after the move."""
-        if not at_angles(self.planned_angles, angles):
-            return at_angles(self.angles, angles)
-        return not self.moving and self._is_near(tcp_pose(self.arm, angles))
+        if at_angles(self.planned_angles, angles):
+            return self._has_come(tcp_pose(self.arm, angles))
+        return super().in_position(angles)
 
     def at_pose(self, pose: Array) -> bool:
         """Whether the tool is at ``pose`` (4, 4), after the move."""
-        if not at_place(tcp_pose(self.arm, self.planned_angles), pose):
-            return at_place(self.pose, pose)
-        return not self.moving and self._is_near(pose)
+        if at_place(tcp_pose(self.arm, self.planned_angles), pose):
+            return self._has_come(pose)
+        return super().at_pose(pose)
 
-    def _is_near(self, pose: Array) -> bool:
-        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < ARRIVED_LENGTH)
+    def _has_come(self, pose: Array) -> bool:
+        return not self.moving and bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < ARRIVED_LENGTH)
 
     # --- what clients order -----------------------------------------------------------------
 

@@ -6,27 +6,22 @@ Torque is never switched off. A joint may have several servos; the first of them
 from __future__ import annotations
 
 import contextlib
-import os
-import socket
-import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from select import select
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
+from typing import ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
-import serial
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
 from rejoint.robots.bus import Bus, connected, persist
-from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.knobs import Register, ServoAddress, Tuning, Values, for_all, strides_of
+from rejoint.robots.knobs import Model, ServoAddress, Tuning, Values
+from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import ConnectionLostError, InputError, NoReplyError, PowerLostError, RobotError
 
 T = TypeVar("T")
@@ -35,123 +30,11 @@ QUIET = 0.03
 """[s] without a late answer (chosen)"""
 RETRY = 0.05
 """[s] between questions to a silent servo (chosen)"""
-READ, WRITE = 2, 3
-"""Instructions of `ServoBus.relay`: servo ID (0: the one behind the joints'), address, and size or data"""
-CONNECT = 5.0
-"""[s] (chosen, as pyserial does)"""
-WAIT = 0.02
-"""[s] of one wait for bytes (chosen)"""
-OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
-"""Results of Feetech's client and ROBOTIS'; all others are garbled answers"""
-
-
-class BlockingPort:
-    """A port for the makers' clients, which waits in the system instead of asking all the time.
-
-    Put it before their ``PortHandler`` among the bases.
-    """
-
-    is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
-    port_name: TcpAddress | SerialAddress
-    baudrate: int
-
-    def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
-        """Open; OSError."""
-        place = self.port_name
-        self.ser: Any
-        if isinstance(place, TcpAddress):
-            self.ser = socket.create_connection((place.host, place.port), CONNECT)
-            self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
-        else:
-            self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
-        self._descriptor: int = self.ser.fileno()
-        self.is_open = True
-        self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
-        return True
-
-    def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
-        """Return what comes within ``wait`` [s]; OSError."""
-        if length <= 0:  # as a client asks behind a packet that says it is shorter than any
-            return b""
-        if not select([self._descriptor], [], [], wait)[0]:
-            return b""
-        data = os.read(self._descriptor, length)
-        if not data:
-            raise OSError("the port is gone")
-        return data
-
-    def clearPort(self) -> None:  # noqa: N802 - the maker's name
-        """Drop the buffer."""
-        while self.readPort(4096, 0.0):
-            pass
-
-    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
-        """Write; returns the number of bytes."""
-        return os.write(self._descriptor, bytes(packet))
-
-    def connect(self) -> Self:
-        """Open at the address's rate; ValueError, OSError."""
-        place = self.port_name
-        baud = place.baud if isinstance(place, SerialAddress) else self.baudrate
-        if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
-            raise ValueError(f"the maker's client knows no baud rate {baud}")
-        return self
-
-    def quieten(self, pause: float) -> bool:
-        """Drop what comes within ``pause`` [s]; whether anything did."""
-        end, found = time.monotonic() + pause, False
-        while (left := end - time.monotonic()) > 0.0:
-            found = bool(self.readPort(4096, left)) or found
-        return found
-
-
-def judge(result: int, servo: int) -> None:
-    """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
-    if result == OK:
-        return
-    if result in SILENT:
-        raise TimeoutError(f"servo {servo} does not answer")
-    if result in UNSENT:
-        raise OSError("the port did not take the request")
-    raise ValueError(f"the answer of servo {servo} is garbled")
-
-
-class ServoWire(Protocol):
-    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken)."""
-
-    def model(self, servo: int) -> int:
-        """Model number of a servo; ignores late answers."""
-
-    def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read ``size`` registers."""
-
-    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
-        """Write registers; the servo confirms."""
-
-    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
-        """Read ``size`` registers of all ``servos``; without silent ones."""
-
-    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write registers of all ``servos``, without answers."""
-
-    def quieten(self, pause: float) -> bool:
-        """Drop what comes within ``pause`` [s]; whether anything did."""
-
-    def close(self) -> None:
-        """Release the port; the servos hold."""
 
 
 class ServoBus(Bus):
     """The servos of an arm by ID, without the gripper."""
 
-    models: ClassVar[Mapping[int, str]]
-    """by number"""
-    ladder: ClassVar[tuple[Rung, ...]]
-    """search order of gains"""
-    memory: tuple[str, ...]
-    """registers of gains"""
-    protected: ClassVar[frozenset[str]] = frozenset(("id",))
-    """registers that no client may write"""
     confirms: ClassVar[int] = 1
     """least value of the register, from which a servo confirms what it is told"""
     last: ClassVar[int] = 12
@@ -159,16 +42,20 @@ class ServoBus(Bus):
 
     def __init__(self, address: ServoAddress, arm: Arm, ids: Sequence[Sequence[int]]) -> None:
         """``ids`` of each joint's servos."""
-        self.address, self.place, self._arm = address, address.wire, arm
+        self.address, self.place, self._arm, kind = address, address.wire, arm, address.kind
         self.ids = tuple(servo for one in ids for servo in one)
         self.joint = np.repeat(np.arange(arm.joints), [len(one) for one in ids])
         """(m,) of each servo"""
         self.leads = np.searchsorted(self.joint, np.arange(arm.joints)).tolist()
         """(n,) places of the joints' first servos"""
-        self.table, self.strides = address.table, strides_of(address.knobs)
+        self.kind, self.table, self.strides = kind, kind.registers, kind.strides
+        self.memory = kind.memory
+        """registers of gains"""
+        self.found: dict[int, Model] = {}
+        """models of the servos"""
         self.names = [self.call(self.ids[lead]) for lead in self.leads]
-        self._tuning = Tuning(self, for_all({**address.driven, **address.gains}, arm.joints, address.knobs))
-        self.zeros = Zeros(middle=(), zero=(), low=(), high=(), step=())
+        self._tuning = Tuning(self, kind.for_all({**address.driven, **address.gains}, arm.joints))
+        self.zeros: Zeros
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
         self._until: float | None = None  # [s] deadline of `prepare`
@@ -188,9 +75,10 @@ class ServoBus(Bus):
     def set_up(self) -> None:
         """Let the servos be prompt."""
 
-    @abstractmethod
     def strain(self, joint: int) -> tuple[float, float]:
         """Share of the largest torque, and temperature [deg C]."""
+        servo = self.ids[self.leads[joint]]
+        return abs(self.found[servo].share(self.get(servo, "load"))), self.get(servo, "heat")
 
     def relieve(self, joint: int) -> None:
         """Let a joint's servos hold where they stand."""
@@ -222,19 +110,6 @@ class ServoBus(Bus):
         """Send the last goals again: at the measured position the arm would sink."""
         if self._goal is not None:
             self._send(self._goal)
-
-    def relay(self, command: int, payload: bytes) -> bytes | None:
-        """Read or write registers of another servo, such as the gripper's."""
-        servo, address, *rest = payload
-        servo = servo or max(self.ids) + 1
-        if servo in self.ids or address in {self.table[name].address for name in self.protected}:
-            raise RobotError(f"register {address} of servo {servo} is not passed on")
-        if command == READ and len(rest) == 1:
-            return self.wire.read(servo, address, rest[0])
-        if command == WRITE:
-            self.wire.write(servo, address, rest)
-            return b""
-        return None
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers and wait for silent servos.
@@ -270,7 +145,7 @@ class ServoBus(Bus):
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
-        return tuple(rung for rung in self.ladder if rung.names[0] in self._tuning.values)
+        return tuple(rung for rung in self.kind.ladder if rung.names[0] in self._tuning.values)
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps until power-off."""
@@ -280,8 +155,7 @@ class ServoBus(Bus):
 
     def get(self, servo: int, name: str) -> int:
         """Read a register, again where the answer is lost."""
-        register = self.table[name]
-        return register.decode(self.read_block(servo, register.address, register.size))
+        return int(self._decoded((name,), [self.read_block(servo, (name,))])[0, 0])
 
     def get_all(self, name: str) -> Counts:
         """Read a register of every servo, (m,)."""
@@ -300,20 +174,34 @@ class ServoBus(Bus):
                 f"{self.table['confirms'].address} to {self.confirms}"
             ) from error
 
-    def read_block(self, servo: int, address: int, size: int) -> bytes:
-        """Read neighbouring registers, again where the answer is lost."""
-        return self.sure(partial(self.wire.read, servo, address, size))
+    def span(self, names: Sequence[str]) -> tuple[int, int]:
+        """First address and size of neighbouring registers."""
+        first = min(self.table[name].address for name in names)
+        return first, max(self.table[name].address + self.table[name].size for name in names) - first
 
-    def ask_all(self, address: int, size: int) -> list[bytes]:
-        """Read registers of all servos at once; TimeoutError names those that are missing."""
-        answers = self.wire.read_all(self.ids, address, size)
+    def read_block(self, servo: int, names: Sequence[str]) -> bytes:
+        """Read neighbouring registers, again where the answer is lost."""
+        return self.sure(partial(self.wire.read, servo, *self.span(names)))
+
+    def ask_all(self, *names: str) -> Counts:
+        """Read neighbouring registers of all servos at once, a row (m,) each; TimeoutError names those missing."""
+        answers = self.wire.read_all(self.ids, *self.span(names))
         if len(answers) < len(self.ids):
             self._require([servo for servo in self.ids if servo not in answers])
-        return [answers[servo] for servo in self.ids]
+        return self._decoded(names, [answers[servo] for servo in self.ids])
+
+    def _decoded(self, names: Sequence[str], blocks: Sequence[bytes]) -> Counts:
+        """Values (k, b) of k registers in blocks that hold all of them."""
+        first, _ = self.span(names)
+        registers = [self.table[name] for name in names]
+        return np.array(
+            [[one.decode(block[one.address - first :][: one.size]) for block in blocks] for one in registers]
+        )
 
     def call(self, servo: int) -> str:
         """Name of a servo in messages."""
-        return f"{self._arm.joint_names[self.joint[self.ids.index(servo)]]} (servo {servo})"
+        name = self._arm.joint_names[self.joint[self.ids.index(servo)]] if servo in self.ids else "the gripper"
+        return f"{name} (servo {servo})"
 
     @contextmanager
     def by(self, until: float | None) -> Iterator[None]:
@@ -355,17 +243,14 @@ class ServoBus(Bus):
             except NoReplyError:
                 missing.append(servo)
                 continue
-            if model not in self.models:
-                raise RobotError(f"{self.call(servo)} is of model {model}, expected {listed(self.models)}")
-            self.check_model(servo, model)
+            if model not in self.kind.models:
+                raise RobotError(f"{self.call(servo)} is of model {model}, expected {listed(self.kind.models)}")
+            self.found[servo] = self.kind.models[model]
         known = {*self.ids, max(self.ids) + 1}
         search = () if self._was_ready or not missing else set(range(self.last + 1)) - known
         self._require(missing, [servo for servo in search if self.answers(servo)], RobotError)  # the others do answer
         for servo in self.ids:
             self.check(servo)
-
-    def check_model(self, servo: int, number: int) -> None:
-        """Raise RobotError for a model that the arm does not have there."""
 
     def _require_torque(self) -> None:
         self._limp = {servo for servo in self.ids if self.get(servo, "torque") != 1}
@@ -393,14 +278,9 @@ class ServoBus(Bus):
 
     def read_gains(self) -> Values:
         """Ask each joint's first servo for all its gains at once."""
-        registers = [self.table[name] for name in self.memory]
-        first = min(register.address for register in registers)
-        size = max(register.address + register.size for register in registers) - first
-        blocks = [self.read_block(self.ids[lead], first, size) for lead in self.leads]
-        return {
-            name: tuple(one.decode(block[one.address - first :][: one.size]) for block in blocks)
-            for name, one in zip(self.memory, registers, strict=True)
-        }
+        blocks = [self.read_block(self.ids[lead], self.memory) for lead in self.leads]
+        values = self._decoded(self.memory, blocks).tolist()
+        return {name: tuple(row) for name, row in zip(self.memory, values, strict=True)}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all joints."""
@@ -424,30 +304,27 @@ STEP = 2 * np.pi / COUNTS_PER_TURN
 
 
 class Zeros(NamedTuple):
-    """Counts and radians of m servos, as plain numbers for speed."""
+    """Counts and radians of m servos."""
 
-    middle: tuple[float, ...]
+    middle: Array
     """(m,) [counts] at ``zero``"""
-    zero: tuple[float, ...]
+    zero: Array
     """(m,) [rad]"""
-    low: tuple[int, ...]
+    low: Counts
     """(m,) [counts] goals"""
-    high: tuple[int, ...]
+    high: Counts
     """(m,) [counts]"""
-    step: tuple[float, ...]
+    step: Array
     """(m,) [rad] per count"""
 
-    def radians(self, counts: Sequence[int]) -> list[float]:
+    def radians(self, counts: Sequence[int]) -> Array:
         """Joint positions (m,) [rad]."""
-        rows = zip(counts, self.middle, self.zero, self.step, strict=True)
-        return [(count - middle) * step + zero for count, middle, zero, step in rows]
+        return (np.array(counts) - self.middle) * self.step + self.zero
 
     def counts(self, position: Array) -> list[int]:
         """Goals (m,) of positions [rad], within the servos' limits."""
-        rows = zip(position.tolist(), *self, strict=True)
-        return [
-            min(max(round((angle - zero) / step + middle), low), high) for angle, middle, zero, low, high, step in rows
-        ]
+        goal = np.rint((position - self.zero) / self.step + self.middle)
+        return list(map(int, np.clip(goal, self.low, self.high)))
 
 
 SAGGING = 0.75
@@ -467,14 +344,13 @@ def trouble(names: Mapping[int, str], bits: int, voltage: float = 1.0, before: f
 class MotorRanges(NamedTuple):
     """LeRobot's calibration of the motors (n,)."""
 
-    ids: tuple[int, ...]
+    ids: tuple[tuple[int, ...], ...]
+    """of each joint's servos: LeRobot calls a second one ``shoulder_shadow``"""
     homing: Counts
     low: Counts
     high: Counts
     turned: Counts
     """drive modes"""
-    seconds: dict[int, tuple[int]]
-    """IDs of second servos, by joint: LeRobot calls them ``shoulder_shadow``"""
 
     def require(self, arm: Arm, homing: Counts) -> None:
         """Raise RobotError unless the servos of ``arm`` have these offsets (n,)."""
@@ -492,23 +368,14 @@ def read_calibration(path: Path, arm: Arm, *, turned: bool = False) -> MotorRang
     motors = read_homing(path, turned=turned)
     columns = match_joints(list(motors), arm, path, "calibration").columns
     joints = [list(motors.values())[column] for column in columns]
-    try:
-        ids, homing, low, high = (
-            np.array([int(joint[name]) for joint in joints])
-            for name in ("id", "homing_offset", "range_min", "range_max")
-        )
-        seconds = {
-            j: (int(motors[name]["id"]),)
-            for j, joint in enumerate(arm.joint_names)
-            if (name := f"{joint}_shadow") in motors
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        wanted = "id, homing_offset, range_min and range_max of every motor"
-        raise InputError(f"{path}: expected {wanted} ({error!r})") from error
+    homing, low, high = (
+        np.array([joint[name] for joint in joints]) for name in ("homing_offset", "range_min", "range_max")
+    )
     if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
         raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
-    modes = np.array([joint.get("drive_mode", 0) for joint in joints])
-    return MotorRanges(tuple(ids.tolist()), homing, low, high, modes, seconds)
+    pairs = [(joint, motors.get(f"{name}_shadow")) for name, joint in zip(arm.joint_names, joints, strict=True)]
+    ids = tuple(tuple(motor["id"] for motor in pair if motor) for pair in pairs)
+    return MotorRanges(ids, homing, low, high, np.array([joint.get("drive_mode", 0) for joint in joints]))
 
 
 SOFT = 500
@@ -516,29 +383,26 @@ SOFT = 500
 MOST_SILENT = 3
 """Unanswered questions before it is given up (chosen)"""
 
-Ask = Callable[[int, bytes], bytes | None]
-"""Passes on an instruction; None: no answer"""
-
 
 class Gripper:
     """The servo behind the joints', from ``low`` (0 %) to ``high`` (100 %) [counts]; call `serve` each cycle."""
 
-    def __init__(self, ask: Ask, table: Mapping[str, Register], number: int = 0) -> None:
-        """Read its range; ``number``: its ID, 0 for the next one behind the joints'."""
+    def __init__(self, bus: ServoBus) -> None:
+        """Read its range."""
         self.goal: float | None = None
         """[%]"""
         self.opened: float | None = None
         """[%] last reading"""
-        self._ask, self._table, self._number = ask, table, number
+        self._bus, self._servo = bus, max(bus.ids) + 1
         self._sent: float | None = None
         self._silent = 0
-        self._counts = self._get("low"), self._get("high")
+        self._counts = bus.get(self._servo, "low"), bus.get(self._servo, "high")
 
     @classmethod
-    def find(cls, ask: Ask, table: Mapping[str, Register], number: int = 0) -> Self | None:
-        """Gripper with the ID ``number``; None: no answer, or no range."""
-        with contextlib.suppress(RobotError, TypeError):  # TypeError: it has no answer to count with
-            found = cls(ask, table, number)
+    def find(cls, bus: ServoBus) -> Self | None:
+        """Gripper of an arm; None: no answer, or no range."""
+        with contextlib.suppress(RobotError):
+            found = cls(bus)
             if found._counts[0] < found._counts[1]:
                 found._read()
                 return found
@@ -558,25 +422,15 @@ class Gripper:
             self._silent += 1
 
     def _read(self) -> None:
-        self.opened = float(np.interp(self._get("position"), self._counts, (0.0, 100.0)))
+        self.opened = float(np.interp(self._bus.get(self._servo, "position"), self._counts, (0.0, 100.0)))
 
     def _send(self, goal: float) -> None:
+        bus, servo = self._bus, self._servo
         if self._sent is None:
-            if "force" in self._table:
-                self._set("force", SOFT)
-            if not self._get("torque"):
-                self._set("goal", self._get("position"))
-                self._set("torque", 1)
-        self._set("goal", round(np.interp(goal, (0.0, 100.0), self._counts)))
+            if "force" in bus.table:
+                bus.set(servo, "force", SOFT)
+            if not bus.get(servo, "torque"):
+                bus.set(servo, "goal", bus.get(servo, "position"))
+                bus.set(servo, "torque", 1)
+        bus.set(servo, "goal", round(np.interp(goal, (0.0, 100.0), self._counts)))
         self._sent = goal
-
-    def _get(self, name: str) -> int:
-        register = self._table[name]
-        data = self._ask(READ, bytes([self._number, register.address, register.size]))
-        if data is None:
-            raise TypeError(f"servo {self._number} gives no {name}")
-        return register.decode(data)
-
-    def _set(self, name: str, value: int) -> None:
-        register = self._table[name]
-        self._ask(WRITE, bytes([self._number, register.address]) + register.encode(value))

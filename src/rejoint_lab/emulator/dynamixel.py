@@ -6,41 +6,44 @@ software leaves in the servos). Where the manual is silent, a comment says what 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from rejoint.arms import Arm
+from rejoint.robots.registers import COMPLEMENT
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
-    TWO,
+    BROADCAST,
+    PING,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    TURN,
+    WRITE,
     Answer,
-    BusSession,
+    Codec,
     EmulatedBus,
     MemoryField,
     Packet,
+    Part,
     Registers,
     ServoArm,
-    alone,
 )
 from rejoint_lab.plant import xseries
 from rejoint_lab.plant.plant import XPlant
-from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, ROWS, SHOCK
 
 HEADER = b"\xff\xff\xfd"
-BROADCAST = 0xFE
-"""ID of all servos"""
-PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR = 1, 2, 3, 4, 5, 6, 8, 0x10
-STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x55, 0x82, 0x83, 0x8A
-BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 4, 5, 6, 8, 0x10, 0x55
+FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x8A, 0x92, 0x93, 0x9A
 FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
+_WORDS = struct.Struct("<HH")  # address and size
 _CLEAR = b"\x01DXL\x22"
 
 
@@ -114,7 +117,7 @@ def table_of(model: str) -> dict[str, MemoryField]:
             row["name"],
             row["access"],
             int(row[model]),
-            TWO if row["low"].startswith("-") else None,
+            COMPLEMENT if row["low"].startswith("-") else None,
             row["low"],
             row["high"],
         )
@@ -276,35 +279,32 @@ _SETTINGS = {
     "shutdown": "Shutdown",
     "heat_limit": "Temperature_Limit",
 }
-_GRIPPER = (-1.6, 0.03)  # [rad] of the Koch's jaw: MuJoCo Menagerie
 _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 
-class XArm(ServoArm):
+class XArm(ServoArm[XServo]):
     """Servos of one arm, powered and holding."""
 
-    plant: XPlant
+    kind, jaw = XPlant, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
+    gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
 
     def __init__(self, plant: XPlant, gripper: XPlant, arm: Arm, *, resistance: float = 0.0) -> None:
         """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance)
-        fitting = FITTINGS[arm.name]
+        super().__init__(plant, gripper, arm, resistance=resistance)
         self.heard = 0.0
         """[s] of the clock at the last packet"""
-        self.servos: list[XServo] = []
-        self.joint: list[int] = []
-        """of each servo; the gripper's is behind the last"""
-        self._parts = [xseries.drive_of(servo) for servo in arm.servos] + [(fitting.gripper, 1, {})]
-        for joint, (model, count, gains) in enumerate(self._parts):
-            own, at = (plant, joint) if joint < arm.joints else (gripper, 0)
+        self.servos = []
+        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
+        for joint, described in enumerate((*arm.servos, self.gripper_model(arm))):
+            model, count, gains = xseries.drive_of(described)
             for k in range(count):
-                self._settings.append(own.settings[0][at, k])
-                self._status.append(own.status[0][at, k])
-                self._add(model, fitting, joint, k, gains)
-        for index in range(len(self.servos)):
-            self.settle(index)
+                servo = self._fitted(model, FITTINGS[arm.name], k)
+                servo.joint, servo.setting, servo.status = joint, settings[joint][k], status[joint][k]
+                self.servos.append(servo)
+                self._prepare(servo, gains)
 
-    def _add(self, model: str, fitting: Fitting, joint: int, k: int, gains: dict[str, int]) -> None:
+    def _fitted(self, model: str, fitting: Fitting, k: int) -> XServo:
+        """Return the next servo, the ``k``-th of its joint, as it is built in."""
         number = fitting.first + len(self.servos)
         homing = fitting.homing[len(self.servos)] if fitting.homing else 0
         servo = XServo(model, number, mirrored=number in fitting.reverse, mount=_MIDDLE - homing)
@@ -314,12 +314,13 @@ class XArm(ServoArm):
             known["Secondary_ID"] = number - k
         for name, value in known.items():
             servo[name] = value
-        self.servos.append(servo)
-        self.joint.append(joint)
+        return servo
+
+    def _prepare(self, servo: XServo, gains: dict[str, int]) -> None:
+        """Let a servo hold, with the limits of its joint."""
         servo.wrap(0)
-        index = len(self.servos) - 1
-        if joint < self.arm.joints and fitting.mode == POSITION:
-            span = self.arm.lower[joint], self.arm.upper[joint]
+        if servo.joint < self.arm.joints and servo["Operating_Mode"] == POSITION:
+            span = self.arm.lower[servo.joint], self.arm.upper[servo.joint]
             ends = (servo.position(round(float(end) / self.arm.encoder_step)) for end in span)
             low, high = sorted(ends)
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
@@ -327,38 +328,37 @@ class XArm(ServoArm):
         servo["Torque_Enable"] = 1
         for name, value in gains.items():
             servo[f"Position_{name.upper()}_Gain"] = value
-        servo.wrap(self.count(index))
-        servo["Goal_Position"] = servo.position(int(self._status[index]["goal"]))
+        servo.wrap(self.count(servo))
+        servo["Goal_Position"] = servo.position(int(servo.status["goal"]))
+        self.settle(servo)
 
     def advance(self, duration: float) -> None:
         """Advance by [s], in whole milliseconds."""
         super().advance(duration)
-        for index, servo in enumerate(self.servos):
+        for servo in self.servos:
             watch = servo["Bus_Watchdog"]
             if 0 < watch < EXPIRED and self.clock - self.heard > watch * WATCHDOG_UNIT:
                 servo["Bus_Watchdog"] = EXPIRED
-                servo["Goal_Position"] = servo.position(int(self._status[index]["position"]))
+                servo["Goal_Position"] = servo.position(int(servo.status["position"]))
                 servo["Goal_Velocity"] = 0
-                self.settle(index)
-            self._alarm(index)
+                self.settle(servo)
+            self._alarm(servo)
 
-    def restart(self, index: int) -> None:
-        """Cycle the power of a servo, from 0, or reboot it."""
-        servo, status = self.servos[index], self._status[index]
-        servo.cycle_power()
-        servo.wrap(self.count(index))
-        servo["Goal_Position"] = servo.position(self.count(index))
-        servo.awake = self.clock + BOOT
+    def restart(self, servo: XServo) -> None:
+        """Cycle the power of a servo, or reboot it."""
         for name in ("alarms", "blocked", "hot", "strained"):
-            status[name] = 0
-        self.settle(index)
+            servo.status[name] = 0
+        servo.cycle_power()
+        servo.wrap(self.count(servo))
+        servo["Goal_Position"] = servo.position(self.count(servo))
+        servo.awake = self.clock + BOOT
+        self.settle(servo)
 
-    def settle(self, index: int) -> None:
-        """Apply the registers of a servo, index from 0."""
-        servo, setting = self.servos[index], self._settings[index]
-        mode, unit, sign = servo["Operating_Mode"], NEW[servo.model].get("current_unit", 0.0), servo.sign
+    def settle(self, servo: XServo) -> None:
+        """Apply the registers of a servo."""
+        mode, sign, timed = servo["Operating_Mode"], servo.sign, servo["Drive_Mode"] >> 2 & 1
+        unit = NEW[servo.model].get("current_unit")
         current = servo["Goal_Current"] * unit if unit else 0.0
-        timed = servo["Drive_Mode"] >> 2 & 1
         speed, acceleration = float(servo["Profile_Velocity"]), servo["Profile_Acceleration"]
         if not timed:
             speed = min(speed, servo["Velocity_Limit"]) * xseries.VELOCITY_UNIT
@@ -374,139 +374,87 @@ class XArm(ServoArm):
             "high_voltage": servo["Max_Voltage_Limit"] / 10,
         }
         for name, value in applied.items():
-            setting[name] = value
-        goal = servo.count(servo["Goal_Position"])
-        self._status[index]["goal"] = goal
-        if self.joint[index] < self.arm.joints:
-            self.plant.servos["goal"][0, self.joint[index]] = goal * self.arm.encoder_step
+            servo.setting[name] = value
+        self._aim(servo, servo.count(servo["Goal_Position"]))
 
-    def apply(self, index: int, address: int, data: bytes) -> int:
+    def apply(self, servo: XServo, address: int, data: bytes) -> int:
         """Write registers of a servo; returns the error."""
-        servo = self.servos[index]
         on = servo["Torque_Enable"]
         error, touched = servo.write(address, data)
-        if "Torque_Enable" in touched and self.alarms_of(index) & servo["Shutdown"]:
+        if "Torque_Enable" in touched and self.alarms_of(servo) & servo["Shutdown"]:
             servo["Torque_Enable"] = 0  # until it is rebooted
         rises = servo["Torque_Enable"] > on and servo["Operating_Mode"] == POSITION
         if rises or ("Operating_Mode" in touched and servo["Operating_Mode"] == POSITION):
             goal = servo.count(servo["Goal_Position"])
-            servo.wrap(self.count(index))
+            servo.wrap(self.count(servo))
             servo["Goal_Position"] = servo.position(goal)
         if touched:
-            self.settle(index)
+            self.settle(servo)
         return error
 
-    def measure(self, index: int) -> None:
+    def alarms_of(self, servo: XServo) -> int:
+        """Hardware errors of a servo."""
+        own, told = int(servo.status["alarms"]), int(self._of_joint(servo, self.alarms, 0))
+        return own | told & ~BITS["current"] | SHOCK * bool(told & BITS["current"])
+
+    def measure(self, servo: XServo) -> None:
         """Write a servo's measurements to its registers."""
-        servo, status, setting = self.servos[index], self._status[index], self._settings[index]
-        joint, sign = self.joint[index], servo.sign
-        on_arm = joint < self.arm.joints
-        heat = self.temperature[joint] if on_arm else self.gripper.temperature[0, 0]
-        measured: dict[str, Any] = {
-            "Present_Position": servo.position(self.count(index)),
-            "Present_Velocity": round(sign * status["speed"] / xseries.VELOCITY_UNIT),
+        status, sign, threshold = servo.status, servo.sign, servo["Moving_Threshold"]
+        moving = bool(status["moving"])
+        speed, unit = round(sign * status["speed"] / xseries.VELOCITY_UNIT), NEW[servo.model].get("current_unit")
+        load = self._current(servo) / unit if unit else 1000.0 * float(status["output"]) / xseries.FULL  # or [0.1 %]
+        arrived = bool(abs(status["goal"] - status["position"]) <= threshold)
+        measured = {
+            "Present_Position": servo.position(self.count(servo)),
+            "Present_Velocity": speed,
             "Present_PWM": round(sign * status["output"]),
-            "Present_Current": round(sign * self._current(index)),
-            "Present_Input_Voltage": round(float(setting["voltage"]) * 10),
-            "Present_Temperature": min(heat, 255.0),
+            "Present_Current": round(sign * load),
+            "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
+            "Present_Temperature": self._heat(servo),
             "Position_Trajectory": servo.position(round(float(status["reference"]))),
             "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
             "Realtime_Tick": int(self.clock * 1e3) % 32768,
-            "Hardware_Error_Status": self.alarms_of(index),
-            "Torque_Enable": setting["torque_on"],
+            "Hardware_Error_Status": self.alarms_of(servo),
+            "Torque_Enable": servo.setting["torque_on"],
             "Registered_Instruction": servo.registered is not None,
+            "Moving": moving or abs(speed) > threshold,
+            "Moving_Status": arrived | moving << 1,
         }
-        arrived = abs(status["goal"] - status["position"]) <= servo["Moving_Threshold"]
-        fast = abs(measured["Present_Velocity"]) > servo["Moving_Threshold"]
-        measured["Moving"] = bool(status["moving"]) or fast
-        measured["Moving_Status"] = int(arrived) | bool(status["moving"]) << 1
         for name, value in measured.items():
             servo[name] = int(value)
 
-    def alarms_of(self, index: int) -> int:
-        """Hardware errors of a servo."""
-        own, joint = int(self._status[index]["alarms"]), self.joint[index]
-        told = int(self.alarms[joint]) if joint < self.arm.joints else 0
-        return own | told & ~BITS["current"] | SHOCK * bool(told & BITS["current"])
-
-    def count(self, index: int) -> int:
-        """Count of a servo from its joint's zero, as its encoder tells it."""
-        joint = self.joint[index]
-        if joint < self.arm.joints:
-            return round(float(self.angles[joint]) / self.arm.encoder_step)
-        return int(self.gripper.status["position"][0, 0, 0])
-
-    def _alarm(self, index: int) -> None:
+    def _alarm(self, servo: XServo) -> None:
         """Let an error trip the servo, which stays without torque."""
-        servo, setting, status = self.servos[index], self._settings[index], self._status[index]
-        status["alarms"] |= self.alarms_of(index)
-        if setting["torque_on"] and status["alarms"] & servo["Shutdown"]:
-            setting["torque_on"] = 0
-        if not setting["torque_on"]:
+        servo.status["alarms"] |= self.alarms_of(servo)
+        if servo.status["alarms"] & servo["Shutdown"]:
+            servo.setting["torque_on"] = 0
+        if not servo.setting["torque_on"]:
             servo["Torque_Enable"] = 0
 
-    def _current(self, index: int) -> float:
-        """Present current in the unit of its register, or the load [0.1 %]."""
-        servo, status, joint = self.servos[index], self._status[index], self.joint[index]
-        unit = NEW[servo.model].get("current_unit")
-        if unit is None:
-            return 1000.0 * float(status["output"]) / xseries.FULL
-        least = self.least_current[joint] if joint < self.arm.joints else 0.0
-        current = float(status["current"])
-        return float(np.copysign(max(abs(current), least), current)) / unit
 
-
-def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> XArm:
-    """Arm with the wear profile ``wear_name`` behind its servos, at rest; the gripper's is worn as the last joint's."""
-    wear, servo = load_wear(wear_name, arm), FITTINGS[arm.name].gripper
-    gripper = alone(arm, wear, np.array(_GRIPPER), XPlant, servo, seed)
-    built = XArm(XPlant(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
-    built.advance(0.01)  # compiles the plant now instead of during the first request
-    return built
-
-
-DELAY_UNIT, TURN = 2e-6, 20e-6
-"""[s] of the return delay register; least pause before an answer (chosen)"""
-
-
-_READS = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
-
-
-class XBus(EmulatedBus):
+class XBus(EmulatedBus[XServo]):
     """Servos of X arms on their wire."""
 
+    scheme, codec, ping_bytes, ping_pause = "dynamixel", Codec(finder, encode), 14, TURN
     rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+    reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
+    writes = frozenset({SYNC_WRITE, BULK_WRITE})
     arm: XArm
+
+    def hearing(self) -> list[XServo]:
+        """Servos that hear the client and are awake."""
+        return [servo for servo in super().hearing() if servo.awake <= self.arm.clock]
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
         self.arm.heard = self.arm.clock
-        hearing = [(index, servo) for index, servo in self.hearing() if servo.awake <= self.arm.clock]
-        code, data = request.code, request.parameters
-        if code in (SYNC_WRITE, BULK_WRITE):
-            for part in _parts(code, data):
-                for index, servo in hearing:
-                    if part.number in (servo.number, servo["Secondary_ID"]):
-                        self._write(index, part.number, part.address, part.data)
-            return []
-        if code in _READS:
-            asked = [
-                ([index for index, servo in hearing if servo.number == part.number], part)
-                for part in _parts(code, data)
-            ]
-            return (self._chain if code in (FAST_SYNC_READ, FAST_BULK_READ) else self._row)(asked)
-        answers = []
-        for index, servo in sorted(hearing, key=lambda pair: pair[1].number):
-            if request.id in (BROADCAST, servo.number, servo["Secondary_ID"]):
-                found = self._obey(index, request)
-                if found is not None and request.id in (BROADCAST, servo.number):
-                    slot = servo.number * (14 * self.byte + TURN) if request.id == BROADCAST else 0.0
-                    answers.append(self._status(index, slot, *found))
-        return answers
+        return super().execute(request)
 
-    def _obey(self, index: int, request: Packet) -> tuple[int, bytes] | None:
-        """Error and data of the answer; None: none."""
-        servo, code, data = self.arm.servos[index], request.code, request.parameters
+    def _numbers(self, servo: XServo) -> tuple[int, ...]:
+        return servo.number, servo["Secondary_ID"]
+
+    def _obey(self, servo: XServo, request: Packet) -> tuple[int, bytes] | None:
+        code, data = request.code, request.parameters
         shadow = request.id != BROADCAST and request.id != servo.number
         if code == PING:
             return 0, servo.read(0, 2) + servo.read(6, 1)
@@ -515,13 +463,13 @@ class XBus(EmulatedBus):
                 return None
             if len(data) != 4:
                 return LENGTH, b""
-            return self._read(index, *_words(data))
-        error = self._do(index, request, shadow)
+            return self._read(servo, *_WORDS.unpack(data))
+        error = self._do(servo, request, shadow)
         answers = servo["Status_Return_Level"] == 2 and request.id != BROADCAST
         return (error, b"") if answers else None
 
-    def _do(self, index: int, request: Packet, shadow: bool) -> int:
-        servo, code, data = self.arm.servos[index], request.code, request.parameters
+    def _do(self, servo: XServo, request: Packet, shadow: bool) -> int:
+        code, data = request.code, request.parameters
         if code in (WRITE, REG_WRITE):
             if len(data) < 3:
                 return LENGTH
@@ -529,108 +477,74 @@ class XBus(EmulatedBus):
             if code == REG_WRITE:
                 servo.registered = address, data[2:]
                 return 0
-            return self._write(index, servo["Secondary_ID"] if shadow else servo.number, address, data[2:])
+            return self._write(servo, servo["Secondary_ID"] if shadow else servo.number, address, data[2:])
         if code == ACTION:
             waiting, servo.registered = servo.registered, None
-            return self.arm.apply(index, *waiting) if waiting else 0
+            return self.arm.apply(servo, *waiting) if waiting else 0
         if code == REBOOT:
-            self.arm.restart(index)
+            self.arm.restart(servo)
         elif code == FACTORY_RESET and data in (b"\xff", b"\x01", b"\x02"):
             servo.restore(() if data == b"\xff" else ("ID",) if data == b"\x01" else ("ID", "Baud_Rate"))
-            self.arm.restart(index)
+            self.arm.restart(servo)
         elif code == CLEAR and data == _CLEAR:
-            if self.arm._status[index]["moving"]:
+            if servo.status["moving"]:
                 return FAILED
-            servo.wrap(self.arm.count(index))
-            self.arm.settle(index)
+            servo.wrap(self.arm.count(servo))
+            self.arm.settle(servo)
         else:
             return UNKNOWN
         return 0
 
-    def _write(self, index: int, number: int, address: int, data: bytes) -> int:
-        if number != self.arm.servos[index].number and address < RAM:
+    def _write(self, servo: XServo, number: int, address: int, data: bytes) -> int:
+        if number != servo.number and address < RAM:
             return ACCESS  # a shadow's own area is its own
-        return self.arm.apply(index, address, data)
+        return self.arm.apply(servo, address, data)
 
-    def _read(self, index: int, address: int, size: int) -> tuple[int, bytes]:
+    def _read(self, servo: XServo, address: int, size: int) -> tuple[int, bytes]:
         if not size or address + size > SIZE:
             return (ACCESS if size else LENGTH), b""
-        self.arm.measure(index)
-        return 0, self.arm.servos[index].read(address, size)
+        self.arm.measure(servo)
+        return 0, servo.read(address, size)
 
-    def _error(self, index: int, error: int) -> int:
-        return error | ALERT * bool(self.arm.alarms_of(index))
+    def _error(self, servo: XServo, error: int) -> int:
+        return error | ALERT * bool(self.arm.alarms_of(servo))
 
-    def _delay(self, index: int) -> float:
-        return max(TURN, self.arm.servos[index]["Return_Delay_Time"] * DELAY_UNIT)
+    def _status(self, servo: XServo, error: int, data: bytes) -> Packet:
+        return Packet(servo.number, STATUS, bytes([self._error(servo, error)]) + data)
 
-    def _status(self, index: int, slot: float, error: int, data: bytes) -> Answer:
-        frame = encode(Packet(self.arm.servos[index].number, STATUS, bytes([self._error(index, error)]) + data))
-        return Answer(index, slot + self._delay(index) + len(frame) * self.byte, frame)
-
-    def _row(self, asked: list[tuple[list[int], Part]]) -> list[Answer]:
+    def _row(self, code: int, asked: list[tuple[list[XServo], Part]]) -> list[Answer]:
         """Answers one after the other; the slot of a silent servo passes (chosen)."""
+        if code in (FAST_SYNC_READ, FAST_BULK_READ):
+            return self._chain(asked)
         answers, begun = list[Answer](), 0.0
         for servos, part in asked:
-            mine = [self._status(index, begun, *self._read(index, part.address, part.size)) for index in servos]
+            mine = [self._answer(servo, begun, *self._read(servo, part.address, part.size)) for servo in servos]
             answers += mine
             begun = mine[0].after if mine else begun + (part.size + 11) * self.byte
         return answers
 
-    def _chain(self, asked: list[tuple[list[int], Part]]) -> list[Answer]:
+    def _parts(self, request: Packet) -> Iterator[Part]:
+        """Yield the parts of a sync or bulk packet; one of bulk packets has an address and a size of its own."""
+        code, data = request.code, request.parameters
+        head = b"" if code in (BULK_READ, BULK_WRITE, FAST_BULK_READ) else data[:4]
+        place = len(head)
+        while place + 5 - len(head) <= len(data):
+            start = place + 5 - len(head)
+            address, size = _WORDS.unpack(head or data[place + 1 : start])
+            end = start + size * (code in self.writes)
+            if end <= len(data):
+                yield Part(data[place], address, size, data[start:end])
+            place = end
+
+    def _chain(self, asked: list[tuple[list[XServo], Part]]) -> list[Answer]:
         """Return the one answer of a fast read, which breaks off before a silent servo; not stuffed."""
         length = 1 + sum(part.size + 4 for _, part in asked)
         heard = list(takewhile(lambda one: one[0], asked))
         if not heard or length > _MOST:
             return []
         frame = HEADER + bytes([0, BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
-        for (index, *_), part in heard:
-            error, data = self._read(index, part.address, part.size)
-            frame += bytes([self._error(index, error), self.arm.servos[index].number]) + data
+        for (servo, *_), part in heard:
+            error, data = self._read(servo, part.address, part.size)
+            frame += bytes([self._error(servo, error), servo.number]) + data
             frame += crc(frame)
-        return [Answer(heard[-1][0][0], self._delay(heard[0][0][0]) + len(frame) * self.byte, frame)]
-
-
-class Part(NamedTuple):
-    """What a packet to several servos asks of one."""
-
-    number: int
-    """ID"""
-    address: int
-    size: int
-    data: bytes
-    """to write"""
-
-
-def _parts(code: int, data: bytes) -> list[Part]:
-    """Parts of a sync or bulk packet; one of bulk packets has an address and a size of its own."""
-    head = b"" if code in (BULK_READ, BULK_WRITE, FAST_BULK_READ) else data[:4]
-    found, place = list[Part](), len(head)
-    while place + 5 - len(head) <= len(data):
-        start = place + 5 - len(head)
-        address, size = _words(head or data[place + 1 : start])
-        end = start + size * (code in (SYNC_WRITE, BULK_WRITE))
-        if end <= len(data):
-            found.append(Part(data[place], address, size, data[start:end]))
-        place = end
-    return found
-
-
-def _words(data: bytes) -> tuple[int, ...]:
-    return tuple(int.from_bytes(data[k : k + 2], "little") for k in range(0, len(data), 2))
-
-
-class XSession(BusSession):
-    """Servos of ``arm`` for one client at a time, with timing."""
-
-    scheme = "dynamixel"
-    reading = _READS | {READ}
-
-    def __init__(self, arm: XArm, **options: Any) -> None:  # noqa: ANN401
-        super().__init__(XBus(arm), **options)
-
-    def _finder(self) -> Finder[Packet]:
-        return finder()
-
-    def _bytes_of(self, request: Packet) -> bytes:
-        return encode(request)
+        return [Answer(self._delay(heard[0][0][0]) + len(frame) * self.byte, frame)]

@@ -7,45 +7,55 @@ names), and recorded LeRobot packets.
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.servobus import (
+    BROADCAST,
+    PING,
+    READ,
+    SYNC_WRITE,
+    WRITE,
     Answer,
-    BusSession,
+    Codec,
     EmulatedBus,
     MemoryField,
     Packet,
+    Part,
     Registers,
     ServoArm,
-    alone,
 )
 from rejoint_lab.plant.plant import StsPlant
-from rejoint_lab.plant.wear import load_wear
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
 
 
 with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
-    TABLE = tuple(
-        MemoryField(int(address), int(size), name, access, int(default), int(sign) if sign else None)
-        for address, size, name, access, default, _unit, sign in list(csv.reader(_file))[1:]
+    _ROWS = tuple(csv.DictReader(_file))
+TABLE = tuple(
+    MemoryField(
+        int(row["address"]),
+        int(row["size"]),
+        row["name"],
+        row["access"],
+        int(row["default"]),
+        int(row["sign"]) if row["sign"] else None,
     )
+    for row in _ROWS
+)
 BY_NAME: dict[str, MemoryField] = {register.name: register for register in TABLE}
+_SETTINGS = {row["setting"]: (row["name"], float(row["factor"])) for row in _ROWS if row["setting"]}
+"""Register and unit by field of `sts3215.SETTING`"""
 
 
 HEADER = b"\xff\xff"
-BROADCAST = 0xFE
-"""ID of all servos"""
 MOST_PARAMETERS = 248
 """per packet: clients cap packets at 250 bytes"""
-
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
 
 
 def checksum(body: bytes) -> int:
@@ -71,11 +81,9 @@ def size_of(data: bytes) -> int | None:
     return None if len(data) < size else size * (checksum(data[2 : size - 1]) == data[size - 1])
 
 
-class PacketFinder(Finder[Packet]):
-    """Finds packets in a stream of bytes."""
-
-    def __init__(self) -> None:
-        super().__init__(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
+def finder() -> Finder[Packet]:
+    """Find packets in a stream of bytes."""
+    return Finder(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
 
 
 COUNTS = 4096
@@ -125,113 +133,71 @@ PROMPT = 254
 """[100 counts/s^2] as LeRobot sets it"""
 CURRENT_UNIT = 0.0065
 """[A] per count"""
-_GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
-# Fields of `sts3215.SETTING`: the register of each, and its unit.
-_SETTINGS = {
-    "p": ("P_Coefficient", 1),
-    "d": ("D_Coefficient", 1),
-    "i": ("I_Coefficient", 1),
-    "startup": ("Minimum_Startup_Force", 1),
-    "integral_limit": ("Integral_Limit", 1),
-    "dead_cw": ("CW_Dead_Zone", 1),
-    "dead_ccw": ("CCW_Dead_Zone", 1),
-    "torque_limit": ("Torque_Limit", 1),
-    "threshold": ("Moving_Velocity_Threshold", 1),
-    "unloading": ("Unloading_Condition", 1),
-    "heat_limit": ("Max_Temperature_Limit", 1),
-    "torque_on": ("Torque_Enable", 1),
-    "protective": ("Protective_Torque", 10),
-    "overload": ("Overload_Torque", 10),
-    "protection_ticks": ("Protection_Time", 10),
-    "current_ticks": ("Over_Current_Protection_Time", 10),
-    "current_limit": ("Protection_Current", CURRENT_UNIT),
-    "low_voltage": ("Min_Voltage_Limit", 0.1),
-    "high_voltage": ("Max_Voltage_Limit", 0.1),
-}
 
 
-class StsArm(ServoArm):
+class StsArm(ServoArm[Servo]):
     """Six servos of one arm, powered and holding."""
 
-    plant: StsPlant
+    kind, jaw = StsPlant, (-0.17, 1.75)  # so101_new_calib.xml
+    gripper_model = staticmethod(lambda arm: arm.servos[-1])
 
     def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
         """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance)
-        self.servos = [Servo(number) for number in range(1, arm.joints + 2)]
-        self._settings = [*plant.settings[0], *gripper.settings[0]]
-        self._status = [*plant.status[0], *gripper.status[0]]
-        for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
+        super().__init__(plant, gripper, arm, resistance=resistance)
+        self.servos = [Servo(joint + 1) for joint in range(arm.joints + 1)]
+        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
+        rows = zip(self.servos, HOMING, self._ranges(), strict=True)
+        for joint, (servo, homing, limits) in enumerate(rows):
+            servo.joint, servo.setting, servo.status = joint, settings[joint], status[joint]
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
             servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits
             servo.save()
-        for index in range(len(self.servos)):
-            self.settle(index)
+            self.settle(servo)
 
-    def restart(self, index: int) -> None:
-        """Cycle the power of a servo, from 0."""
-        self.servos[index].cycle_power()
-        self.settle(index)
+    def go(self, servo: Servo) -> None:
+        """Apply a servo's goal, and its torque."""
+        servo.setting["torque_on"] = servo["Torque_Enable"]
+        self._aim(servo, servo["Goal_Position"] + _shift(servo))
 
-    def settle(self, index: int) -> None:
-        """Apply the registers of a servo, index from 0."""
-        servo, setting = self.servos[index], self._settings[index]
+    def restart(self, servo: Servo) -> None:
+        """Cycle the power of a servo."""
+        servo.cycle_power()
+        self.settle(servo)
+
+    def settle(self, servo: Servo) -> None:
+        """Apply the registers of a servo."""
+        setting = servo.setting
         for field, (name, unit) in _SETTINGS.items():
             setting[field] = servo[name] * unit
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
-        shift = self._shift(index) if low != high else 0
-        setting["least"], setting["most"] = low + shift, high + shift
+        shift = _shift(servo) if low != high else 0
         acceleration = servo["Acceleration"] or servo["Maximum_Acceleration"] * servo["Acceleration_Multiplier"]
+        setting["least"], setting["most"] = low + shift, high + shift
         setting["acceleration"] = 100.0 * max(acceleration, 1)
         setting["speed"] = float(abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"])
 
-    def go(self, index: int) -> None:
-        """Apply a servo's goal, and its torque."""
-        self._settings[index]["torque_on"] = self.servos[index]["Torque_Enable"]
-        goal = self.servos[index]["Goal_Position"] + self._shift(index)
-        self._status[index]["goal"] = goal
-        if index < self.arm.joints:
-            self.plant.servos["goal"][0, index] = goal * self.arm.encoder_step
-
-    def measure(self, index: int) -> None:
+    def measure(self, servo: Servo) -> None:
         """Write a servo's measurements to its registers."""
-        status, setting = self._status[index], self._settings[index]
-        joint, shift = index < self.arm.joints, self._shift(index)
-        heat = self.temperature[index] if joint else self.gripper.temperature[0, 0]
-        least = self.least_current[index] if joint else 0.0
-        current = round(max(abs(float(status["current"])), least) / CURRENT_UNIT)
+        status, setting, shift = servo.status, servo.setting, _shift(servo)
         measured = {
-            "Present_Position": (self._count(index) - shift) % COUNTS,
+            "Present_Position": (self.count(servo) - shift) % COUNTS,
             "Present_Velocity": np.clip(status["speed"], -32767, 32767),
             "Present_Load": np.clip(status["output"], -1023, 1023),
             "Present_Voltage": round(float(setting["voltage"]) * 10),
-            "Present_Temperature": min(heat, 255.0),
-            "Status": self.status(index),
+            "Present_Temperature": self._heat(servo),
+            "Status": self.alarms_of(servo),
             "Moving": status["moving"],
             "Goal_In_Force": status["goal"] - shift,
-            "Present_Current": -current if status["current"] < 0 else current,
+            "Present_Current": round(self._current(servo) / CURRENT_UNIT),
             "Torque_Enable": setting["torque_on"],  # over-current switches it off
         }
         for name, value in measured.items():
-            self.servos[index][name] = int(value)
-
-    def status(self, index: int) -> int:
-        """Error bits of a servo."""
-        own = int(self._status[index]["alarms"])
-        return own | int(self.alarms[index]) if index < self.arm.joints else own
-
-    def _count(self, index: int) -> int:
-        if index < self.arm.joints:
-            return round(float(self.angles[index]) / self.arm.encoder_step)
-        return int(self.gripper.status["position"][0, 0])
-
-    def _shift(self, index: int) -> int:
-        return self.servos[index]["Homing_Offset"] - HOMING[index] - MIDDLE
+            servo[name] = int(value)
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Limits [counts] of LeRobot's calibration: a full turn for the wrist."""
-        pairs = [*zip(self.arm.lower, self.arm.upper, strict=True), _GRIPPER]
+        pairs = [*zip(self.arm.lower, self.arm.upper, strict=True), self.jaw]
         ends = [
             (MIDDLE + round(a / self.arm.encoder_step), MIDDLE + round(b / self.arm.encoder_step)) for a, b in pairs
         ]
@@ -239,105 +205,62 @@ class StsArm(ServoArm):
         return ends
 
 
-def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> StsArm:
-    """Arm with the wear profile ``wear_name`` behind its servos, at rest; the gripper's is worn as the last joint's."""
-    wear = load_wear(wear_name, arm)
-    gripper = alone(arm, wear, np.array(_GRIPPER), StsPlant, arm.servos[-1], seed)
-    built = StsArm(StsPlant(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
-    built.advance(0.01)  # compiles the plant now instead of during the first request
-    return built
+def _shift(servo: Servo) -> int:
+    return servo["Homing_Offset"] - HOMING[servo.joint] - MIDDLE
 
 
-TURN = 20e-6
-"""[s] least pause before an answer (chosen: least seen)"""
-DELAY_UNIT = 2e-6
-"""[s] of the return delay register"""
 MOST_DATA = 128
 """[bytes] buffer of a servo"""
-# [bytes] between the slots of a synchronous read, beside the answer (the firmware's own sum)
-_BETWEEN = 3
+# [bytes] of an answer without data, with those between it and the next (the firmware's own sum)
+_SLOT = 9
 _WORD = 2
 
 
-class StsBus(EmulatedBus):
+class StsBus(EmulatedBus[Servo]):
     """Servos of an SO-101 on their wire."""
 
+    scheme, codec, ping_bytes = "feetech", Codec(finder, encode), _SLOT
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
-    def execute(self, request: Packet) -> list[Answer]:
-        """Execute a packet; returns the answers in order of time."""
-        hearing = [(index, servo.number) for index, servo in self.hearing()]
-        parts = request.parameters
-        if request.code == SYNC_READ and len(parts) > _WORD:
-            return [
-                self._status(
-                    index, number, self._read(index, *parts[:_WORD]), place * (parts[1] + 6 + _BETWEEN) * self.byte
-                )
-                for place, asked in enumerate(parts[_WORD:])
-                for index, number in hearing
-                if number == asked
-            ]
-        if request.code == SYNC_WRITE:
-            self._sync_write(parts, {number: index for index, number in hearing})
-            return []
-        answers = []
-        for index, number in hearing:
-            if request.id not in (BROADCAST, number):
-                continue
-            data = self._obey(index, request)
-            if data is not None and (request.id != BROADCAST or request.code == PING):
-                slot = number * (_BETWEEN + 6) * self.byte if request.id == BROADCAST else 0.0
-                answers.append(self._status(index, number, data, slot))
-        return answers
+    def _parts(self, request: Packet) -> Iterator[Part]:
+        if len(request.parameters) < _WORD:
+            return
+        address, size, *rest = request.parameters
+        width = 1 + size * (request.code == SYNC_WRITE)
+        for start in range(0, len(rest) - width + 1, width):
+            number, *data = rest[start : start + width]
+            yield Part(number, address, size, bytes(data))
 
-    def _read(self, index: int, address: int, size: int) -> bytes:
-        self.arm.measure(index)
-        return self.arm.servos[index].read(address, min(size, MOST_DATA))
+    def _row(self, code: int, asked: list[tuple[list[Servo], Part]]) -> list[Answer]:  # noqa: ARG002 - there is one
+        return [
+            self._answer(servo, place * (part.size + _SLOT) * self.byte, *self._read(servo, part.address, part.size))
+            for place, (servos, part) in enumerate(asked)
+            for servo in servos
+        ]
 
-    def _obey(self, index: int, request: Packet) -> bytes | None:
-        servo, data = self.arm.servos[index], request.parameters
+    def _read(self, servo: Servo, address: int, size: int) -> tuple[int, bytes]:
+        self.arm.measure(servo)
+        return 0, servo.read(address, min(size, MOST_DATA))
+
+    def _obey(self, servo: Servo, request: Packet) -> tuple[int, bytes] | None:
+        data = request.parameters
         if request.code == PING:
-            return b""
-        if request.code == READ and len(data) == _WORD:
-            return self._read(index, *data)
+            return 0, b""
+        if request.code == READ and len(data) == _WORD and request.id != BROADCAST:
+            return self._read(servo, *data)
         if request.code != WRITE or len(data) < _WORD:
             return None
-        answers = servo["Response_Status_Level"] != 0
-        self._write(index, data[0], data[1:])
-        return b"" if answers else None
+        answers = servo["Response_Status_Level"] != 0 and request.id != BROADCAST
+        error = self._write(servo, servo.number, data[0], data[1:])
+        return (error, b"") if answers else None
 
-    def _write(self, index: int, address: int, data: bytes) -> None:
-        touched = self.arm.servos[index].write(address, data)
+    def _write(self, servo: Servo, number: int, address: int, data: bytes) -> int:  # noqa: ARG002 - it has one
+        touched = servo.write(address, data)
         if touched - {"Goal_Position"}:
-            self.arm.settle(index)
+            self.arm.settle(servo)
         if "Goal_Position" in touched:
-            self.arm.go(index)
+            self.arm.go(servo)
+        return 0
 
-    def _sync_write(self, parts: bytes, hearing: dict[int, int]) -> None:
-        if len(parts) < _WORD or not parts[1]:
-            return
-        address, size, *rest = parts
-        for start in range(0, len(rest) - size, size + 1):
-            if rest[start] in hearing:
-                self._write(hearing[rest[start]], address, bytes(rest[start + 1 : start + 1 + size]))
-
-    def _status(self, index: int, number: int, data: bytes, slot: float) -> Answer:
-        frame = encode(Packet(number, self.arm.status(index), data))
-        delay = max(TURN, self.arm.servos[index]["Return_Delay_Time"] * DELAY_UNIT)
-        return Answer(index, slot + delay + len(frame) * self.byte, frame)
-
-
-class StsSession(BusSession):
-    """Servos of ``arm`` for one client at a time, with timing."""
-
-    scheme = "feetech"
-    reading = frozenset({READ, SYNC_READ})
-
-    def __init__(self, arm: StsArm, **options: Any) -> None:  # noqa: ANN401
-        super().__init__(StsBus(arm), **options)
-
-    def _finder(self) -> PacketFinder:
-        return PacketFinder()
-
-    def _bytes_of(self, request: Packet) -> bytes:
-        return encode(request)
+    def _status(self, servo: Servo, error: int, data: bytes) -> Packet:
+        return Packet(servo.number, error | self.arm.alarms_of(servo), data)

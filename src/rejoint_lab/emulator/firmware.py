@@ -80,7 +80,7 @@ class Firmware(EmulatedArm, Mover):
             return
         self.outbox.clear()
         self.plant.halt()
-        self._track(np.full(self.arm.joints, True), self.plant.goal[0] - self.zero)
+        self._motion.place(slice(None), self.plant.goal[0] - self.zero)
 
     def pause(self) -> None:
         """Hold until `resume`."""
@@ -104,7 +104,8 @@ class Firmware(EmulatedArm, Mover):
         """Hold with the servos in ``wanted`` (n,); release the others."""
         self._motion.hold()
         self.outbox.clear()
-        self._track(wanted & ~self.enabled, self.angles)
+        held = wanted & ~self.enabled
+        self._motion.place(held, self.angles[held])
         self.enabled = wanted.copy()
         self.plant.set_power(np.array([bool(wanted.any())]))
         self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
@@ -134,7 +135,7 @@ class Firmware(EmulatedArm, Mover):
             interpolating = self._motion.interpolating
             self._motion.advance(step * 1e-3)
             if interpolating or not self.enabled.all():
-                self._track(~self.enabled, self.angles)
+                self._motion.place(~self.enabled, self.angles[~self.enabled])
                 self.outbox = [_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED)]
             self._deliver()
             self.plant.advance(step * 1e-3)
@@ -145,14 +146,6 @@ class Firmware(EmulatedArm, Mover):
         if self.powered and not self.enabled.all():
             self.enable(np.ones(self.arm.joints, dtype=bool))
         return self.powered
-
-    def _track(self, joints: Mask, angles: Array) -> None:
-        """Set the reference of ``joints`` (n,) to ``angles`` (n,) [rad]."""
-        for joint in np.flatnonzero(joints):
-            self._motion.place(int(joint), float(angles[joint]))
-
-    def _ramped(self, speed: float, goal: Array) -> None:
-        self._write(speed, goal)
 
     def _write(self, speed: float, goal: Array | None = None) -> None:
         """Send a goal (n,) [rad], by default the reference."""

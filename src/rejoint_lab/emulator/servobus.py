@@ -5,22 +5,20 @@ from __future__ import annotations
 import termios
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.wireserver import ByteStream, await_data
-from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
+from rejoint.robots.registers import Register
+from rejoint.robots.wireserver import ByteStream, Finder, await_data
+from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
 from rejoint_lab.plant.servo import STEP
-from rejoint_lab.plant.wear import PARAMETERS, Wear
-
-TWO = -1
-"""Sign of numbers in two's complement"""
+from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
 
 class Packet(NamedTuple):
@@ -30,6 +28,13 @@ class Packet(NamedTuple):
     code: int
     """instruction or error bits"""
     parameters: bytes = b""
+
+
+class Codec(NamedTuple):
+    """Bytes of packets."""
+
+    finder: Callable[[], Finder[Packet]]
+    encode: Callable[[Packet], bytes]
 
 
 class MemoryField(NamedTuple):
@@ -42,10 +47,15 @@ class MemoryField(NamedTuple):
     """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept"""
     default: int
     sign: int | None = None
-    """sign bit, `TWO`, or None"""
+    """as of a `Register`"""
     low: str = ""
     high: str = ""
     """limits: numbers or names of registers"""
+
+    @property
+    def register(self) -> Register:
+        """Its bytes."""
+        return Register(self.address, self.size, self.sign)
 
     @property
     def cells(self) -> slice:
@@ -53,21 +63,14 @@ class MemoryField(NamedTuple):
         return slice(self.address, self.address + self.size)
 
 
-def magnitude(value: int, bit: int) -> int:
-    """``value`` as size and sign ``bit``."""
-    if abs(value) >= 1 << bit:
-        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
-    return -value | 1 << bit if value < 0 else value
-
-
-def signed(word: int, bit: int) -> int:
-    """Inverse of `magnitude`."""
-    size = word & ~(1 << bit)
-    return -size if word & 1 << bit else size
-
-
 class Registers:
     """Registers of one servo."""
+
+    joint: int
+    """that it turns; the gripper's is behind the last"""
+    setting: Any
+    status: Any
+    """records of its plant"""
 
     def __init__(self, fields: Mapping[str, MemoryField], size: int, number: int) -> None:
         self.fields, self.cells = fields, bytearray(size)
@@ -83,14 +86,12 @@ class Registers:
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
         field = self.fields[name]
-        word = int.from_bytes(self.cells[field.cells], "little", signed=field.sign == TWO)
-        return word if field.sign in (None, TWO) else signed(word, field.sign)
+        return field.register.decode(bytes(self.cells[field.cells]))
 
     def __setitem__(self, name: str, value: int) -> None:
         """Set a register."""
         field = self.fields[name]
-        word = value if field.sign in (None, TWO) else magnitude(value, field.sign)
-        self.cells[field.cells] = word.to_bytes(field.size, "little", signed=field.sign == TWO)
+        self.cells[field.cells] = field.register.encode(value)
 
     @property
     def number(self) -> int:
@@ -109,6 +110,7 @@ class Registers:
 
 
 P = TypeVar("P", StsPlant, XPlant)
+S = TypeVar("S", bound=Registers)
 
 
 def alone(arm: Arm, wear: Wear, ends: Array, kind: type[P], servo: str, seed: int) -> P:
@@ -126,19 +128,25 @@ def alone(arm: Arm, wear: Wear, ends: Array, kind: type[P], servo: str, seed: in
     return kind(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
 
 
-class ServoArm(EmulatedArm):
+class ServoArm(EmulatedArm, Generic[S]):
     """Servos of one arm, powered and holding."""
 
-    plant: StsPlant | XPlant
-    servos: list[Any]
+    kind: ClassVar[Any]
+    """of its plant"""
+    jaw: ClassVar[tuple[float, float]]
+    """[rad] range of the gripper"""
+    gripper_model: ClassVar[Any]
+    """of its servo"""
+    servos: list[S]
 
-    def __init__(self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, resistance: float) -> None:
+    def __init__(
+        self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, *, resistance: float = 0.0
+    ) -> None:
         """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
         super().__init__(plant, arm)
+        self.plant: Any = plant
         self.gripper: Any = gripper
         self.resistance = resistance
-        self._settings, self._status = list[Any](), list[Any]()
-        """of the servos"""
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
@@ -150,7 +158,7 @@ class ServoArm(EmulatedArm):
         steps = int(self._owed / STEP)
         self._owed -= steps * STEP
         self.clock += steps * STEP
-        drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
+        drop = self.resistance * sum(abs(float(servo.status["current"])) for servo in self.servos)
         supplies = (self.plant, self.voltage), (self.gripper, np.full(1, SUPPLY_VOLTAGE))
         for (driven, volts), nominal in zip(supplies, self._nominal, strict=True):
             driven.settings["voltage"][0] = (nominal.T * np.maximum(volts - drop, 0.0) / SUPPLY_VOLTAGE).T
@@ -166,17 +174,61 @@ class ServoArm(EmulatedArm):
         for joint in np.flatnonzero(self._begun("same") & ~same).tolist():
             self.servos[joint]["ID"] = self.servos[joint - 1 if joint else 1].number
         if self.unpowered and not without:
-            for index in range(len(self.servos)):
-                self.restart(index)
+            for servo in self.servos:
+                self.restart(servo)
+
+    @classmethod
+    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> Self:
+        """Arm at rest with the wear profile ``wear_name``; the gripper's servo is worn as the last joint's."""
+        wear = load_wear(wear_name, arm)
+        gripper = alone(arm, wear, np.array(cls.jaw), cls.kind, cls.gripper_model(arm), seed)
+        built = cls(cls.kind(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
+        built.advance(0.01)  # compiles the plant now instead of during the first request
+        return built
 
     @property
     def unpowered(self) -> bool:
         """Whether the supply is off."""
         return bool(in_force(self.faults, "power", self._elapsed))
 
+    @property
+    def silent(self) -> set[int]:
+        """Servos, from 0, that neither hear nor answer."""
+        if self.unpowered:
+            return {*range(len(self.servos))}
+        return {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
+
     @abstractmethod
-    def restart(self, index: int) -> None:
-        """Cycle the power of a servo, from 0."""
+    def restart(self, servo: S) -> None:
+        """Cycle the power of a servo."""
+
+    def alarms_of(self, servo: S) -> int:
+        """Error bits of a servo."""
+        return int(servo.status["alarms"]) | int(self._of_joint(servo, self.alarms, 0))
+
+    def count(self, servo: S) -> int:
+        """Count of a servo from its joint's zero, as its encoder tells it."""
+        if servo.joint < self.arm.joints:
+            return round(float(self.angles[servo.joint]) / self.arm.encoder_step)
+        return int(self.gripper.status["position"].flat[0])
+
+    def _heat(self, servo: S) -> float:
+        return min(self._of_joint(servo, self.temperature, self.gripper.temperature[0, 0]), 255.0)
+
+    def _current(self, servo: S) -> float:
+        """Present current [A]."""
+        current = float(servo.status["current"])
+        return float(np.copysign(max(abs(current), self._of_joint(servo, self.least_current, 0.0)), current))
+
+    def _of_joint(self, servo: S, values: Any, gripper: Any) -> Any:  # noqa: ANN401
+        """Of values (n,) that of a servo's joint, or the ``gripper``'s."""
+        return values[servo.joint] if servo.joint < self.arm.joints else gripper
+
+    def _aim(self, servo: S, goal: int) -> None:
+        """Send a servo to a ``goal`` [counts] from its joint's zero."""
+        servo.status["goal"] = goal
+        if servo.joint < self.arm.joints:
+            self.plant.servos["goal"][0, servo.joint] = goal * self.arm.encoder_step
 
 
 BYTE = 10e-6
@@ -186,22 +238,47 @@ BYTE = 10e-6
 class Answer(NamedTuple):
     """A returning status packet."""
 
-    servo: int
-    """from 0"""
     after: float
     """[s] from request to end of the answer"""
     data: bytes
 
 
-class EmulatedBus:
-    """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
+BROADCAST = 0xFE
+"""ID of all servos"""
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+"""Instructions of both makers"""
+TURN, DELAY_UNIT = 20e-6, 2e-6
+"""[s] least pause before an answer (chosen: least seen), and unit of the return delay register"""
 
-    rates: tuple[int, ...]
+
+class Part(NamedTuple):
+    """What a packet to several servos asks of one."""
+
+    number: int
+    """ID"""
+    address: int
+    size: int
+    data: bytes
+    """to write"""
+
+
+class EmulatedBus(Generic[S]):
+    """Servos of ``arm`` on their wire."""
+
+    scheme: ClassVar[str]
+    """of its address"""
+    codec: ClassVar[Codec]
+    rates: ClassVar[tuple[int, ...]]
     """[1/s] by register"""
+    reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
+    """instructions that read several servos"""
+    writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
+    ping_bytes: ClassVar[int]
+    ping_pause: ClassVar[float] = 0.0
+    """for the answer of each ID to a ping of all; [s]"""
 
     def __init__(self, arm: Any) -> None:  # noqa: ANN401 - of its own kind
         self.arm = arm
-        self.muted: Callable[[], Iterable[int]] = lambda: ()
         self.rate: int | None = None
         """[1/s] at which the client speaks; None: that of all"""
 
@@ -210,18 +287,69 @@ class EmulatedBus:
         """[s] of a byte, 8N1."""
         return BYTE if self.rate is None else 10.0 / self.rate
 
-    def hearing(self) -> list[tuple[int, Any]]:
-        """Servos that hear the client, with their index."""
-        muted = set(self.muted())
+    def hearing(self) -> list[S]:
+        """Servos that hear the client."""
+        silent = self.arm.silent
         return [
-            (index, servo)
+            servo
             for index, servo in enumerate(self.arm.servos)
-            if index not in muted and self.rate in (None, self.rates[servo["Baud_Rate"]])
+            if index not in silent and self.rate in (None, self.rates[servo["Baud_Rate"]])
         ]
 
-    @abstractmethod
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
+        hearing = self.hearing()
+        if request.code in self.writes:
+            for part in self._parts(request):
+                for servo in hearing:
+                    if part.number in self._numbers(servo):
+                        self._write(servo, part.number, part.address, part.data)
+            return []
+        if request.code in self.reads:
+            asked = [
+                ([servo for servo in hearing if servo.number == part.number], part) for part in self._parts(request)
+            ]
+            return self._row(request.code, asked)
+        answers = []
+        for servo in sorted(hearing, key=lambda one: one.number):
+            if request.id in (BROADCAST, *self._numbers(servo)):
+                found = self._obey(servo, request)
+                if found is not None and request.id in (BROADCAST, servo.number):
+                    turn = servo.number if request.id == BROADCAST else 0
+                    slot = turn * (self.ping_bytes * self.byte + self.ping_pause)
+                    answers.append(self._answer(servo, slot, *found))
+        return answers
+
+    @abstractmethod
+    def _parts(self, request: Packet) -> Iterator[Part]:
+        """Parts of a packet to several servos."""
+
+    @abstractmethod
+    def _obey(self, servo: S, request: Packet) -> tuple[int, bytes] | None:
+        """Error and data of the answer; None: none."""
+
+    @abstractmethod
+    def _write(self, servo: S, number: int, address: int, data: bytes) -> int:
+        """Write registers of a servo, spoken to as ``number``; returns the error."""
+
+    @abstractmethod
+    def _row(self, code: int, asked: list[tuple[list[S], Part]]) -> list[Answer]:
+        """Answers of several servos, asked at once."""
+
+    @abstractmethod
+    def _status(self, servo: S, error: int, data: bytes) -> Packet:
+        """Return a servo's status packet."""
+
+    def _numbers(self, servo: S) -> tuple[int, ...]:
+        """Return the IDs that a servo obeys."""
+        return (servo.number,)
+
+    def _delay(self, servo: S) -> float:
+        return max(TURN, servo["Return_Delay_Time"] * DELAY_UNIT)
+
+    def _answer(self, servo: S, slot: float, error: int, data: bytes) -> Answer:
+        frame = self.codec.encode(self._status(servo, error, data))
+        return Answer(slot + self._delay(servo) + len(frame) * self.byte, frame)
 
 
 def overlaid(answers: list[Answer]) -> list[Answer]:
@@ -271,31 +399,14 @@ def await_promptly(readable: int | None, pause: float) -> bool:
 class BusSession(EmulatedConversation[Packet]):
     """The servos of ``bus`` for one client at a time, with timing."""
 
-    reading: frozenset[int]
-    """instructions that read"""
-
-    def __init__(
-        self,
-        bus: EmulatedBus,
-        *,
-        adapter: float = ADAPTER,
-        faults: Faults = NONE,
-        **options: Any,  # noqa: ANN401
-    ) -> None:
-        super().__init__(bus.arm, faults=faults, **{"await_data": await_promptly} | options)
-        self.bus = bus
-        bus.muted = lambda: self._silenced(faults, self._elapsed(self._clock()))
+    def __init__(self, bus: EmulatedBus[Any], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(bus.arm, **{"await_data": await_promptly} | options)
+        self.bus, self.scheme = bus, bus.scheme
         # until when the wire is busy
-        self._adapter, self._free = adapter, 0.0
+        self._free = 0.0
 
-    def _silenced(self, faults: Faults, now: float) -> Iterable[int]:
-        if in_force(faults, "power", now):
-            return range(len(self.bus.arm.servos))
-        return {joint for spell in in_force(faults, "mute", now) for joint in spell.joints}
-
-    @abstractmethod
-    def _bytes_of(self, request: Packet) -> bytes:
-        """Return what was sent."""
+    def _finder(self) -> Finder[Packet]:
+        return self.bus.codec.finder()
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
@@ -304,12 +415,12 @@ class BusSession(EmulatedConversation[Packet]):
 
     def _answer(self, channel: ByteStream, request: Packet) -> None:
         self._catch_up()
-        self.bus.rate, sent = rate_of(channel), self._bytes_of(request)
+        self.bus.rate, sent = rate_of(channel), self.bus.codec.encode(request)
         self._free = max(self._came, self._free) + len(sent) * self.bus.byte
         answers = overlaid(self.bus.execute(request))
         if not answers:
             return
-        if request.code in self.reading:
+        if request.code == READ or request.code in self.bus.reads:
             self._emulated.was_read()
         pieces = [b""]
         for answer in answers:
@@ -317,7 +428,7 @@ class BusSession(EmulatedConversation[Packet]):
             pieces[-1] += first
             pieces += rest
         self._free += answers[-1].after
-        due = self._free + self._adapter + self._wire.delay
+        due = self._free + ADAPTER + self._wire.delay
         self.wait(None, due - PROMPT)
         self._await_data(None, max(due - self._clock(), 0.0))
         self._say(channel, pieces)

@@ -15,31 +15,24 @@ from rejoint.arms import load_arm
 from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator.dynamixel import (
     ACTION,
-    BROADCAST,
     BULK_READ,
     BULK_WRITE,
     CLEAR,
     FACTORY_RESET,
     FAST_BULK_READ,
     FAST_SYNC_READ,
-    PING,
-    READ,
     REBOOT,
     REG_WRITE,
     STATUS,
-    SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
+    XArm,
     XBus,
-    XSession,
-    build_arm,
     crc,
     encode,
     finder,
 )
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.servers import on_port
-from rejoint_lab.emulator.servobus import Packet
+from rejoint_lab.emulator.servobus import BROADCAST, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, BusSession, Packet
 
 GOLDEN = {
     "FF FF FD 00 01 03 00 01 19 4E": Packet(1, PING),
@@ -97,7 +90,7 @@ def test_packets_are_found_stuffed_cut_and_behind_garbage(packets, size, garbage
 
 
 def made(name="koch", wear="new"):
-    return XBus(build_arm(load_arm(name), wear))
+    return XBus(XArm.build(load_arm(name), wear))
 
 
 @pytest.fixture
@@ -315,7 +308,7 @@ class AnyPort(sdk.PortHandler):
 @contextmanager
 def client(kind, name="koch"):
     """ROBOTIS' port and packet handler on an emulated arm."""
-    with kind(XSession(build_arm(load_arm(name), "new"))) as server:
+    with kind(BusSession(XBus(XArm.build(load_arm(name), "new")))) as server:
         place = server.address.removeprefix("dynamixel://").partition("?")[0]
         port = AnyPort(place if kind is TerminalServer else f"socket://{place}")
         assert port.openPort()

@@ -6,15 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
-from rejoint_lab.emulator import feetech as packets
-from rejoint_lab.emulator.feetech import BROADCAST, SIZE, TABLE, Packet, PacketFinder, StsBus, build_arm
+from rejoint_lab.emulator import servobus as packets
+from rejoint_lab.emulator.faults import parse_faults
+from rejoint_lab.emulator.feetech import SIZE, TABLE, StsArm, StsBus, finder
+from rejoint_lab.emulator.servobus import BROADCAST, Packet
 
 ARM = load_arm("so101")
 
 
 @pytest.fixture
 def bus():
-    return StsBus(build_arm(ARM, "so101"))
+    return StsBus(StsArm.build(ARM, "so101"))
 
 
 def word(value):
@@ -23,7 +25,7 @@ def word(value):
 
 def answers(bus, number, code, *parameters):
     found = bus.execute(Packet(number, code, b"".join(p if isinstance(p, bytes) else bytes([p]) for p in parameters)))
-    return [PacketFinder().feed(answer.data)[0] for answer in found]
+    return [finder().feed(answer.data)[0] for answer in found]
 
 
 def value(bus, number, address, size=2):
@@ -49,7 +51,7 @@ def test_every_servo_answers_its_ping_and_tells_its_model(bus):
 def test_a_synchronous_read_is_answered_in_its_order_and_its_slots(bus):
     request = Packet(BROADCAST, packets.SYNC_READ, bytes([56, 15, 6, 1, 9, 2]))
     found = bus.execute(request)
-    assert [answer.servo for answer in found] == [5, 0, 1]
+    assert [finder().feed(answer.data)[0].id for answer in found] == [6, 1, 2]
     assert all(len(answer.data) == 21 for answer in found)
     first, second, fourth = (answer.after for answer in found)
     assert second - first == pytest.approx(24 * 10e-6)
@@ -57,7 +59,8 @@ def test_a_synchronous_read_is_answered_in_its_order_and_its_slots(bus):
 
 
 def test_silent_servos_neither_hear_nor_answer(bus):
-    bus.muted = lambda: {1}
+    bus.arm.faults = parse_faults("mute=2@0/9", 5)
+    bus.arm.suffer(0.0)
     assert answers(bus, 2, packets.PING) == []
     before = bus.arm.servos[1]["Goal_Position"]
     bus.execute(Packet(BROADCAST, packets.SYNC_WRITE, bytes([42, 2, 2, 0, 8])))
@@ -114,10 +117,10 @@ def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
 def test_no_packet_ends_the_bus(number, code, parameters):
     before = bytes(BUS.arm.servos[0].cells[:5])
     for answer in BUS.execute(Packet(number, code, parameters)):
-        assert len(PacketFinder().feed(answer.data)) == 1
+        assert len(finder().feed(answer.data)) == 1
     BUS.arm.advance(0.001)
     assert bytes(BUS.arm.servos[0].cells[:5]) == before
     assert np.isfinite(BUS.arm.angles).all()
 
 
-BUS = StsBus(build_arm(ARM, "so101"))
+BUS = StsBus(StsArm.build(ARM, "so101"))

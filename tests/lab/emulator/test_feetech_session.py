@@ -5,18 +5,8 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import (
-    BROADCAST,
-    READ,
-    SYNC_READ,
-    SYNC_WRITE,
-    Packet,
-    PacketFinder,
-    StsSession,
-    build_arm,
-    encode,
-)
-from rejoint_lab.emulator.servobus import ADAPTER
+from rejoint_lab.emulator.feetech import StsArm, StsBus, encode, finder
+from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, READ, SYNC_READ, SYNC_WRITE, BusSession, Packet
 
 ARM = load_arm("so101")
 MOVE = encode(Packet(BROADCAST, SYNC_WRITE, bytes([42, 2, 1, 0, 8, 2, 0, 8])))
@@ -33,8 +23,8 @@ class Client:
         faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
-        arm = build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
-        self.session = StsSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        arm = StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
+        self.session = BusSession(StsBus(arm), faults=faults, clock=lambda: self.now, await_data=self._await)
         self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
         self.session.bus.execute = self._obey
         self.session.converse(self)
@@ -63,7 +53,7 @@ class Client:
         return False
 
     def packets(self):
-        return [[packet.id for packet in PacketFinder().feed(data)] for _, data in self.heard]
+        return [[packet.id for packet in finder().feed(data)] for _, data in self.heard]
 
 
 @pytest.mark.parametrize(
@@ -106,6 +96,6 @@ def test_single_packets_of_an_answer_are_lost():
 def test_a_voltage_that_breaks_down_is_told_with_its_bit():
     ask = encode(Packet(1, READ, bytes([62, 4])))
     client = Client([ask] * 30, "voltage@0.3")
-    first, last = (PacketFinder().feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
+    first, last = (finder().feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
     assert (first.code, first.parameters[0]) == (0, 120)
     assert (last.code, last.parameters[0], last.parameters[3]) == (1, 70, 1)

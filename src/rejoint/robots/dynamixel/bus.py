@@ -9,38 +9,25 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2PacketHandler
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.dynamixel.registers import CURRENT_BASED, ERRORS, MODELS, RUNGS, TABLE, DynamixelAddress, Model
+from rejoint.robots.dynamixel.address import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.knobs import LIMIT, Values
-from rejoint.robots.servobus import (
-    OK,
-    QUIET,
-    RETRY,
-    SILENT,
-    STEP,
-    VOLT,
-    BlockingPort,
-    ServoBus,
-    Zeros,
-    judge,
-    listed,
-    read_calibration,
-    trouble,
-)
+from rejoint.robots.knobs import Values
+from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
+from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
 from rejoint.system.errors import InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
 
+TABLE = KIND.registers
 ALERT = 0x80
 """Bit of the error byte: the servo has switched itself off"""
 LATENCY = 50.0
@@ -49,7 +36,7 @@ ECHO = 0.002
 """[s] after the answer of one servo in which another's with the same ID would come (chosen)"""
 REFUSED = {4: "a value out of range", 6: "a value beyond a limit", 7: "a register that is locked under torque"}
 """Numbers in an error byte that say why"""
-_ID, _LENGTH, _ERROR = 4, 5, 8  # places in a status packet
+_LENGTH = 5  # its place in a status packet
 _BETWEEN = 4  # [bytes] error, ID and CRC around each servo's data in a fast answer
 
 
@@ -61,13 +48,21 @@ class DynamixelPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the mak
         self.setPacketTimeoutMillis(self.tx_time_per_byte * length + LATENCY)
 
 
-class DynamixelWire:
-    """An open bus, see `rejoint.robots.servobus.ServoWire`."""
+class DynamixelWire(ServoWire):
+    """An open bus of Dynamixel servos."""
+
+    places = 4, 8
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        self._port = DynamixelPort(address).connect()
-        self.quieten, self.close = self._port.quieten, self._port.closePort
-        self._client = Protocol2PacketHandler()
+        port, client = DynamixelPort(address).connect(), Protocol2PacketHandler()
+        super().__init__(
+            port,
+            partial(client.readTx, port),
+            partial(client.rxPacket, port, False),
+            partial(client.writeTxRx, port),
+            partial(client.syncWriteTxOnly, port),
+        )
+        self._client = client
         self.fast = False
         """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
@@ -81,72 +76,37 @@ class DynamixelWire:
         self._take(result, servo, error)
         return int(number)
 
-    def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read ``size`` registers."""
-        packet: list[int] = []
-        result = self._client.readTx(self._port, servo, address, size)
-        while result == OK and (not packet or packet[_ID] != servo):
-            packet, result = self._client.rxPacket(self._port, False)
-        self._take(result, servo, packet[_ERROR] if result == OK else 0)
-        data = _data(packet)
-        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
-            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
-        return data
-
-    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
-        """Write registers; the servo confirms."""
-        result, error = self._client.writeTxRx(self._port, servo, address, len(data), list(data))
-        self._take(result, servo, error)
-        if error & ~ALERT:
-            why = REFUSED.get(error & ~ALERT, f"error {error & ~ALERT}")
+    def write(self, servo: int, address: int, data: Sequence[int]) -> int:
+        """Write registers; ValueError where the servo refuses."""
+        error = super().write(servo, address, data) & ~ALERT
+        if error:
+            why = REFUSED.get(error, f"error {error}")
             raise ValueError(f"servo {servo} refused {list(data)} for register {address}: {why}")
-
-    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
-        """Read ``size`` registers of all ``servos``; without silent ones."""
-        judge(self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast), servos[0])
-        rows = self._fast(len(servos), size) if self.fast else self._each(len(servos))
-        found = {}
-        for servo, error, data in rows:
-            if servo in servos and len(data) == size:
-                found[servo] = data
-                (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
-        return found
-
-    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write registers of all ``servos``, without answers."""
-        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        judge(self._client.syncWriteTxOnly(self._port, address, len(data[0]), words, len(words)), servos[0])
+        return error
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
         judge(self._client.reboot(self._port, servo)[0], servo)
 
+    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
+        found: int = self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast)
+        return found
+
+    def _answers(self, count: int, size: int) -> Iterable[tuple[int, int, bytes]]:
+        if not self.fast:
+            return super()._answers(count, size)
+        step = size + _BETWEEN
+        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, step * count)
+        places = range(0, len(data) if result == OK else 0, step)
+        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in places]
+
+    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:  # noqa: ARG002
+        _, error = self.places
+        return bytes(packet[error + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])  # behind them: a CRC
+
     def _take(self, result: int, servo: int, error: int) -> None:
         judge(result, servo)
         (self.alerts.add if error & ALERT else self.alerts.discard)(servo)
-
-    def _fast(self, count: int, size: int) -> list[tuple[int, int, bytes]]:
-        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, (size + _BETWEEN) * count)
-        if result != OK:
-            return []
-        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in range(0, len(data), size + _BETWEEN)]
-
-    def _each(self, count: int) -> list[tuple[int, int, bytes]]:
-        rows = []
-        for _ in range(2 * count):  # among them garbled ones
-            packet, result = self._client.rxPacket(self._port, False)
-            if result in SILENT:
-                break
-            if result == OK:
-                rows.append((packet[_ID], packet[_ERROR], _data(packet)))
-            if len({servo for servo, *_ in rows}) == count:
-                break
-        return rows
-
-
-def _data(packet: Sequence[int]) -> bytes:
-    """Return the data of a status packet, which end before its last two counted bytes."""
-    return bytes(packet[_ERROR + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])
 
 
 POSITION, MODES = 3, (3, 4, CURRENT_BASED)
@@ -169,10 +129,8 @@ LEAVE = 3.0
 DELAY_UNIT, PROMPT = 2, 20
 """[us] per count of a servo's return delay, and the longest that is not named (chosen)"""
 TIMER = "/sys/bus/usb-serial/devices/{}/latency_timer"
-BLOCK = struct.Struct("<hii")
-"""Registers ``load``, velocity and ``position``"""
-SUPPLY = struct.Struct("<HB")
-"""Registers ``voltage`` and ``heat``"""
+MEASURED = ("load", "position")
+"""Registers of a cycle"""
 
 
 @cache
@@ -196,18 +154,13 @@ class DynamixelBus(ServoBus):
 
     name = "Dynamixel arm"
     advice = f"{Bus.advice} `rejoint emulate --arm koch` starts an arm to try"
-    models = {number: model.name for number, model in MODELS.items()}  # noqa: RUF012
-    ladder = RUNGS
-    memory: tuple[str, ...] = ("p", "i", "d", LIMIT, "speed", "acceleration")
     confirms, last = 2, 20
     wire: DynamixelWire
 
     def __init__(self, address: DynamixelAddress, arm: Arm) -> None:
         path = address.calibration
         self._file = file = None if path is None else read_calibration(path, arm, turned=True)
-        ids = [*address.ids] or counted(arm)
-        if file and not address.ids:
-            ids = [(servo, *file.seconds.get(j, ())) for j, servo in enumerate(file.ids)]
+        ids = address.ids or (counted(arm) if file is None else file.ids)
         if len(ids) != arm.joints:
             raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
         if strange := set(address.reverse) - set(arm.joint_names):
@@ -215,9 +168,8 @@ class DynamixelBus(ServoBus):
         super().__init__(address, arm, ids)
         self._owner = address
         self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
-        self._kinds: dict[int, Model] = {}
-        self._volts: list[float] = []
-        self._first_volts: list[float] = []
+        self._volts: Array
+        self._first_volts: Array | None = None
         self._words = [""] * len(self.ids)
         self._currents: dict[int, tuple[int, int]] = {}  # limits of servos that obey them: found, and largest
         self._before: Values = {}
@@ -227,22 +179,19 @@ class DynamixelBus(ServoBus):
         """Open the port."""
         self._wire = DynamixelWire(self.place)
 
-    def check_model(self, servo: int, number: int) -> None:
-        """Require the model of the arm's description."""
-        model = self._kinds[servo] = MODELS[number]
-        wanted = (self._arm.servos or (model.name,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
-        if model.name not in wanted:
-            raise RobotError(
-                f"{self.call(servo)} is of model {model.name}, and {self._arm.name} has {wanted} there; say which arm "
-                "this is with --arm, or which servos turn each joint with ids= in the address"
-            )
-
     def check(self, servo: int) -> None:
-        """Require a mode with positions and no alert; switch a watchdog off, which would refuse goals."""
+        """Require the model of the arm's description, a mode with positions and no alert; switch a watchdog off."""
+        model = self.found[servo].name
+        wanted = (self._arm.servos or (model,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
+        if model not in wanted:
+            raise RobotError(
+                f"{self.call(servo)} is of model {model}, and {self._arm.name} has {wanted} there; say which arm this "
+                "is with --arm, or which servos turn each joint with ids= in the address"
+            )
         if servo in self.wire.alerts and self._owner.reboot and not self._was_ready:
             self._restart(servo)
         if servo in self.wire.alerts and not self._was_ready:
-            errors = trouble(ERRORS, self.get(servo, "error"))
+            errors = trouble(KIND.faults, self.get(servo, "error"))
             raise RobotError(
                 f"{self.call(servo)} has switched itself off ({errors}); find out why, let it cool down, support the "
                 "arm, then say reboot=yes in the address, or switch the power off and on"
@@ -285,26 +234,25 @@ class DynamixelBus(ServoBus):
         for servo, based in zip(self.ids, mode == CURRENT_BASED, strict=True):
             if based and servo not in self._currents:
                 self._currents[servo] = self.get(servo, "current"), self.get(servo, "largest")
-                self.memory = (*type(self).memory, "current")
+                self.memory = (*KIND.memory, "current")
         free = mode != POSITION
-        rows = (
-            middle,
-            self.address.middle(arm)[self.joint],
-            np.where(free, -FARTHEST, low),
-            np.where(free, FARTHEST, high),
-            STEP * self._sign[self.joint],
+        return Zeros(
+            middle=middle,
+            zero=self.address.middle(arm)[self.joint],
+            low=np.where(free, -FARTHEST, low),
+            high=np.where(free, FARTHEST, high),
+            step=STEP * self._sign[self.joint],
         )
-        return Zeros(*(tuple(row.tolist()) for row in rows))
 
     def set_up(self) -> None:
         """Find what is quick, and what was set."""
-        wire, block = self.wire, TABLE["load"].address
+        wire, block = self.wire, self.span(MEASURED)
         wire.fast = True
-        wire.fast = any(len(wire.read_all(self.ids, block, BLOCK.size)) == len(self.ids) for _ in range(2))
+        wire.fast = any(len(wire.read_all(self.ids, *block)) == len(self.ids) for _ in range(2))
         wire.quieten(0.0 if wire.fast else QUIET)
         self._before = self._before or self.read_gains()
         self._care()
-        self._first_volts = self._first_volts or self._volts
+        self._first_volts = self._volts if self._first_volts is None else self._first_volts
         slow = DELAY_UNIT * int(self.get_all("delay").max())
         if slow > PROMPT:
             say(f"A servo waits {slow} us before it answers; register {TABLE['delay'].address} set to 0 would end that")
@@ -315,21 +263,20 @@ class DynamixelBus(ServoBus):
     def read(self) -> Reading:
         """Ask all servos; those with an alert, why."""
         self._sound = False
-        rows = [BLOCK.unpack(row) for row in self.ask_all(TABLE["load"].address, BLOCK.size)]
+        loads, counts = self.ask_all(*MEASURED)
         if self.wire.alerts:
-            errors = self.ask_all(TABLE["error"].address, 1)
-            self._words = [trouble(ERRORS, error[0]) or word for error, word in zip(errors, self._words, strict=True)]
+            (errors,) = self.ask_all("error")
+            self._words = [trouble(KIND.faults, error) or word for error, word in zip(errors, self._words, strict=True)]
         self._sound = not self.wire.alerts
-        places = self.zeros.radians([row[2] for row in rows])
-        position = [places[lead] for lead in self.leads]
-        pairs = zip(places, self.joint.tolist(), self._words, strict=True)
-        words = [word or FIGHT * (abs(place - position[j]) > APART * STEP) for place, j, word in pairs]
-        words = self._named(words) if any(words) else [""] * len(position)
-        loads = [self._kinds[self.ids[lead]].share(rows[lead][0]) for lead in self.leads]
+        places = self.zeros.radians(counts)
+        position = places[self.leads]
+        fights = np.abs(places - position[self.joint]) > APART * STEP
+        words = self._named([word or FIGHT * fight for word, fight in zip(self._words, fights.tolist(), strict=True)])
+        shares = [self.found[self.ids[lead]].share(loads[lead]) for lead in self.leads]
         return Reading(
-            position=np.array(position),
-            load=self._sign * loads,
-            voltage=np.array(self._volts)[self.leads],
+            position=position,
+            load=self._sign * shares,
+            voltage=self._volts[self.leads],
             fault=np.array([bool(word) for word in words]),
             trouble=tuple(words) if any(words) else None,
         )
@@ -359,11 +306,6 @@ class DynamixelBus(ServoBus):
         """Further questions."""
         return (self._care,)
 
-    def strain(self, joint: int) -> tuple[float, float]:
-        """Share of the largest torque, and temperature [deg C]."""
-        servo = self.ids[self.leads[joint]]
-        return abs(self._kinds[servo].share(self.get(servo, "load"))), self.get(servo, "heat")
-
     def close(self) -> None:
         """Put registers back and release the port; the servos hold."""
         if self._wire is not None and self._sound and self._before:
@@ -374,11 +316,11 @@ class DynamixelBus(ServoBus):
 
     def _care(self) -> Vitals:
         """Ask for supply and temperature."""
-        rows = [SUPPLY.unpack(row) for row in self.ask_all(TABLE["voltage"].address, SUPPLY.size)]
-        self._volts = [VOLT * row[0] for row in rows]
-        before = self._first_volts or self._volts
-        self._words = [trouble({}, 0, volt, was) for volt, was in zip(self._volts, before, strict=True)]
-        return Vitals(temperature=np.maximum.reduceat([float(row[1]) for row in rows], self.leads))
+        volts, heats = self.ask_all("voltage", "heat")
+        self._volts = VOLT * volts
+        before = self._volts if self._first_volts is None else self._first_volts
+        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, before, strict=True)]
+        return Vitals(temperature=np.maximum.reduceat(heats, self.leads))
 
     def _named(self, words: list[str]) -> list[str]:
         """Join the troubles of each joint's servos."""

@@ -6,41 +6,29 @@ the servos' memory.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 
 import numpy as np
-from scservo_sdk import (
-    COMM_SUCCESS,
-    INST_READ,
-    PKT_ERROR,
-    PKT_ID,
-    PKT_PARAMETER0,
-    GroupSyncRead,
-    PortHandler,
-    sms_sts,
-)
+from scservo_sdk import INST_READ, PKT_ERROR, PKT_ID, PKT_PARAMETER0, PortHandler, sms_sts
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech.gains import FULL, REGISTERS, RUNGS, TABLE, DutyLaw, FeetechAddress, duty_laws
-from rejoint.robots.knobs import signed
+from rejoint.robots.feetech.gains import KIND, FeetechAddress, duty_laws
 from rejoint.robots.servobus import (
     STEP,
     VOLT,
-    BlockingPort,
     Counts,
     MotorRanges,
     ServoBus,
     Zeros,
-    judge,
     listed,
     read_calibration,
     trouble,
 )
+from rejoint.robots.servowire import BlockingPort, ServoWire
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import shielded
 
@@ -54,61 +42,34 @@ class FeetechPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the maker
     """A port of the maker's client."""
 
 
-class Wire:
-    """An open bus, see `rejoint.robots.servobus.ServoWire`."""
+class FeetechWire(ServoWire):
+    """An open bus of Feetech servos."""
+
+    places = PKT_ID, PKT_ERROR
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        self._port = FeetechPort(address).connect()
-        self.quieten, self.close = self._port.quieten, self._port.closePort
-        self._client = sms_sts(self._port)
-        self._finder = GroupSyncRead(self._client, 0, 0)  # finds an answer wherever it is; keeps nothing
+        client = self._client = sms_sts(FeetechPort(address).connect())
+        super().__init__(client.portHandler, client.readTx, client.rxPacket, client.writeTxRx, client.syncWriteTxOnly)
 
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
         return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
-    def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read ``size`` registers."""
-        packet: list[int] = []
-        result = self._client.readTx(servo, address, size)
-        while result == COMM_SUCCESS and (not packet or packet[PKT_ID] != servo):
-            packet, result = self._client.rxPacket()
-        judge(result, servo)
-        data = bytes(packet[PKT_PARAMETER0:-1])
-        if packet[PKT_ERROR] == INST_READ and data == bytes((address, size)):  # the client takes it for an answer
+    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
+        result: int = self._client.syncReadTx(address, size, list(servos), len(servos))
+        self._client.portHandler.setPacketTimeout((size + FRAME) * len(servos))
+        return result
+
+    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:
+        data = packet[PKT_PARAMETER0:-1]
+        if packet[PKT_ERROR] == INST_READ and question == tuple(data):  # the client takes it for an answer
             raise ValueError("the question itself came back; use an adapter that does not echo")
-        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
-            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
-        return data
-
-    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
-        """Write registers; the servo confirms."""
-        result, _ = self._client.writeTxRx(servo, address, len(data), list(data))
-        judge(result, servo)
-
-    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
-        """Read ``size`` registers of all ``servos``; without silent ones."""
-        judge(self._client.syncReadTx(address, size, list(servos), len(servos)), servos[0])
-        _, data = self._client.syncReadRx(size, len(servos))
-        found = {}
-        for place, servo in enumerate(servos):
-            own = data[place * (size + FRAME) : (place + 1) * (size + FRAME)]
-            answer, result = self._finder.readRx(own, servo, size)
-            if result != COMM_SUCCESS:  # not where it should be: the client looks for it everywhere
-                answer, result = self._finder.readRx(data, servo, size)
-            if result == COMM_SUCCESS:
-                found[servo] = bytes(answer[1:])
-        return found
-
-    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write registers of all ``servos``, without answers."""
-        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        judge(self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)), servos[0])
+        return bytes(data)
 
 
 POSITION_MODE = 0
-BLOCK = 15
-"""Measured registers from ``position`` on"""
+MEASURED = ("position", "load", "voltage", "heat", "status", "target")
+"""Registers of a cycle"""
 PROMPT = 254
 """[100 counts/s^2] as LeRobot sets it"""
 
@@ -118,25 +79,23 @@ class FeetechBus(ServoBus):
 
     name = "SO-101"
     advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
-    models = {777: "STS3215", 2825: "STS3250"}  # noqa: RUF012 - both have 4096 counts per turn
-    ladder, memory, protected = RUNGS, tuple(REGISTERS), frozenset(("id", "lock"))
 
     def __init__(self, address: FeetechAddress, arm: Arm) -> None:
         self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
-        ids = range(1, arm.joints + 1) if self._file is None else self._file.ids
-        super().__init__(address, arm, [(servo,) for servo in ids])
+        ids = [(servo,) for servo in range(1, arm.joints + 1)] if self._file is None else self._file.ids
+        super().__init__(address, arm, ids)
         self.supply: tuple[float, ...] = ()
         """(n,) [V] at the start"""
 
     def open(self) -> None:
         """Open the port."""
-        self._wire = Wire(self.place)
+        self._wire = FeetechWire(self.place)
 
     def check(self, servo: int) -> None:
         """Require position mode."""
         if self.get(servo, "mode") != POSITION_MODE:
             raise RobotError(
-                f"{self.call(servo)} is not in position mode; set its register {TABLE['mode'].address} to "
+                f"{self.call(servo)} is not in position mode; set its register {self.table['mode'].address} to "
                 f"{POSITION_MODE}"
             )
 
@@ -161,8 +120,17 @@ class FeetechBus(ServoBus):
 
     def read(self) -> Reading:
         """Ask all servos."""
-        rows = self.ask_all(TABLE["position"].address, BLOCK)
-        return decode(rows, self.zeros, duty_laws(self._tuning.values), self.supply)
+        places, duties, volts, heats, statuses, targets = self.ask_all(*MEASURED)
+        laws = zip(duty_laws(self._tuning.values), duties, targets - places, strict=True)
+        words = [trouble(KIND.faults, *seen) for seen in zip(statuses, VOLT * volts, self.supply, strict=True)]
+        return Reading(
+            position=self.zeros.radians(places),
+            load=np.array([law.share(duty, error) for law, duty, error in laws]),
+            voltage=VOLT * volts,
+            temperature=heats,
+            fault=np.array([bool(word) for word in words]),
+            trouble=tuple(words) if any(words) else None,
+        )
 
     def keep(self, gains: ServoGains) -> None:
         """Save gains; each lock is open meanwhile."""
@@ -180,10 +148,6 @@ class FeetechBus(ServoBus):
         self._tuning.look_up()
         if any(self._tuning.values[name] != tuple(values) for name, values in gains.items()):
             raise RobotError(f"the servos have not taken the gains; they are {self._tuning.values}")
-
-    def strain(self, joint: int) -> tuple[float, float]:
-        """Share of the largest torque, and temperature [deg C]."""
-        return abs(self.get(self.ids[joint], "load")) / FULL, self.get(self.ids[joint], "heat")
 
 
 TURNING = np.radians(300.0)
@@ -207,30 +171,4 @@ def zeros_of(
             "in the middle of its range"
         )
     zero = np.zeros(arm.joints) if turned is None else turned
-    rows = (least + most) / 2, zero, low, high, np.full(arm.joints, STEP)
-    return Zeros(*(tuple(values.tolist()) for values in rows))
-
-
-FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
-"""Bits of the status register"""
-# of the measured registers position, load, voltage, temperature, status and goal
-_ROW = struct.Struct("<HxxHBBxBxHxx")
-
-
-def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
-    """Read the ``rows`` of n servos; ``supply`` [V] at the start."""
-    table, words = [], []
-    for row, law, before in zip(rows, laws, supply, strict=True):
-        position, duty, volt, heat, status, goal = _ROW.unpack(row)
-        place, voltage = signed(position, 15), volt * VOLT
-        table.append((place, law.share(signed(duty, 10), signed(goal, 15) - place), voltage, heat))
-        words.append(trouble(FAULTS, status, voltage, before))
-    places, loads, voltages, heats = zip(*table, strict=True)
-    return Reading(
-        position=np.array(zeros.radians(places)),
-        load=np.array(loads),
-        voltage=np.array(voltages),
-        temperature=np.array(heats),
-        fault=np.array([bool(word) for word in words]),
-        trouble=tuple(words) if any(words) else None,
-    )
+    return Zeros(middle=(least + most) / 2, zero=zero, low=low, high=high, step=np.full(arm.joints, STEP))

@@ -128,7 +128,7 @@ class MyCobotBus(Bus):
                 self._was_ready = True
                 return
             with contextlib.suppress(NoReplyError, StaleReplyError, ImpossibleReplyError):
-                self._call("set_fresh_mode", 1)
+                self.ask("set_fresh_mode", 1)
                 continue
             # The vendor's server swallows acknowledgements that equal their order, as this one does.
             self.clock.wait(RELAY_BUSY)
@@ -136,7 +136,7 @@ class MyCobotBus(Bus):
 
     def read(self) -> Reading:
         """Ask for the joint positions."""
-        return Reading(position=read_angles(self._call("get_angles")))
+        return Reading(position=read_angles(self.ask("get_angles")))
 
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
         """Temperatures and faults; older firmware is silent."""
@@ -145,20 +145,20 @@ class MyCobotBus(Bus):
     def send(self, goal: Array) -> None:
         """Send joint positions, clipped to the client's limits."""
         for _ in range(SENT):
-            answer = self._call("send_angles", wire_angles(goal), SPEED_PERCENT)
+            answer = self.ask("send_angles", wire_angles(goal), SPEED_PERCENT)
             if answer == 1:
                 return
-        error = self._call("get_error_information")
+        error = self.ask("get_error_information")
         raise RobotError(f"{self.address}: the arm refused a command (answer {answer}, error code {error})")
 
     def stop(self) -> None:
         """Stop by the vendor's order."""
-        self._call("stop")
+        self.ask("stop")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Send a client's command by number; None: no answer."""
         try:
-            answer = self._call("_mesg", command, *payload)
+            answer = self.ask("_mesg", command, *payload)
         except NoReplyError:
             self.resynchronise(self.clock.now() + QUIET_RELAY)
             return None
@@ -177,7 +177,7 @@ class MyCobotBus(Bus):
         while self.clock.now() < deadline:
             self._drain(QUIET)
             try:
-                if self._call("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
+                if self.ask("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
                     return
                 found = "unexpected answers arrive"
             except (NoReplyError, ImpossibleReplyError, StaleReplyError) as error:
@@ -193,15 +193,16 @@ class MyCobotBus(Bus):
             client.close()
 
     def _temperatures(self) -> Vitals:
-        return Vitals(temperature=_numbers(self._call("get_servo_temps"), "temperatures"))
+        return Vitals(temperature=_numbers(self.ask("get_servo_temps"), "temperatures"))
 
     def _faults(self) -> Vitals:
-        reply = self._call("get_servo_status")
+        reply = self.ask("get_servo_status")
         if not isinstance(reply, list) or len(reply) != _JOINTS:
             raise ImpossibleReplyError(f"expected the status of {_JOINTS} servos, got {reply!r}")
         return Vitals(fault=np.array([bool(status) for status in reply]))
 
-    def _call(self, method: str, *arguments: object) -> object:
+    def ask(self, method: str, *arguments: object) -> object:
+        """Return what a method of the vendor's client answers; RobotError."""
         if self._drain(0.0):
             raise StaleReplyError(f"{self.address}: unexpected answers arrive")
         began = self.clock.now()
@@ -239,7 +240,7 @@ class MyCobotBus(Bus):
             connected(error)
             self.resynchronise(deadline if until is None else min(deadline, self.clock.now() + SILENCE))
 
-        return persist(lambda: self._call(method), recover, self.clock, self.address, until)
+        return persist(lambda: self.ask(method), recover, self.clock, self.address, until)
 
 
 def read_angles(reply: object) -> Array:

@@ -146,7 +146,7 @@ class Mover(ABC):
         if not self.fresh:
             return self._motion.enqueue(joint_path(self.destination, angles, FULL_SPEED), rate)
         self._motion.ramp(angles, rate)
-        self._ramped(rate * FULL_SPEED, angles)
+        self._write(rate * FULL_SPEED, angles)
         return True
 
     def move_tool(self, pose: Array, rate: float, *, straight: bool, turned: bool = True) -> bool:
@@ -196,8 +196,8 @@ class Mover(ABC):
     def _ready(self) -> bool:
         return True
 
-    def _ramped(self, speed: float, goal: Array) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Note a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
+    def _write(self, speed: float, goal: Array) -> None:  # noqa: B027 - nothing is a sensible answer
+        """Send a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s] to the servos."""
 
     def _reach(self, path: TimedPath) -> int:
         inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
@@ -343,9 +343,9 @@ class Motion:
         self._path, self._rate, self.paused = None, 0.0, False
         self.queue.clear()
 
-    def place(self, joint: int, angle: float) -> None:
-        """Set the reference of a joint moved by hand."""
-        self.reference[joint] = self.goal[joint] = angle
+    def place(self, joints: Mask | int | slice, angles: Array | float) -> None:
+        """Set the references of ``joints`` moved by hand."""
+        self.reference[joints] = self.goal[joints] = angles
 
     def advance(self, duration: float) -> None:
         """Advance by a short ``duration`` [s]."""

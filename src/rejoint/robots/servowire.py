@@ -1,0 +1,172 @@
+"""The wire of servos on a bus, through whatever client of their maker."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from select import select
+from typing import Any, ClassVar, Self
+
+import serial
+
+from rejoint.robots.family import SerialAddress, TcpAddress
+
+CONNECT = 5.0
+"""[s] (chosen, as pyserial does)"""
+WAIT = 0.02
+"""[s] of one wait for bytes (chosen)"""
+OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
+"""Results of Feetech's client and ROBOTIS'; all others are garbled answers"""
+
+
+class BlockingPort:
+    """A port for the makers' clients, which waits in the system instead of asking all the time.
+
+    Put it before their ``PortHandler`` among the bases.
+    """
+
+    is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
+    port_name: TcpAddress | SerialAddress
+    baudrate: int
+
+    def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
+        """Open; OSError."""
+        place = self.port_name
+        self.ser: Any
+        if isinstance(place, TcpAddress):
+            self.ser = socket.create_connection((place.host, place.port), CONNECT)
+            self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
+        else:
+            self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
+        self._descriptor: int = self.ser.fileno()
+        self.is_open = True
+        self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
+        return True
+
+    def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
+        """Return what comes within ``wait`` [s]; OSError."""
+        if length <= 0:  # as a client asks behind a packet that says it is shorter than any
+            return b""
+        if not select([self._descriptor], [], [], wait)[0]:
+            return b""
+        data = os.read(self._descriptor, length)
+        if not data:
+            raise OSError("the port is gone")
+        return data
+
+    def clearPort(self) -> None:  # noqa: N802 - the maker's name
+        """Drop the buffer."""
+        while self.readPort(4096, 0.0):
+            pass
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
+        """Write; returns the number of bytes."""
+        return os.write(self._descriptor, bytes(packet))
+
+    def connect(self) -> Self:
+        """Open at the address's rate; ValueError, OSError."""
+        place = self.port_name
+        baud = place.baud if isinstance(place, SerialAddress) else self.baudrate
+        if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
+            raise ValueError(f"the maker's client knows no baud rate {baud}")
+        return self
+
+    def quieten(self, pause: float) -> bool:
+        """Drop what comes within ``pause`` [s]; whether anything did."""
+        end, found = time.monotonic() + pause, False
+        while (left := end - time.monotonic()) > 0.0:
+            found = bool(self.readPort(4096, left)) or found
+        return found
+
+
+def judge(result: int, servo: int) -> None:
+    """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
+    if result == OK:
+        return
+    if result in SILENT:
+        raise TimeoutError(f"servo {servo} does not answer")
+    if result in UNSENT:
+        raise OSError("the port did not take the request")
+    raise ValueError(f"the answer of servo {servo} is garbled")
+
+
+class ServoWire(ABC):
+    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken)."""
+
+    places: ClassVar[tuple[int, int]]
+    """of ID and error in a status packet"""
+
+    def __init__(
+        self,
+        port: BlockingPort,
+        ask: Callable[[int, int, int], int],
+        receive: Callable[[], tuple[list[int], int]],
+        write: Callable[..., tuple[int, int]],
+        write_all: Callable[..., int],
+    ) -> None:
+        """Speak by the client's ``readTx``, ``rxPacket``, ``writeTxRx`` and ``syncWriteTxOnly``."""
+        self.quieten, self.close = port.quieten, port.closePort  # type: ignore[attr-defined]  # the maker's
+        self._port, self._ask, self._receive, self._write, self._write_all = port, ask, receive, write, write_all
+
+    @abstractmethod
+    def model(self, servo: int) -> int:
+        """Model number of a servo; ignores late answers."""
+
+    @abstractmethod
+    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
+        """Ask ``servos`` for ``size`` registers at once; the client's result."""
+
+    @abstractmethod
+    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:
+        """Return the data of a status packet, which answers a ``question`` for registers."""
+
+    def read(self, servo: int, address: int, size: int) -> bytes:
+        """Read ``size`` registers."""
+        (number, error), packet = self.places, list[int]()
+        result = self._ask(servo, address, size)
+        while result == OK and (not packet or packet[number] != servo):
+            packet, result = self._receive()
+        self._take(result, servo, packet[error] if result == OK else 0)
+        data = self._data(packet, (address, size))
+        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
+            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
+        return data
+
+    def write(self, servo: int, address: int, data: Sequence[int]) -> int:
+        """Write registers, which the servo confirms; its error byte."""
+        result, error = self._write(servo, address, len(data), list(data))
+        self._take(result, servo, error)
+        return error
+
+    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
+        """Read ``size`` registers of all ``servos``; without silent ones."""
+        judge(self._ask_all(servos, address, size), servos[0])
+        found = {}
+        for servo, error, data in self._answers(len(servos), size):
+            if servo in servos and len(data) == size:
+                found[servo] = data
+                self._take(OK, servo, error)
+                if len(found) == len(servos):
+                    break
+        return found
+
+    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
+        """Write registers of all ``servos``, without answers."""
+        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
+        judge(self._write_all(address, len(data[0]), words, len(words)), servos[0])
+
+    def _answers(self, count: int, _size: int) -> Iterable[tuple[int, int, bytes]]:
+        """IDs, errors and data of ``count`` answers."""
+        number, error = self.places
+        for _ in range(2 * count):  # among them garbled ones
+            packet, result = self._receive()
+            if result in SILENT:
+                break
+            if result == OK:
+                yield packet[number], packet[error], self._data(packet)
+
+    def _take(self, result: int, servo: int, _error: int) -> None:
+        judge(result, servo)
