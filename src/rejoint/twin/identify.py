@@ -115,7 +115,7 @@ STRIDE = 2.5
 MEMORY = 1.0
 """[s] of one observation beside the prior; chosen"""
 
-FREEDOM = 2.0
+FREEDOM = 1.0
 """Degrees of freedom of window errors; chosen"""
 
 

@@ -2,7 +2,7 @@
 
 The jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015),
 with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
-are too narrow. Stick-slip looks like curvature, so the curvature comes from the loss itself.
+are too narrow.
 
 What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
 """
@@ -17,19 +17,17 @@ import numpy as np
 from rejoint.arms import Array, Index
 from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.system.statistics import NORMAL95, student95
-from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
+from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence
 from rejoint.twin.parameters import Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
 
-TORQUE_LIMIT = number("torque_limit")
+TORQUE_LIMIT, DELAY = number("torque_limit"), number("delay")
 
-REACH = 2.0
-"""Standard deviations for the loss's curvature; chosen"""
-LEAST_SHARE = 0.01
-"""Least share of the curvature along a flat loss; chosen"""
+LATE = 0.0025
+"""[s] error of a delay by what no twin holds, such as the filter of a servo's speed; measured: emulated worn arms"""
 SCALE_STEP = SCALES[-2]
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
@@ -39,11 +37,10 @@ def uncertainty(problem: Problem, fit: Fit, clusters: Index) -> Array:
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     weight = fit.weights.precision * influence(residual)
-    covariance = jackknife(prior, *_by_cluster(problem, jacobian, weight, residual, clusters))
-    jacobian = _steadied(problem, fit, jacobian, covariance)
     curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += fixed_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
+    covariance += np.diag(np.where(problem.layout.kind == DELAY, LATE**2, 0.0))
     return 0.5 * (covariance + covariance.T)
 
 
@@ -76,40 +73,6 @@ def _by_cluster(
     rows = np.arange(clusters.max() + 1)[:, None] == clusters
     parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
     return np.stack([curvature for curvature, _ in parts]), np.stack([score for _, score in parts])
-
-
-def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) -> Array:
-    """Scale sensitivities (rows, n, q) down to the curvature of the loss itself.
-
-    Along the principal directions of each joint's parameters, `REACH` sigma of ``covariance`` (k, k).
-    """
-    prior, n = problem.prior, problem.joints
-    own = [np.flatnonzero((problem.owner == joint) & ~problem.frozen) for joint in range(n)]
-    moves = np.zeros((len(own[0]), len(fit.vector)))
-    axes, sizes = [], []
-    for joint, place in enumerate(own):
-        columns = np.searchsorted(problem.columns(joint), place)
-        scaled = jacobian[:, joint][:, columns] * prior.sigma[place]
-        weight = fit.weights.precision[:, joint]
-        _, vectors = np.linalg.eigh(scaled.T @ (scaled * weight[:, None]))
-        spread = covariance[np.ix_(place, place)] / np.outer(prior.sigma[place], prior.sigma[place])
-        size = np.minimum(REACH * np.sqrt(np.einsum("ai,ab,bi->i", vectors, spread, vectors)), 1.0)
-        moves[:, place] = (vectors * size).T * prior.sigma[place]
-        axes.append(vectors)
-        sizes.append(size)
-    tried = np.clip(np.vstack([fit.vector, fit.vector + moves, fit.vector - moves]), prior.lower, prior.upper)
-    residuals = problem.residuals(tried)
-    losses = (loss(residuals) * fit.weights.precision).sum(axis=1)
-    shown = losses[1 : 1 + len(moves)] + losses[1 + len(moves) :] - 2.0 * losses[0]
-    steady = jacobian.copy()
-    for joint, (place, vectors, size) in enumerate(zip(own, axes, sizes, strict=True)):
-        columns = np.searchsorted(problem.columns(joint), place)
-        along = (jacobian[:, joint][:, columns] * prior.sigma[place]) @ vectors * size
-        weight = fit.weights.precision[:, joint] * influence(residuals[0][:, joint])
-        claimed = np.maximum((along**2 * weight[:, None]).sum(axis=0), 1e-12)
-        share = np.sqrt(np.clip(shown[:, joint] / claimed, LEAST_SHARE, 1.0))
-        steady[:, joint, columns] = (along / size * share) @ vectors.T / prior.sigma[place]
-    return steady
 
 
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
