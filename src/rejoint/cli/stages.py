@@ -95,6 +95,7 @@ def repair(
     quick: bool = False,
 ) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
+    require("rejoint repair", "train", "report")
     from rejoint.cli.upkeep import gauge_by_word
 
     if call.settings.dry_run:
