@@ -300,6 +300,12 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
     assert arm.servos[5]["Torque_Enable"] == 0
 
 
+@pytest.mark.parametrize("count", [-5, 0, 4095])
+def test_a_position_is_sent_back_as_the_goal_that_it_was_read_as(count):
+    goal, position = KIND.registers["goal"], KIND.registers["position"]
+    assert goal.encode(count) == position.encode(count)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
