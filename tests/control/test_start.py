@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280
+from rejoint.arms import gravity_torque, load_arm, mycobot280
 from rejoint.control.loop import say_faulty
-from rejoint.control.start import STANCE, Stance, begin, check_ready
+from rejoint.control.robot import JointState
+from rejoint.control.start import STANCE, Stance, begin, check_ready, look_at_servos
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
@@ -169,3 +170,20 @@ def test_a_servo_that_starves_is_told_from_one_that_is_blocked():
     blocked = say_faulty(names, both, ("voltage", "overload"))
     assert blocked.endswith("(voltage; overload); free the arm and clear the fault")
     assert say_faulty(names, first) == "shoulder reports a servo fault; free the arm and clear the fault"
+
+
+@pytest.mark.parametrize(
+    ("away", "volts", "named"),
+    [
+        (1.0, (12.0, 12.0, 5.0, 5.0, 5.0), set()),
+        (4.0, (12.0, 12.0, 5.0, 5.0, 5.0), {"beyond its limit"}),
+        (0.0, (12.0, 12.0, 5.0, 3.9, 5.0), {"supply"}),
+    ],
+)
+def test_servos_are_judged_as_the_start_does_and_each_kind_by_its_own_supply(away, volts, named):
+    arm = load_arm("koch")
+    position = arm.rest.copy()
+    position[0] = arm.upper[0] + np.radians(away)
+    state = JointState(time=np.zeros(1), position=position[None], age=np.zeros(1), voltage=np.array([volts]))
+    found = list(look_at_servos(arm, state))
+    assert {symptom.found.partition(":")[0] for symptom in found if symptom.fix} == named

@@ -21,11 +21,11 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.cli.options import Call, Result, takes
 from rejoint.control.robot import Robot
+from rejoint.control.start import Symptom, look_at_servos
 from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
-from rejoint.studio.health import Symptom, look_at_servos
 from rejoint.system.errors import RejointError, RobotError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
@@ -229,7 +229,8 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
         status = [", ".join(word for bit, word in enumerate(STATES) if bit in (one or ())) for one in states or ()]
-        state = replace(state, voltage=np.array(power, float)[None] if power else None, trouble=tuple(status))
+        told = power and len(power) == arm.joints
+        state = replace(state, voltage=np.array(power, float)[None] if told else None, trouble=tuple(status))
     yield from look_at_servos(arm, state)
 
 

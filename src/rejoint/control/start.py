@@ -5,9 +5,9 @@ Constants without a source are chosen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,14 @@ STRIKES = 2
 """Readings in a row"""
 LIGHT = 1e-3
 """[N m] without weight"""
+
+WARM = 50.0
+"""[deg C] of a servo that should cool down before a motion (chosen: 15 below the guard's trip)"""
+SAG = 0.85
+"""Share of the usual supply below which a voltage is low (chosen)"""
+SUPPLIES = (5.0, 7.4, 12.0)
+"""[V] of servos (manuals of the STS3215 and the X series)"""
+POWER = "check power supply and cables"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,6 +162,42 @@ def _problem(arm: Arm, first: JointState, state: JointState) -> str:
         return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
     hottest, limit = state.temperature.max(axis=0), GuardLimits.max_temperature - WARMTH
     return f"{say_hot(arm.joint_names, hottest, limit)} before the start" if (hottest > limit).any() else ""
+
+
+class Symptom(NamedTuple):
+    """What was found."""
+
+    found: str
+    fix: str = ""
+    """what to do; empty: nothing"""
+
+
+def look_at_servos(arm: Arm, state: JointState) -> Iterator[Symptom]:
+    """Compare positions, temperatures, supply and status with what they should be."""
+    yield Symptom(f"all {arm.joints} servos answer")
+    names, position, believed = np.array(arm.joint_names), state.position[0], GuardLimits.of(arm, margin=-BEYOND)
+    beyond = names[(position < believed.lower) | (position > believed.upper)].tolist()
+    fix = "move it back by hand, with power off and the arm supported" if beyond else ""
+    yield Symptom(f"beyond its limit: {', '.join(beyond) or 'no joint'}", fix)
+    heat = np.full(arm.joints, np.nan) if state.temperature is None else state.temperature[0]
+    volts = np.full(arm.joints, np.nan) if state.voltage is None else state.voltage[0]
+    kinds = np.array(arm.servos or ("",) * arm.joints)
+    most = [float(np.nanmax(volts[kinds == kind], initial=0.0)) for kind in kinds]  # each kind has a supply of its own
+    usual = np.array([min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high) for high in most])
+    for what, unit, values, bad, fix in (
+        ("temperature", "deg C", heat, heat > WARM, "switch the arm off and let it cool down"),
+        ("supply", "V", volts, volts < SAG * usual, POWER),
+    ):
+        worst = [f"{names[j]} {values[j]:.1f} {unit}" for j in np.flatnonzero(bad)]
+        known = values[np.isfinite(values)]
+        span = f"{known.min():.1f} to {known.max():.1f} {unit}" if len(known) else "not told"
+        yield Symptom(f"{what}: {', '.join(worst) or span}", fix * bool(worst))
+    words = [(name, word) for name, word in zip(names, state.trouble or (), strict=False) if word]
+    for name, word in words:
+        power = "voltage" in word or "supply" in word
+        yield Symptom(f"{name} reports: {word}", POWER if power else "let it rest, and look at the joint")
+    if not words and state.fault is not None and state.fault.any():
+        yield Symptom("a servo reports a fault", "switch the arm off and on")
 
 
 def play(

@@ -17,6 +17,7 @@ from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
+from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
 from rejoint.logs.runfolder import LOGS, RunFolder, read_info
@@ -28,7 +29,6 @@ from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
-from rejoint.studio.health import look_at_servos
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import read_toml
@@ -176,12 +176,12 @@ def _minutes(seconds: float) -> str:
 
 def repair(studio: Studio, *, quick: bool = False) -> None:
     """Repair the arm; it goes on where an earlier repair ended."""
-    from rejoint.pages.report.page import before_after, read_contents
-
     run, status = studio.begin_run(quick=quick), studio.status
     done = rejoint.repair(
         status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
     )
+    from rejoint.pages.report.page import before_after, read_contents  # late: a repair has asked for what it needs
+
     errors, advice = before_after(read_contents(run.path)), done.recommendation
     sentence = "" if errors is None else errors.sentence
     if quick:
