@@ -354,6 +354,7 @@ def test_a_stream_of_joint_positions_is_followed_until_it_stops_and_gives_way_to
         end = arm.move_to([0.18, 0.03, 0.21], within_m=0.004)
         assert end is not None
         assert not arm.state.moving
+    assert len(list((run / "logs").glob("joints*.parquet"))) == 1, "one log, with the command that brakes"
 
 
 def test_boxes_are_kept_out_of_and_one_that_holds_the_arm_is_refused(run: Path) -> None:

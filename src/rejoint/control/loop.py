@@ -129,7 +129,7 @@ def brake(robot: Robot, last: Cycle) -> Cycle:
     most = np.maximum(BRAKE, LAG * np.abs(came) / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
     if (np.abs(ahead) <= most).all():
         return last
-    braking = last.later(robot, now, now.position + np.clip(ahead, -most, most))
+    braking = replace(last.later(robot, now, now.position + np.clip(ahead, -most, most)), turned=last.turned)
     robot.step(braking.command)
     return braking
 

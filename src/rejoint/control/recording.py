@@ -122,8 +122,8 @@ class Recording(Cycle):
         """Run log of arm ``b``."""
         rows = np.flatnonzero(self.active[:, b])
         times = self.time[rows, b]
-        earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
-        rows = rows[times > earlier]
+        rows = rows[times >= np.maximum.accumulate(times)]
+        rows = rows[np.diff(self.time[rows, b], append=np.inf) > 0.0]  # the last command of one time is in force
         load, target, aim = self.load[rows, b], self.target[rows, b], self.aim[rows, b]
         return RunLog(
             arm=self.arm,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent import futures
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -264,7 +264,8 @@ class ArmSession(ArmDriver):
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             while not motion.ended.is_set():
                 self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
-                self.recorder.turn()
+                if not motion.ended.is_set():  # else the braking command is the last row
+                    self.recorder.turn()
 
         motion = ArmMotion("the newest joint positions", work)
         self._start(motion, wait=False)
@@ -423,7 +424,8 @@ class ArmSession(ArmDriver):
                 braking = brake(self.robot, self._last)
                 if braking is not self._last:
                     self._sent = braking.command
-                    self._see(braking, self.recorder.see)
+                    with suppress(Exception):  # the arm holds, whatever an observer makes of it
+                        self._see(braking, self.recorder.see)
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
@@ -443,9 +445,11 @@ class ArmSession(ArmDriver):
                 return
             self._closed = True
             try:
-                if self._motion is not None:
-                    self.stop()
-                self.recorder.end()
+                try:
+                    if self._motion is not None:
+                        self.stop()
+                finally:
+                    self.recorder.end()
                 if self.rehearsal is not None and error is None:
                     self.observer.message(self.rehearsal.summary())
             finally:
