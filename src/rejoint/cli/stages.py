@@ -95,7 +95,6 @@ def repair(
     quick: bool = False,
 ) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
-    require("rejoint repair", "train", "report")
     from rejoint.cli.upkeep import gauge_by_word
 
     if call.settings.dry_run:
@@ -103,6 +102,7 @@ def repair(
         with call.watched("repair") as observer:
             rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
         return {"robot": robot}
+    require("rejoint repair", "train", "report")  # before the address asks for a part of it
     job = call.job(robot, run, seed)
     call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     plan = rejoint.RepairPlan(
