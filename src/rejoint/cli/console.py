@@ -119,6 +119,7 @@ class Terminal:
         A column without text is left out; a wide table is split.
         """
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
+        page = Console(file=_results(), width=width, highlight=False)  # one of its own: what is piped has one width
         columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
         for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
@@ -131,7 +132,7 @@ class Terminal:
                 table.add_column(Text(column[0]), justify=justify, overflow="fold", width=wide)
             for number, row in enumerate(zip(*(column[1:] for column in part), strict=True)):
                 table.add_row(*map(Text, row), style="bold" if number == bold else None)
-            self.results.print(table, width=width, soft_wrap=False)
+            page.print(table)
             title = ""
 
     def finish(self, value: object) -> None:
