@@ -31,7 +31,7 @@ from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure
 from rejoint.system.errors import GuardTripError
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.servo import Channel, Delays, Interval, Keys
+from rejoint_lab.plant.servo import Channel, Interval, Keys
 from rejoint_lab.plant.wear import Wear, load_wear
 
 ARM = mycobot280()
@@ -70,20 +70,20 @@ THREADS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stalling(Channel):
+class Stalling:
     """A channel that stalls: some commands come late, and their cycles are longer by as much, or not at all."""
 
+    channel: Channel
     share: float = STALLS
     longer: bool = True
 
-    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
+    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Array:
         """Delays of cycle number ``cycle`` (B,) for the arms with these stream keys (B,)."""
-        delays, other = super().draw(keys, cycle), super().draw(keys, cycle + 2**40)
-        chance, share = (
-            (value - low) / (high - low) for value, (low, high) in ((other.period, self.period), (other.age, self.age))
-        )
+        latency, age, period = self.channel.draw(keys, cycle)
+        low, high = np.array(self.channel).T[..., None]
+        _, share, chance = (self.channel.draw(keys, cycle + 2**40) - low) / (high - low)
         late = np.where(chance < self.share, STALL[0] + share * (STALL[1] - STALL[0]), 0.0)
-        return Delays(delays.latency + late, delays.age, delays.period + late * self.longer)
+        return np.stack([latency + late, age, period + late * self.longer])
 
 
 @dataclass(frozen=True)
@@ -145,9 +145,7 @@ def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedR
     robot = EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire])
     if wire in ("stalling", "late"):
         robot._channel = Stalling(
-            latency=SLOW["command_latency"],
-            age=SLOW["readback_age"],
-            period=SLOW["period"],
+            channel=Channel(SLOW["command_latency"], SLOW["readback_age"], SLOW["period"]),
             share=STALLS if wire == "stalling" else LATE,
             longer=wire == "stalling",
         )
