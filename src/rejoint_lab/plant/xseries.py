@@ -55,7 +55,7 @@ def drive_of(servo: str) -> tuple[str, int, dict[str, int]]:
     words = servo.split()
     count = int(words.pop(0)) if words and words[0].isdecimal() else 1
     model, *gains = words or [""]
-    return model, count, {name: int(value) for name, _, value in (gain.partition("=") for gain in gains)}
+    return model, count, {name: int(value) for name, equals, value in (gain.partition("=") for gain in gains) if equals}
 
 
 def drives(servos: Sequence[str]) -> bool:
