@@ -44,7 +44,7 @@ class Reason(IntFlag):
     STEP = 2
     """too fast"""
     LEAD = 4
-    """too far from the measured position"""
+    """too far from the measured position, or from where a joint stands that has not moved yet"""
     FLOOR = 8
     """too low"""
     NOT_FINITE = 16

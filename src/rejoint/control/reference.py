@@ -23,7 +23,6 @@ from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import Modelled
-from rejoint.control.moving.tracker import TURNING
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
 
@@ -44,6 +43,8 @@ STOP, LAST, _REST = 0.012, 0.9, 12
 AHEAD, BRAKING, RESERVE = 0.05, 0.22, 0.007
 """[s] over which the approach to obstacles is measured; least time [s] to a clearance of the [m] after it (chosen
 likewise)"""
+TURNING = 0.015
+"""[rad/s] of three quarters of the friction (chosen)"""
 UNKNOWN = Motors(np.array(np.inf), np.array(np.inf))
 """Motors of an arm without a twin"""
 

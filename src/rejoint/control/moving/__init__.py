@@ -1,1 +1,1 @@
-"""Targets that move."""
+"""Targets that move, and what drives achieve."""

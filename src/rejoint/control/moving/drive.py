@@ -1,4 +1,4 @@
-"""What a drive to targets, or behind a moving one, achieved, and learning from repetition.
+"""What a drive achieved, to points or along a path, and learning from repetition.
 
 Repetition adds the share of the error that repeats to the path (Wiener's filter).
 """

@@ -29,6 +29,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation, task
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
+from rejoint.control.reference import TURNING
 from rejoint.control.robot import ControlInput
 
 SPARED = 20.0
@@ -126,10 +127,6 @@ def home_of(arm: Arm, servos: Servos) -> Array:
                 better = weak & (share(postures) < least)
                 homes[better], least = home, np.where(better, share(postures), least)
     return homes
-
-
-TURNING = 0.015
-"""[rad/s] of three quarters of the friction (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -169,10 +169,10 @@ def before_after(contents: Contents) -> BeforeAfter | None:
     if contents.comparison is None:
         return None
     controller = recommend.recommend(contents.comparison).controller
-    return BeforeAfter(controller=controller, before=found(contents), after=_errors(contents.comparison, controller))
+    return BeforeAfter(controller=controller, before=as_found(contents), after=_errors(contents.comparison, controller))
 
 
-def found(contents: Contents) -> MeanErrors:
+def as_found(contents: Contents) -> MeanErrors:
     """Errors of the uncorrected arm: in the diagnosis, else under its own controller in the comparison."""
     own, comparison, known = DefaultController.name, contents.comparison, contents.calibration
     open_loop = None if contents.diagnosis is None else contents.diagnosis.open_loop
@@ -283,7 +283,7 @@ def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
 
 
 _FUNCTIONS = (
-    *(before_after, commands, found, next_steps, target_errors, tilt, unidentified),
+    *(as_found, before_after, commands, next_steps, target_errors, tilt, unidentified),
     *(above_zero, colour_number, cost, in_base, own_policy, reach, reversals, ringing_most),
 )
 _MODULES = (recommend, calibration, fit, parameters, protocols, tables)

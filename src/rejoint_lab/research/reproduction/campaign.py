@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -259,7 +258,9 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def run(self, bench: Bench) -> Finished:
         """Measure."""
-        return self.finish(getattr(import_module(f"{__package__}.measures"), self.measure)(bench))
+        from rejoint_lab.research.reproduction import measures  # late: they load what trains
+
+        return self.finish(getattr(measures, self.measure)(bench))
 
     def finish(self, found: Found) -> Finished:
         """Put what was ``found`` into words."""
