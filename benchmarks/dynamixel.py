@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.feetech import bus_cost
 from rejoint.arms import Arm, Box
-from rejoint.robots.dynamixel.address import KIND
+from rejoint.robots.dynamixel import KIND
 from rejoint.robots.dynamixel.bus import MEASURED, DynamixelBus
 from rejoint_lab.emulator.dynamixel import FAST_SYNC_READ, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_WRITE, TURN, Packet

@@ -13,7 +13,7 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.dynamixel import address as xservos
+from rejoint.robots import dynamixel as xservos
 from rejoint.robots.feetech import gains as sts
 from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values
 from rejoint.system.errors import InputError

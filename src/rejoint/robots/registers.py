@@ -1,4 +1,4 @@
-"""Values in the memory of servos, for their drivers and their emulators."""
+"""Values in the memory of servos, for their drivers and their emulators, which know nothing else of one another."""
 
 from __future__ import annotations
 

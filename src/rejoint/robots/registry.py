@@ -9,7 +9,7 @@ from typing import Any
 
 from rejoint.arms import CATALOGUE
 from rejoint.robots.busrobot import bus_family
-from rejoint.robots.dynamixel.address import DynamixelAddress
+from rejoint.robots.dynamixel import DynamixelAddress
 from rejoint.robots.family import (
     Family,
     Place,

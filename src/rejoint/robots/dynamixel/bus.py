@@ -19,7 +19,7 @@ from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2P
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.dynamixel.address import CURRENT_BASED, KIND, DynamixelAddress
+from rejoint.robots.dynamixel import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
