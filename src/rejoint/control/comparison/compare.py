@@ -318,7 +318,7 @@ class TrialRunner:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
 
         try:
-            recording = self._run(robot, name, targets, kind, turns=turns, on_cycle=see, sent=self._sent)
+            recording = self._run(robot, name, targets, kind, turns=turns, on_cycle=see)
         except GuardTripError as error:
             stopped = recording_of(error)
             if stopped is None or not bad_command(stopped):
@@ -341,12 +341,11 @@ class TrialRunner:
         corrected: bool = True,
         turns: Orientation | None = None,
         on_cycle: OnCycle | None = None,
-        sent: Array | None = None,
     ) -> Recording:
         controller = self.controllers[name](robot.arm)
         correction = self.correction(robot.arm) if self.correction and corrected else None
         reference = TargetSequence(robot.arm, targets, turns=turns, correction=correction)
-        plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent, wait=False)
+        plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=False)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
             return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
@@ -357,8 +356,9 @@ class TrialRunner:
         """Errors of the default controller at the first target set, not corrected; raises as `run`."""
         targets, settings, models = self.targets[:1], self.settings, [self.model] if self.model else ()
         with closing(self.open_robot(1, settings.seed)) as robot:
-            sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
-            recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False, sent=sent)
+            self._sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
+            recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False)
+            self._sent = None  # of a robot that is closed now
             return TargetErrors.of(metrics_of(robot.arm, recording, targets, settings.protocol, models=models))
 
 
