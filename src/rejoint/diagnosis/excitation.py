@@ -29,7 +29,7 @@ from rejoint.arms.workspace import (
 )
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.recording import Cycle, OnCycle
+from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, move, play
 from rejoint.diagnosis.open_loop import DWELL, TARGETS
@@ -314,37 +314,22 @@ class DiagnosisLogs:
     """segments in ``extra``"""
 
 
-def record(
-    robot: Robot,
-    *,
-    seed: int,
-    on_progress: Progress = no_progress,
-    on_cycle: OnCycle | None = None,
-) -> tuple[DiagnosisLogs, ...]:
+def record(robot: Robot, *, seed: int, on_progress: Progress = no_progress) -> tuple[DiagnosisLogs, ...]:
     """Drive every arm through the diagnosis; return the logs of each.
 
     NotReadyError before it moves if unsafe; GuardTripError or RobotError if the motion had to be ended.
     """
-    arm = robot.arm
-    extra = {"seed": str(seed)}
+    arm, extra = robot.arm, {"seed": str(seed)}
     excitation = plan_excitation(arm, seed=seed)  # refused, if it is, before anything moves
-    begin(robot, on_cycle=on_cycle)
-    whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
+    begin(robot)
+    duration = TARGETS * DWELL
+    share = duration / (duration + excitation.duration)
     targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
-    open_loop = run(
-        robot,
-        DefaultController(arm),
-        targets,
-        Schedule(dwell=DWELL),
-        on_cycle=reporting("ten targets", first, part(on_progress, 0.0, first / whole), on_cycle, robot),
-    )
-    move(robot, arm.rest, on_cycle=on_cycle)
-    excited = play(
-        robot,
-        excitation.command,
-        excitation.duration,
-        on_cycle=reporting("excitation", excitation.duration, part(on_progress, first / whole, 1.0), on_cycle, robot),
-    )
+    see = reporting("ten targets", duration, part(on_progress, 0.0, share), robot)
+    open_loop = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL), on_cycle=see)
+    move(robot, arm.rest)
+    see = reporting("excitation", excitation.duration, part(on_progress, share, 1.0), robot)
+    excited = play(robot, excitation.command, excitation.duration, on_cycle=see)
     return tuple(
         DiagnosisLogs(
             targets=open_loop.log(b, TARGETS_LABEL, extra),
@@ -354,13 +339,7 @@ def record(
     )
 
 
-def reporting(what: str, duration: float, on_progress: Progress, on_cycle: OnCycle | None, robot: Robot) -> OnCycle:
+def reporting(what: str, duration: float, on_progress: Progress, robot: Robot) -> OnCycle:
     """Progress callback for a motion of ``duration`` [s]."""
     since = float(robot.read().time[0])
-
-    def report(cycle: Cycle) -> None:
-        if on_cycle is not None:
-            on_cycle(cycle)
-        on_progress(min((float(cycle.time[0]) - since) / duration, 1.0), what)
-
-    return report
+    return lambda cycle: on_progress(min((float(cycle.time[0]) - since) / duration, 1.0), what)

@@ -213,7 +213,8 @@ def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
 
 
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
-    by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
+    torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
+    by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     return [torque or sag for torque, sag in zip(by_torque, _by_sag(data.arm, laws, KNOWN_WITHIN), strict=True)]
 
 

@@ -298,9 +298,9 @@ def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
 
     A servo's torque over its following error is its stiffness, whatever the links weigh.
     """
-    if data.log.torque is None or data.log.units.get("torque") != "N m" or not data.log.commanded:
+    if data.log.torque is None or data.effort_unit != "N m" or not data.log.commanded:
         return None
-    motion = _motion(replace(data, log=replace(data.log, current=None)), joint, np.zeros(1), fast=True)
+    motion = _motion(data, joint, np.zeros(1), fast=True)
     if not motion.enough:
         return None
     design = motion.design

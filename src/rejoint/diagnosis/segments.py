@@ -72,10 +72,6 @@ class ExcitationLog:
     arm: Arm
     log: RunLog
     segments: tuple[Segment, ...]
-    gravity: Array
-    """(T, n) [N m] that holds the arm"""
-    reference: Array
-    """(T, n) [rad] of a servo that ramps to each command, before the next one"""
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
@@ -94,14 +90,21 @@ class ExcitationLog:
             stop=float(log.time[-1]),
             joints=tuple(range(arm.joints)),
         )
-        return cls.with_segments(arm, log, (*segments, free))
+        return cls(arm=arm, log=log, segments=(*segments, free))
 
-    @classmethod
-    def with_segments(cls, arm: Arm, log: RunLog, segments: tuple[Segment, ...]) -> ExcitationLog:
-        """Use segments found in a log, on its clock."""
-        return cls(
-            arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position), reference=_ramp(arm, log)
-        )
+    @cached_property
+    def gravity(self) -> Array:
+        """(T, n) [N m] that holds the arm."""
+        return gravity_torque(self.arm, self.log.position)
+
+    @cached_property
+    def reference(self) -> Array:
+        """(T, n) [rad] of a servo that ramps to each command, just before the next one takes effect."""
+        log, reference = self.log, self.log.command.copy()
+        way = np.diff(log.time)[:, None] * self.arm.max_speed
+        for k in range(len(log) - 1):
+            reference[k + 1] = reference[k] + np.clip(log.command[k] - reference[k], -way[k], way[k])
+        return reference
 
     def commanded(self, joint: int, time: Array) -> Array:
         """Joint's reference [rad] at ``time`` (...) [s]: ramps at top speed."""
@@ -162,17 +165,6 @@ def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
     return (f.axis * (moment - np.cross(f.position, force))).sum(axis=-1)
 
 
-def _ramp(arm: Arm, log: RunLog) -> Array:
-    """Return reference (T, n) [rad] just before each command takes effect."""
-    reference = np.empty_like(log.command)
-    reference[0] = log.command[0]
-    way = np.diff(log.time)[:, None] * arm.max_speed
-    for k in range(len(log) - 1):
-        step = log.command[k] - reference[k]
-        reference[k + 1] = reference[k] + np.minimum(np.maximum(step, -way[k]), way[k])
-    return reference
-
-
 FREE, STEP, HOLD, STILL, SWEEP = "free", "step", "hold", "still", "sweep"
 """Kinds; all but the first belong to an excitation"""
 
@@ -220,7 +212,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
         units=logs[0].units,
         **arrays,
     )
-    return ExcitationLog.with_segments(arm, everything, tuple(segments))
+    return ExcitationLog(arm=arm, log=everything, segments=tuple(segments))
 
 
 def log_of(segment: Segment) -> int:

@@ -70,7 +70,7 @@ def record_check(robot: Robot, *, on_progress: Progress = no_progress) -> Sequen
     plan = plan_check(robot.arm)  # refused, if it is, before anything moves
     begin(robot)
     before = robot.read().temperature
-    see = reporting("check", plan.duration, on_progress, None, robot)
+    see = reporting("check", plan.duration, on_progress, robot)
     done = play(robot, plan.command, plan.duration, on_cycle=see)
     after = robot.read().temperature
     warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))

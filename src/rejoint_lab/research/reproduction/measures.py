@@ -18,11 +18,10 @@ from matplotlib.figure import Figure
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_position
 from rejoint.arms.arm import dh_chain
-from rejoint.control.comparison.protocols import schedule
-from rejoint.control.comparison.result import Columns, Protocol
+from rejoint.control.comparison.compare import Ledger, Settings, TrialRunner
+from rejoint.control.comparison.result import METRICS, Columns, Comparison, ControllerRow, Key, Protocol, row_of
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_size, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
-from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, INK, ORANGE, RED, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
@@ -31,11 +30,12 @@ from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.files import read_toml
-from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
+from rejoint.system.shell import __version__
+from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint_lab.research.evaluation.evaluate import VariantRow, classical, make_row, together
-from rejoint_lab.research.evaluation.family import ArmFamily, keep, try_on
+from rejoint_lab.research.evaluation.evaluate import classical
+from rejoint_lab.research.evaluation.family import keep
 from rejoint_lab.research.reproduction.campaign import (
     HEALTHY,
     LITERALLY,
@@ -343,23 +343,21 @@ NAMES = {
 }
 
 
-def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", *, only: str = "") -> Columns:
-    """Try a controller, or the policy of a training, on all targets; ``only`` by one of the protocols.
+def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol, repetitions: int) -> TrialRunner:
+    """Trials of controllers, or policies of trainings, on a kind of arm; what is kept of them is not driven again."""
+    file = bench.folder / "trials" / f"{profile}-hold-{protocol.hold:g}s.json"
+    return TrialRunner(
+        partial(_open, bench, profile),
+        {name: _maker(bench, name) for name in names},
+        bench.targets,
+        Settings(repetitions=repetitions, seed=bench.seed, batched=True, protocol=protocol),
+        ledger=Ledger(file, repr((__version__, protocol))),
+        on_progress=bench.on_progress,
+    )
 
-    Results (S R, K); targets of a set are those of one "arm", or each repetition is one where sets are few.
-    """
-    scale = bench.scale
-    crossings, holds = (scale.targets * (only in ("", kind)) for kind in ("crossing", "hold"))
-    repetitions = 1 if only == "hold" else scale.repetitions
-    targets = np.repeat(bench.targets, repetitions, axis=0)
-    opened = partial(_open, bench, profile, len(targets))
-    family = ArmFamily(arms=len(targets), targets=holds, crossings=crossings, protocol=protocol, threads=bench.threads)
-    identity = repr((bench.seed, family, profile))
-    path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
-    found = keep(path, identity, lambda: try_on(bench.arm, opened, _maker(bench, name), family, (targets, None)))
-    # repetitions of a target set are no other arms, where there are sets enough
-    labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
-    return found | {"arm": np.repeat(labels[:, None].astype(float), targets.shape[1], axis=1)}
+
+def _open(bench: Bench, profile: str, count: int, seed: int) -> Robot:
+    return open_robot(f"emulated:{profile}", arm=bench.arm, seed=seed, count=count, threads=bench.threads)
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
@@ -368,12 +366,13 @@ def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     return partial(load_policy, bench.training(name).policy)
 
 
-def _open(bench: Bench, profile: str, count: int) -> Robot:
-    return open_robot(f"emulated:{profile}", arm=bench.arm, seed=bench.seed, count=count, threads=bench.threads)
-
-
-def _row(name: str, outcomes: list[Columns], protocol: Protocol) -> VariantRow:
-    return make_row("", name, together(outcomes), protocol)
+def _together(found: Comparison, names: Sequence[str]) -> ControllerRow:
+    """Statistics of trainings that count as repetitions of one."""
+    columns = {
+        metric: np.concatenate([found.array(metric, name) for name in names], axis=1)
+        for metric in (*METRICS, *found.protocol.stay_names)
+    }
+    return row_of(names[0], columns, found.protocol)
 
 
 def _mm(one: Spread | None, places: int = 2) -> str:
@@ -383,7 +382,7 @@ def _mm(one: Spread | None, places: int = 2) -> str:
     return f"{1e3 * one.mean.value:.2f}{std} mm"
 
 
-def _ten(row: VariantRow) -> str:
+def _ten(row: ControllerRow) -> str:
     """Time [s] for all targets of a set."""
     return "-" if row.cycle_time is None else f"{row.cycle_time.mean.value:.1f}"
 
@@ -392,9 +391,8 @@ def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
     protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), list[Series](), list[Array]()
     for profile, look, paper in (("healthy", BLUE, 3.09), ("worn", RED, 22.7)):
-        bench.on_progress(0.5 * len(series), f"{profile} arm")
-        outcome = try_arm(bench, "default", protocol, profile, only="hold")
-        row, sets = _row("default", [outcome], protocol), 1e3 * outcome["settled"]
+        compared = trials(bench, profile, ["default"], protocol, repetitions=1).compare()
+        (row,), sets = compared.rows, 1e3 * compared.array("settled", "default")[:, 0]
         found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
         means.append(sets.mean(axis=1))
         label = f"{profile}, mean {sets[0].mean():.1f} mm (paper {paper:g} mm)"
@@ -414,12 +412,11 @@ def measure_wear(bench: Bench) -> Found:
 
 def measure_trainings(bench: Bench) -> Found:
     """Compare trainings over the paper's open points, and their policies on the worn arm."""
-    protocol, names, rows, success = bench.scale.protocol, (*WORN, *LITERALLY), [], dict[str, float]()
-    for done, name in enumerate(names):
-        bench.on_progress(done / len(names), f"policy of {name} on the worn arm")
-        outcome, (preset, offset) = try_arm(bench, name, protocol, only="crossing"), recipe(name)
-        trained, row = read_curves(bench.training(name).curves), _row(name, [outcome], protocol)
-        success[name] = 100 * row.reached
+    scale, rows, success = bench.scale, [], dict[str, float]()
+    compared = trials(bench, "worn", (*WORN, *LITERALLY), scale.protocol, scale.repetitions).compare()
+    for row in compared.rows:
+        name, (preset, offset) = row.controller, recipe(row.controller)
+        trained, success[name] = read_curves(bench.training(name).curves), 100 * row.reached
         rows.append(
             (
                 f"{np.degrees(preset.task.law.authority_limit):.0f}°",
@@ -443,7 +440,7 @@ def measure_trainings(bench: Bench) -> Found:
         "ten targets s",
     )
     worn = [success[name] for name in WORN]
-    row = _row("policy", [try_arm(bench, name, protocol, only="crossing") for name in WORN], protocol)
+    row = _together(compared, WORN)
     return {
         "size": layout_size(PAPER.task.layout, bench.arm.joints),
         "transitions": trained.step[-1] / 1e6,
@@ -461,34 +458,29 @@ def _seconds(bench: Bench) -> float:
 
 def measure_control(bench: Bench) -> Found:
     """Compare by the paper's protocol, and by holds."""
-    protocol, found, rows, panels = bench.scale.protocol, Found(), list[VariantRow](), dict[str, list[Stroke]]()
-    targets = bench.targets[0]
-    for name, label in NAMES.items():
-        policies = WORN if name == "policy" else (name,)
-        bench.on_progress(len(rows) / 6, label)
-        outcomes = [try_arm(bench, one, protocol) for one in policies]
-        row = _row(label, outcomes, protocol)
+    scale, found, panels = bench.scale, Found(), dict[str, list[Stroke]]()
+    policies = {name: WORN if name == "policy" else (name,) for name in NAMES}
+    runner = trials(
+        bench, "worn", [one for names in policies.values() for one in names], scale.protocol, scale.repetitions
+    )
+    compared = runner.compare()
+    for name, names in policies.items():
+        row = _together(compared, names)
         found |= {
             f"{name}_success": f"{measured(row.success, 100)} %",
             f"{name}_error": _mm(row.crossing_error),
             f"{name}_time": _ten(row),
         }
-        rows += [_row(one, [outcome], protocol) for one, outcome in zip(policies, outcomes, strict=True)]
-        panels[label] = strokes_of([_path(bench, policies[0], targets)], targets, look_of(name))
+        _, recording = runner.drive_batch(Key(names[0], "crossing", ((0, 0),)))
+        path = tcp_position(bench.arm, recording.position[:, 0])
+        panels[NAMES[name]] = strokes_of([path], bench.targets[0], look_of(name))
     bench.draw(ways(panels), "fig-13")
-    headers, cells = plain_table(result_columns(protocol, bench.scale.targets), rows, notes=True)
-    title = f"The table of the comparison: every target held for {protocol.hold:g} s as well (95 % intervals)"
+    headers, cells = plain_table(result_columns(scale.protocol, scale.targets), compared.rows, notes=True)
+    title = f"The table of the comparison: every target held for {scale.protocol.hold:g} s as well (95 % intervals)"
     return found | {
         "seconds": _seconds(bench),
-        "targets": bench.scale.targets,
-        "sets": bench.scale.sets,
-        "repetitions": bench.scale.repetitions,
+        "targets": scale.targets,
+        "sets": scale.sets,
+        "repetitions": scale.repetitions,
         "grids": [Grid(title, tuple(headers), tuple(map(tuple, cells)))],
     }
-
-
-def _path(bench: Bench, name: str, targets: Array) -> Array:
-    """Path (T, 3) [m] by the encoders through ``targets`` (K, 3) [m]."""
-    plan = schedule("crossing", bench.scale.protocol, keep_going=True)
-    recording = run(_open(bench, "worn", 1), _maker(bench, name)(bench.arm), targets[None], plan)
-    return tcp_position(bench.arm, recording.position[:, 0])
