@@ -28,7 +28,7 @@ import typer
 
 import rejoint.diagnosis.diagnosis
 import rejoint.pages.report.page
-import rejoint.training.presets
+import rejoint.training.task
 import rejoint.training.train
 import rejoint.twin.identify
 from benchmarks.frame import process
@@ -65,9 +65,9 @@ class WrongError(AssertionError):
 def small() -> None:
     """Cut the stages of this process down."""
     rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, starts=4, iterations=3)
-    preset = rejoint.training.presets.DEFAULT
+    preset = rejoint.training.task.DEFAULT
     ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)
-    rejoint.training.presets.PRESETS["default"] = replace(preset, ppo=ppo)
+    rejoint.training.task.PRESETS["default"] = replace(preset, ppo=ppo)
 
 
 def start(words: list[str], out: Path, prepare: Callable[[], object]) -> int:

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from rejoint.arms import mycobot280
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import TrainingOptions, know_stiffness, make_learner
 
 AGENTS = (64, 256, 1024, 4096, 8192)

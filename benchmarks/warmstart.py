@@ -20,7 +20,7 @@ from benchmarks.predictive import ARM, TARGETS, know
 from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import draw_targets
-from rejoint.training.presets import DEFAULT, SCRATCH
+from rejoint.training.task import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot

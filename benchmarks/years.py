@@ -15,8 +15,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from rejoint.arms import load_arm
-from rejoint.diagnosis.monitoring.charts import FEWEST
-from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
+from rejoint.diagnosis.monitoring.judge import FEWEST, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check, record_check
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear

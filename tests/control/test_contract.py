@@ -12,7 +12,7 @@ from rejoint.control.controllers.policy import (
     check_contract,
 )
 from rejoint.system.errors import ContractError
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint_lab.research.reproduction.campaign import PAPER
 from standin import inputs_of, state_of

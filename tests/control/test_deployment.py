@@ -16,7 +16,7 @@ from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint_lab.emulated import EmulatedRobot
 from targetdrive import deploy

@@ -17,7 +17,7 @@ from rejoint.control.controllers.policy import (
     probe_observations,
 )
 from rejoint.system.errors import ContractError, FileError
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from standin import inputs_of, state_of
 

@@ -14,8 +14,8 @@ from test_policy import ARM, contract, write
 from policyfiles import sealed
 from rejoint.control.controllers.policy import LARGEST_FILE, LAYERS, MOST_LAYERS, encode_contract, load_policy, ort
 from rejoint.system.errors import ContractError, FileError
-from rejoint.training.export import export_policy
 from rejoint.training.learner import perceptron
+from rejoint.training.train import export_policy
 
 MANY = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rejoint.diagnosis.monitoring.charts import ALARM, CUT, FEWEST, SLACK, chart, remaining
+from rejoint.diagnosis.monitoring.judge import ALARM, CUT, FEWEST, SLACK, chart, remaining
 
 SCATTER = 0.1
 COLD = np.full(40, np.nan)

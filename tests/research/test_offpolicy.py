@@ -4,18 +4,17 @@ import torch
 
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.policy import load_policy
-from rejoint.training.export import policy_graph
-from rejoint_lab.research.offpolicy import OffPolicySettings, SquashedActor, train_offpolicy
+from rejoint.training.train import policy_graph
+from rejoint_lab.research.offpolicy import SquashedActor, train_offpolicy
 
 ARM = mycobot280()
 
 
 def test_it_leaves_a_policy_that_loads(tmp_path):
-    settings = OffPolicySettings(cycles=6, memory=8, warm_up=2, batch=16, agents=8, threads=1, seed=3)
-    result = train_offpolicy(ARM, None, out=tmp_path, settings=settings)
+    result = train_offpolicy(ARM, None, out=tmp_path, cycles=36, agents=8, seed=3)
     controller = load_policy(result.policy, ARM)
     assert (controller.contract.preset, controller.contract.seed) == ("sac", 3)
-    assert result.steps == 6 * 8
+    assert result.steps == 36 * 8
     assert np.isfinite(result.reward)
 
 

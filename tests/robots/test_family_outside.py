@@ -17,8 +17,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.robots import open_robot
 from rejoint.training import presets
-from rejoint.training.presets import DEFAULT, PpoSettings
-from rejoint.training.task import TaskSettings
+from rejoint.training.task import DEFAULT, PpoSettings, TaskSettings
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear
 

@@ -26,9 +26,8 @@ from rejoint.pages.report.page import read_curves
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint
-from rejoint.training.train import TrainingOptions, know_stiffness, policy_contract, write_curves
+from rejoint.training.train import TrainingOptions, export_policy, know_stiffness, policy_contract, write_curves
 from rejoint.twin.judge import read_published
 from rejoint.twin.parameters import pack, prior, unpack
 from rejoint.twin.twin import read_twin, write_twin

@@ -27,9 +27,8 @@ from rejoint.control.loop import Schedule, run
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
-from rejoint.training.export import export_policy
-from rejoint.training.presets import DEFAULT
-from rejoint.training.train import policy_contract
+from rejoint.training.task import DEFAULT
+from rejoint.training.train import export_policy, policy_contract
 
 ARM = mycobot280()
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))

@@ -20,7 +20,7 @@ from rejoint.runs.stages import gains as stage
 from rejoint.session import context
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.emulator.feetech import StsArm, StsBus

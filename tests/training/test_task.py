@@ -8,9 +8,8 @@ from rejoint.arms import gravity_torque, heights, mycobot280
 from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.policy import PolicyController
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges
-from rejoint.training.task import ReachTask, TaskSettings, residual_reward
+from rejoint.training.task import DEFAULT, ReachTask, TaskSettings, residual_reward
 from rejoint.training.train import know_stiffness
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.research.reproduction.campaign import PAPER, PaperRanges, PaperTask, paper_reward

@@ -9,12 +9,10 @@ from rejoint.arms import mycobot280
 from rejoint.control.controllers.feedforward import CommandLaw
 from rejoint.control.controllers.policy import INPUT, OUTPUT, load_policy
 from rejoint.logs.runfolder import RunFolder
-from rejoint.training.export import policy_graph
 from rejoint.training.learner import Actor, Critic, Learner, Ppo, perceptron
-from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import BroadRanges
-from rejoint.training.task import ReachTask, TaskSettings
-from rejoint.training.train import TrainingOptions, train
+from rejoint.training.task import DEFAULT, PpoSettings, ReachTask, TaskSettings
+from rejoint.training.train import TrainingOptions, policy_graph, train
 
 ARM = mycobot280()
 SMALL = dataclasses.replace(

@@ -7,9 +7,8 @@ from test_ranges import make_twin
 from rejoint.arms import load_arm
 from rejoint.control.controllers.catalogue import shelf_path, shelf_policy
 from rejoint.control.controllers.policy import Policy, probe_observations
-from rejoint.training.export import network_weights
-from rejoint.training.presets import DEFAULT
-from rejoint.training.train import TrainingOptions, train
+from rejoint.training.task import DEFAULT
+from rejoint.training.train import TrainingOptions, network_weights, train
 
 ARM = load_arm("mycobot280")
 FIRST = DEFAULT.warm.critic_first

@@ -36,7 +36,7 @@ from rejoint.control.controllers.observation import (
     layout_factors,
 )
 from rejoint.runs.exports import Design
-from rejoint.training.export import to_onnx
+from rejoint.training.train import to_onnx
 
 F = TypeVar("F")
 

@@ -51,7 +51,7 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
-    from rejoint.training.presets import Preset
+    from rejoint.training.task import Preset
     from rejoint.twin.twin import Twin
 
 
@@ -178,7 +178,7 @@ def repair(
     what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     if isinstance(what.preset, str):
-        from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
+        from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)
     posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None

@@ -23,9 +23,7 @@ from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
 
-from rejoint.arms import Array, Mask
-from rejoint.training.presets import PpoSettings
-from rejoint.training.task import ReachTask
+from rejoint.training.task import PpoSettings, ReachTask
 
 LAST_LAYER_SCALE = 0.01
 """Factor on the actor's last layer, so that the untrained policy is the classical law; chosen"""
@@ -150,8 +148,8 @@ class Ppo(PPO):  # type: ignore[misc]
         self.init()
         self.enable_training_mode(True)
 
-    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> tuple[float, float]:
-        """Improve both networks by one rollout; returns the mean losses of policy and value."""
+    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> None:
+        """Improve both networks by one rollout."""
         settings = self.settings
         # a time-out adds the value of its state
         rewards = settings.reward_scale * rollout["reward"].float() + settings.discount * rollout["final_value"]
@@ -165,9 +163,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self.enable_models_training_mode(True)
         self.update(timestep=iteration, timesteps=settings.iterations)
         self.enable_models_training_mode(False)
-        policy, value = (float(np.mean(self.tracking_data[f"Loss / {name} loss"])) for name in ("Policy", "Value"))
         self.tracking_data.clear()
-        return policy, value
 
 
 class RolloutWorker:
@@ -190,13 +186,23 @@ class RolloutWorker:
                 "actions": action,
                 "log_prob": density,
             }
-            found = {name: torch.from_numpy(value) for name, value in self.task.step(action.numpy())._asdict().items()}
+            found = step(self.task, action)
             rows.append(seen | found)
             self._observation, self._privileged = found["observation"], found["privileged"]
-        rollout = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+        rollout = stacked(rows)
         late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
         final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))
         return rollout | {"values": critic.value(rollout["observations"], rollout["states"]), "final_value": final}
+
+
+def step(task: ReachTask, action: Tensor) -> Rollout:
+    """`Transition` of one control cycle with actions (N, n)."""
+    return {name: torch.from_numpy(value) for name, value in task.step(action.numpy())._asdict().items()}
+
+
+def stacked(cycles: Sequence[Rollout]) -> Rollout:
+    """Put control cycles together."""
+    return {name: torch.stack([cycle[name] for cycle in cycles]) for name in cycles[0]}
 
 
 T = TypeVar("T")
@@ -245,11 +251,29 @@ class CurvePoint:
     """median at the end of a target"""
     noise: float
     """sigma of the exploration noise"""
-    learning_rate: float
-    policy_loss: float
-    value_loss: float
     wall_s: float
     """without pauses"""
+
+
+def next_point(
+    seen: Rollout, curve: Sequence[CurvePoint], *, noise: float, seconds: float, ends_on_success: bool = False
+) -> CurvePoint:
+    """State after the control cycles ``seen``, which took ``seconds`` since the last point of the ``curve``.
+
+    Where no target ended, its success and error are those of before.
+    """
+    last = curve[-1] if curve else CurvePoint(step=0, reward=0.0, success_rate=0.0, error_mm=0.0, noise=0.0, wall_s=0.0)
+    ended = seen["terminated"] | seen["truncated"]
+    distance = seen["distance"][ended].numpy()
+    success = seen["terminated"][ended].numpy() if ends_on_success else distance < REACHED_DISTANCE
+    return CurvePoint(
+        step=last.step + seen["reward"].numel(),
+        reward=float(seen["reward"].float().mean()),
+        success_rate=float(success.mean()) if len(distance) else last.success_rate,
+        error_mm=1e3 * float(np.median(distance)) if len(distance) else last.error_mm,
+        noise=noise,
+        wall_s=last.wall_s + seconds,
+    )
 
 
 class Learner:
@@ -294,24 +318,11 @@ class Learner:
         with precision, on_threads(LEARNING_THREADS):
             rollout = self._roll()
             self.actor.requires_grad_(done >= s.critic_first)
-            losses = self.ppo.learn(rollout, rate, iteration=done)
-        last = self.curve[-1] if self.curve else None
-        ended = rollout["terminated"] | rollout["truncated"]
-        distance = rollout["distance"][ended].numpy()
-        success = rollout["terminated"][ended].numpy() if self.ends_on_success else distance < REACHED_DISTANCE
-        self.curve.append(
-            CurvePoint(
-                step=(done + 1) * s.rollout * self.agents,
-                reward=float(rollout["reward"].float().mean()),
-                **ends(distance, success, last),
-                noise=self.actor.log_std.exp().mean().item(),
-                learning_rate=rate,
-                policy_loss=losses[0],
-                value_loss=losses[1],
-                wall_s=time.perf_counter() - start + (last.wall_s if last else 0.0),
-            )
-        )
-        return self.curve[-1]
+            self.ppo.learn(rollout, rate, iteration=done)
+        noise, seconds = self.actor.log_std.exp().mean().item(), time.perf_counter() - start
+        point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=self.ends_on_success)
+        self.curve.append(point)
+        return point
 
     def _roll(self) -> Rollout:
         """Run all workers, each on one thread; torch's number of threads is per thread."""
@@ -320,10 +331,3 @@ class Learner:
             cycles = self.settings.rollout
             found = list(pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers))
         return {name: torch.cat([rollout[name] for rollout in found], dim=1) for name in found[0]}
-
-
-def ends(distance: Array, success: Mask, last: CurvePoint | None) -> dict[str, float]:
-    """Return success rate and median error of targets that ended at ``distance`` [m]; where none did, the ``last``."""
-    if len(distance):
-        return {"success_rate": float(success.mean()), "error_mm": 1e3 * float(np.median(distance))}
-    return {"success_rate": last.success_rate if last else 0.0, "error_mm": last.error_mm if last else 0.0}

@@ -93,16 +93,13 @@ class BroadRanges:
             delay=np.zeros(count),
             ramp_speed=base.ramp_speed * rng.uniform(*self.ramp_speed, whole),
         )
-        drawn = Draw(
-            twin=twin,
+        drawn = replace(
+            Draw.of(twin, acceleration=self.acceleration),
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
             stiction=rng.uniform(*self.stiction, joints),
-            acceleration=np.full(count, self.acceleration),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
-            backlash=np.zeros(joints),
-            grease=np.ones(whole),
         )
         if self.backlash[1] == 0.0:  # nothing more is drawn, so that ranges without backlash stay what they were
             return drawn
@@ -148,18 +145,17 @@ class IdentifiedRanges:
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count)
-        share, acceleration, stiction = rng.uniform(*self.outward, count), np.full(count, np.inf), free.stiction
-        twins = replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count))
-        if self.twin.stiction != STICTION:
-            stiction = np.full_like(stiction, self.twin.stiction)
+        share, acceleration = rng.uniform(*self.outward, count), np.full(count, np.inf)
+        weakened = twins.torque_limit * self.broad.weaken(rng, count)
+        known = np.full_like(free.stiction, self.twin.stiction)
         if self.twin.acceleration < np.inf:  # else nothing is drawn: other numbers stay what they were
             acceleration = self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
         return replace(
             free,
-            twin=twins,
+            twin=replace(twins, torque_limit=weakened),
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
-            stiction=stiction,
+            stiction=free.stiction if self.twin.stiction == STICTION else known,
             acceleration=acceleration,
         )
 

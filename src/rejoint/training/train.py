@@ -1,29 +1,49 @@
-"""Train a policy for an arm: ``policy.onnx`` and its curves."""
+"""Train a policy for an arm: ``policy.onnx``, a network with its contract in the metadata, and its curves."""
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import onnx
 import pyarrow as pa
-from torch import Tensor
+import torch
+from numpy.typing import NDArray
+from onnx import helper, numpy_helper
+from torch import Tensor, nn
 
 from rejoint.arms import Arm
 from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
+from rejoint.control.controllers.catalogue import shelf_policy
 from rejoint.control.controllers.observation import layout_slots
-from rejoint.control.controllers.policy import PolicyContract, law_digests
+from rejoint.control.controllers.policy import (
+    DIGEST_KEY,
+    INPUT,
+    METADATA_KEY,
+    OUTPUT,
+    UNSEALED,
+    PolicyContract,
+    encode_contract,
+    law_digests,
+    ort,
+    probe_observations,
+    seal,
+)
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import write_parquet
+from rejoint.system.errors import ContractError
+from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
-from rejoint.training.export import export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
-from rejoint.training.presets import Preset, load_preset
 from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
+from rejoint.training.task import Preset, load_preset
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
@@ -113,9 +133,7 @@ def train(
             export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
         point = learner.iterate()
         on_progress(learner.iteration / total, describe(point))
-    write_curves(files.curves, learner.curve)
-    export_policy(files.policy, learner.actor.net, contract)
-    return training_result(files, recipe.name, options.seed, learner.curve)
+    return finish_training(files, learner.actor.net, contract, learner.curve)
 
 
 def training_ranges(arm: Arm, twin: Twin | None) -> Ranges:
@@ -166,8 +184,8 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     return replace(recipe, task=replace(recipe.task, law=law, hold_steps=round(recipe.task.hold_steps * size**0.5)))
 
 
-def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name: str | None = None) -> PolicyContract:
-    """Make the contract of a policy; ``name`` of the recipe if not the preset's."""
+def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> PolicyContract:
+    """Make the contract of a policy."""
     return PolicyContract(
         arm=arm.name,
         arm_digests=law_digests(arm),
@@ -181,7 +199,7 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
         max_period=recipe.task.max_period,
         probe=(),
         twin_digest="" if twin is None else twin.digest(),
-        preset=name or recipe.name,
+        preset=recipe.name,
         seed=seed,
         software=__version__,
     )
@@ -192,12 +210,115 @@ def describe(point: CurvePoint) -> str:
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
 
 
-def training_result(files: RunFolder, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
-    """Sum up a training by its last updates."""
+def finish_training(
+    files: RunFolder, network: nn.Sequential, contract: PolicyContract, curve: Sequence[CurvePoint]
+) -> TrainingResult:
+    """Write the policy of a ``network`` and its curves; sums up the training by its last updates."""
+    write_curves(files.curves, curve)
+    export_policy(files.policy, network, contract)
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
     names = ("success_rate", "error_mm", "reward")
-    means = {name: float(np.mean([getattr(point, name) for point in recent])) for name in names}
-    last = curve[-1]
     return TrainingResult(
-        policy=files.policy, curves=files.curves, preset=recipe, seed=seed, steps=last.step, wall_s=last.wall_s, **means
+        policy=files.policy,
+        curves=files.curves,
+        preset=contract.preset,
+        seed=contract.seed,
+        steps=curve[-1].step,
+        wall_s=curve[-1].wall_s,
+        **{name: float(np.mean([getattr(point, name) for point in recent])) for name in names},
     )
+
+
+OPSET, IR_VERSION = 18, 8
+"""For ONNX Runtime 1.14 and newer"""
+
+
+def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) -> PolicyContract:
+    """Write ``network`` as a policy file; returns the contract with its probe.
+
+    The exported function is the mean action clipped to [-1, 1].
+    """
+    model = policy_graph(network, contract.observation_size)
+    session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    answers = session.run((OUTPUT,), {INPUT: probe_observations(contract.observation_size).astype(np.float32)})[0]
+    complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
+    helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
+    write_whole(path, lambda temporary: temporary.write_bytes(seal(model.SerializeToString())))
+    return complete
+
+
+class _Bounded(nn.Sequential):
+    """A network whose answers are clipped to [-1, 1]."""
+
+    def __init__(self, network: nn.Sequential) -> None:
+        super().__init__(*network)
+        self.low, self.high = nn.Buffer(torch.tensor(-1.0)), nn.Buffer(torch.tensor(1.0))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Answers (B, n)."""
+        found: Tensor = super().forward(values)  # type: ignore[no-untyped-call]
+        return found.clamp(self.low, self.high)
+
+
+def policy_graph(network: nn.Sequential, observation_size: int) -> onnx.ModelProto:
+    """ONNX graph of a network for any number of observations, with a final clip to [-1, 1]."""
+    batch = {name: {0: "batch"} for name in (INPUT, OUTPUT)}
+    return to_onnx(_Bounded(network), {INPUT: observation_size}, [OUTPUT], dynamic_axes=batch)
+
+
+def to_onnx(module: nn.Module, inputs: dict[str, int], outputs: list[str], **options: Any) -> onnx.ModelProto:  # noqa: ANN401
+    """ONNX graph of ``module`` for ``inputs`` (1, size) of these names and sizes; ``options`` are PyTorch's."""
+    file = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
+        torch.onnx.export(
+            module,
+            tuple(torch.zeros(1, size) for size in inputs.values()),
+            cast("Any", file),
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(inputs),
+            output_names=outputs,
+            **options,
+        )
+    model = onnx.load_from_string(file.getvalue())
+    model.ir_version, model.producer_name = IR_VERSION, "rejoint"
+    return model
+
+
+def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:
+    """Return the generic network for trainings of ``arm`` by this ``recipe``; None where none suits.
+
+    Arm, observation, control periods and law must agree.
+    """
+    if recipe.warm is None:
+        return None
+    try:
+        policy = shelf_policy(arm)
+    except ContractError:
+        return None
+    weights = network_weights(policy.content)
+    shapes = [matrix.shape for matrix in weights[::2]]
+    sizes = (policy.contract.observation_size, *recipe.warm.actor_layers, arm.joints)
+    if not _same_task(policy.contract, recipe) or shapes != list(zip(sizes[1:], sizes[:-1], strict=True)):
+        return None
+    return begin_at(policy.content)
+
+
+def begin_at(content: bytes) -> Tensor:
+    """All weights of a policy file's ``content``, checked by `Policy.load`, layer by layer."""
+    return torch.cat([torch.from_numpy(values.copy()).ravel() for values in network_weights(content)])
+
+
+def network_weights(content: bytes) -> tuple[NDArray[np.float32], ...]:
+    """Matrix and bias of each layer of a policy file's ``content``, checked by `Policy.load`."""
+    graph = onnx.load_from_string(content).graph
+    known = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
+    return tuple(known[name] for node in graph.node if node.op_type == "Gemm" for name in node.input[1:])
+
+
+def _same_task(contract: PolicyContract, recipe: Preset) -> bool:
+    task, law = recipe.task, contract.law
+    own = replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
+    periods = contract.min_period <= task.min_period and task.max_period <= contract.max_period
+    return contract.layout == task.layout and law == own and periods

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,32 +22,32 @@ from torch.distributions.transforms import TanhTransform
 from rejoint.arms import Arm
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.progress import Progress, no_progress
-from rejoint.training.export import export_policy
 from rejoint.training.learner import (
     LAST_LAYER_SCALE,
-    REACHED_DISTANCE,
     Critic,
     CurvePoint,
-    ends,
+    Rollout,
+    next_point,
     on_threads,
     perceptron,
+    stacked,
+    step,
     unbounded,
 )
-from rejoint.training.presets import DEFAULT, Preset
-from rejoint.training.task import ReachTask
+from rejoint.training.task import DEFAULT, ReachTask
 from rejoint.training.train import (
     Trainer,
     TrainingResult,
     describe,
+    finish_training,
     know_stiffness,
     policy_contract,
     training_ranges,
-    training_result,
-    write_curves,
 )
 from rejoint.twin.twin import Twin
 
-LEARNING_RATE = 5e-4
+CYCLES, AGENTS = 3840, 512
+"""Two million transitions; chosen"""
 _REPORT_EVERY = 32  # control cycles
 _LOG_STD = (-5.0, 0.5)  # bounds of the noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
@@ -91,65 +91,48 @@ class SquashedActor(Model):  # type: ignore[misc]
         return nn.Sequential(*self.net, nn.Tanh())
 
 
-@dataclass(frozen=True, kw_only=True)
-class OffPolicySettings:
-    """Settings beyond those of PPO's preset."""
-
-    preset: Preset = DEFAULT
-    cycles: int = 3840
-    """two million transitions; chosen"""
-    batch: int = 1024
-    memory: int = 400
-    """control cycles kept"""
-    warm_up: int = 32
-    """control cycles before the first gradient step"""
-    seed: int = 0
-    agents: int = 512
-    threads: int = 2
-
-
 def trainer(name: str, seed: int) -> Trainer:  # noqa: ARG001 - the entry point of several learners has a name
     """Trainer of the entry point ``sac``."""
-    return partial(train_offpolicy, settings=OffPolicySettings(seed=seed))
+    return partial(train_offpolicy, seed=seed)
 
 
 def train_offpolicy(
-    arm: Arm, twin: Twin | None, out: Path, on_progress: Progress = no_progress, *, settings: OffPolicySettings
+    arm: Arm,
+    twin: Twin | None,
+    out: Path,
+    on_progress: Progress = no_progress,
+    *,
+    seed: int,
+    cycles: int = CYCLES,
+    agents: int = AGENTS,
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
-    recipe, files = know_stiffness(settings.preset, arm, twin), RunFolder(out)
-    ranges = training_ranges(arm, twin)
-    task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
-    torch.manual_seed(settings.seed)
-    agent, curve, began = _make_agent(task, settings), list[CurvePoint](), time.perf_counter()
+    recipe = know_stiffness(replace(DEFAULT, name="sac"), arm, twin)
+    task = ReachTask(arm, training_ranges(arm, twin), agents, recipe.task, seed=seed, threads=2)
+    torch.manual_seed(seed)
+    agent, curve, done, began = _make_agent(task), list[CurvePoint](), list[Rollout](), time.perf_counter()
     seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
     with on_threads(1):
-        for first in range(0, settings.cycles, _REPORT_EVERY):
-            done = []
-            for cycle in range(first, min(first + _REPORT_EVERY, settings.cycles)):
-                done.append(seen := _interact(agent, task, settings, cycle, seen))
-            last, wall_s = curve[-1] if curve else None, time.perf_counter() - began
-            curve.append(_point(agent, settings, cycle + 1, done, last, wall_s))
-            on_progress((cycle + 1) / settings.cycles, describe(curve[-1]))
-    write_curves(files.curves, curve)
-    export_policy(files.policy, agent.policy.network(), policy_contract(arm, twin, recipe, settings.seed, "sac"))
-    return training_result(files, "sac", settings.seed, curve)
+        for cycle in range(cycles):
+            seen = _interact(agent, task, {"timestep": cycle, "timesteps": cycles}, seen)
+            done.append(seen)
+            if len(done) == _REPORT_EVERY or cycle + 1 == cycles:
+                seconds = time.perf_counter() - began
+                curve.append(next_point(stacked(done), curve, noise=agent.policy.spread, seconds=seconds))
+                done, began = [], time.perf_counter()
+                on_progress((cycle + 1) / cycles, describe(curve[-1]))
+    return finish_training(RunFolder(out), agent.policy.network(), policy_contract(arm, twin, recipe, seed), curve)
 
 
-Seen = dict[str, Tensor]
-"""`Transition` of a control cycle"""
-
-
-def _interact(agent: SAC, task: ReachTask, settings: OffPolicySettings, cycle: int, before: Seen) -> Seen:
-    clock = {"timestep": cycle, "timesteps": settings.cycles}
+def _interact(agent: SAC, task: ReachTask, clock: dict[str, int], before: Rollout) -> Rollout:
     with torch.no_grad():
         action, _ = agent.act(before["observation"], before["privileged"], **clock)
-        seen = {name: torch.from_numpy(value) for name, value in task.step(action.numpy())._asdict().items()}
+        seen = step(task, action)
         agent.record_transition(
             observations=before["observation"],
             states=before["privileged"],
             actions=action,
-            rewards=(settings.preset.ppo.reward_scale * seen["reward"]).float()[:, None],
+            rewards=(DEFAULT.ppo.reward_scale * seen["reward"]).float()[:, None],
             next_observations=seen["final_observation"],
             next_states=seen["final_privileged"],
             terminated=seen["terminated"][:, None],
@@ -158,46 +141,29 @@ def _interact(agent: SAC, task: ReachTask, settings: OffPolicySettings, cycle: i
             **clock,
         )
     agent.post_interaction(**clock)
+    agent.tracking_data.clear()
     return seen
 
 
-def _point(
-    agent: SAC, settings: OffPolicySettings, cycle: int, done: list[Seen], last: CurvePoint | None, wall_s: float
-) -> CurvePoint:
-    distance = torch.cat([one["distance"][one["truncated"] | one["terminated"]] for one in done]).numpy()
-    losses = {key: float(np.mean(values)) for key, values in agent.tracking_data.items() if values}
-    agent.tracking_data.clear()
-    return CurvePoint(
-        step=cycle * settings.agents,
-        reward=float(np.mean([one["reward"].mean() for one in done])),
-        **ends(distance, distance < REACHED_DISTANCE, last),
-        noise=agent.policy.spread,
-        learning_rate=LEARNING_RATE,
-        policy_loss=losses.get("Loss / Policy loss", 0.0),
-        value_loss=losses.get("Loss / Critic loss", 0.0),
-        wall_s=wall_s,
-    )
-
-
-def _make_agent(task: ReachTask, settings: OffPolicySettings) -> SAC:
-    n, size, privileged, ppo = task.arm.joints, task.observer.size, task.privileged_size, settings.preset.ppo
+def _make_agent(task: ReachTask) -> SAC:
+    n, size, privileged, ppo = task.arm.joints, task.observer.size, task.privileged_size, DEFAULT.ppo
     models = {"policy": SquashedActor(size, n, ppo.actor_layers)}
     for role in ("critic_1", "target_critic_1", "critic_2", "target_critic_2"):
         models[role] = Critic(size, privileged, n, ppo.critic_layers, taken=True)
     agent = SAC(
         models=models,
-        memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
+        memory=RandomMemory(memory_size=400, num_envs=task.agents, device="cpu"),
         observation_space=unbounded(size),
         state_space=unbounded(privileged),
         action_space=bounded(n),
         device="cpu",
         cfg=SAC_CFG(
             gradient_steps=2,  # per control cycle
-            batch_size=settings.batch,
+            batch_size=1024,
             discount_factor=ppo.discount,
             polyak=0.01,
-            learning_rate=LEARNING_RATE,
-            learning_starts=settings.warm_up,
+            learning_rate=5e-4,
+            learning_starts=32,
             grad_norm_clip=ppo.gradient_clip,
             initial_entropy_value=0.01,  # chosen: rewards are about 0.1 a cycle
             experiment={"write_interval": 0, "checkpoint_interval": 0},

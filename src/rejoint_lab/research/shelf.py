@@ -18,10 +18,9 @@ from pathlib import Path
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.controllers.catalogue import shelf_path
-from rejoint.training.export import begin_at
-from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import SLOW_BACKLASH, BroadRanges, MixedRanges, Ranges
-from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult, train
+from rejoint.training.task import DEFAULT, PpoSettings
+from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult, begin_at, train
 
 SO101_STIFFNESS = (12.0, 12.0, 12.0, 10.8, 10.8)
 """[N m/rad] of the law under the policy; chosen between worn servos and those of `_so101_ranges`"""

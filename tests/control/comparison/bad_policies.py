@@ -11,7 +11,7 @@ from rejoint.control.controllers.policy import (
     encode_contract,
     probe_observations,
 )
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear

@@ -20,7 +20,7 @@ from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
 from rejoint.runs.stages.compare import open_loop_trials
 from rejoint.system.errors import ContractError, GuardTripError, NoReplyError, NotReadyError
-from rejoint.training.presets import DEFAULT
+from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 
 TARGETS = draw_targets(ARM, sets=2, count=5, seed=1)

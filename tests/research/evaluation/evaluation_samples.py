@@ -10,8 +10,7 @@ def outcome(
 ) -> Columns:
     """Holds with these settled errors (A, K); everything else at rest and unremarkable."""
     shape = settled_mm.shape
-    names = (*METRICS, "x", "y", "z", "tripped")
-    found = {name: np.zeros(shape) for name in names if not name.startswith(("away", "modelled"))}
+    found = {name: np.zeros(shape) for name in METRICS if not name.startswith(("away", "modelled"))}
     found |= {name: np.full(shape, np.nan) for name in MODELLED}
     found |= {name: np.ones(shape) if stay is None else stay for name in Protocol().stay_names}
     found |= {"held": np.ones(shape), "crossed": np.ones(shape), "crossing_time": np.full(shape, cycle / shape[1])}

@@ -18,7 +18,7 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
-    from rejoint.training.presets import Preset
+    from rejoint.training.task import Preset
     from rejoint.training.train import Trainer, TrainingResult
     from rejoint.twin.twin import Twin
 

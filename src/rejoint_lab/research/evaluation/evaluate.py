@@ -40,7 +40,7 @@ from rejoint.control.moving.reference import Path as MotionPath
 from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, command_for, home_of
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Controller
-from rejoint.control.start import play
+from rejoint.control.start import move
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -280,22 +280,18 @@ def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) 
     arms: Labels = np.unique(found["arm"], return_inverse=True)[1].ravel()
     row, held = summarise_trials(controller, found, arms, protocol), found["held"] == 1.0
     outside = np.where(held, ~(found["settled"] <= FAR), np.nan).ravel()
-    hit = inside(found).ravel()
+    error = found["settled_true"]
+    inside = np.where(
+        np.isfinite(error), (error >= found["modelled_low"]) & (error <= found["modelled_high"]), np.nan
+    ).ravel()
     return VariantRow(
         **vars(row),
         variant=variant,
         seeds=held.shape[1],
         outside=clustered_share(outside, arms) if held.any() else None,
-        inside=clustered_share(hit, arms) if np.isfinite(hit).any() and row.settled_modelled is not None else None,
+        inside=clustered_share(inside, arms) if row.settled_modelled and np.isfinite(inside).any() else None,
         used=float(found["used"].mean()) if "used" in found else None,
     )
-
-
-def inside(found: Columns) -> Array:
-    """1 where a true error lies in the interval of the calibration, else 0; NaN where a hold was cut short."""
-    error = found["settled_true"]
-    hit = (error >= found["modelled_low"]) & (error <= found["modelled_high"])
-    return np.where(np.isfinite(error), hit, np.nan)
 
 
 def make_pair(
@@ -373,8 +369,8 @@ POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
 SIGMA = 5e-4
 """[m] noise of each measured coordinate (chosen: a vernier ruler)"""
-SPEED, WAIT = 0.5, 1.5
-"""[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
+WAIT = 1.5
+"""[s] in a posture before measuring (chosen)"""
 
 
 def evaluate_calibrations(
@@ -389,8 +385,7 @@ def evaluate_calibrations(
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
 
     measured = cache(lambda arms: measure(open_family(arm, arms, family), suggestion, family.seed))
-    calibrated = cache(lambda count, arms: fitted(arm, measured(arms), count))
-
+    calibrated = cache(lambda count, arms: [fit(arm, one.rows(np.arange(count))) for one in measured(arms)])
     places = {
         replace(one, name=f"{one.name}, {where}", meaning=f"{one.meaning}, {where}", anywhere=anywhere, draw=1): one
         for one in conditions
@@ -412,7 +407,7 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
     sent, found = robot.read().position, []
     for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
         for goal in (start, place):
-            came, sent = robot.read().position, _go(robot, sent, goal)
+            came, sent = robot.read().position, move(robot, goal, sent=sent, settle=WAIT).command[-1]
         last = [robot.step(sent).position for _ in range(8)]
         point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
         found.append((np.mean(last, axis=0), came, point))
@@ -422,19 +417,6 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
         Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
         for position, approach, point in each
     ]
-
-
-def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
-    """Bring all arms to ``goal`` (n,) [rad] and wait; returns the last command (B, n)."""
-    way = goal - sent
-    duration = float(np.abs(way).max()) / SPEED
-    recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
-    return recording.command[-1]
-
-
-def fitted(arm: Arm, measured: Sequence[Measurements], count: int) -> list[Calibration]:
-    """Calibrations of all arms from their first measurements."""
-    return [fit(arm, one.rows(np.arange(count))) for one in measured]
 
 
 RATE = 30.0

@@ -217,13 +217,11 @@ def try_on(
     family's by default. ``calibrations`` correct them, and model true errors. ``on_targets`` receives the number of
     done targets.
 
-    Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, flags of the
-    guard's trip; with calibrations, whether they are ``used``.
+    Beside `METRICS`: seed of the ``arm``, number of the ``target``; with calibrations, whether they are ``used``.
     """
     places, ways = targets or (family_targets(arm, family), None)
     protocol, shape = family.protocol, places.shape[:2]
-    found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
-    found |= dict(zip("xyz", np.moveaxis(places, -1, 0), strict=True))
+    found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
     found["arm"], found["target"] = np.indices(shape) + np.array([family.wear_seeds[0], 0.0])[:, None, None]
     correction = OwnCorrections(calibrations) if calibrations else None
     if calibrations:
@@ -237,8 +235,6 @@ def try_on(
         plan = schedule(kind, protocol, keep_going=True)
         recording = run(opened(), controller(arm), sequence, plan, on_cycle=lambda c: on_targets(c.target_index.sum()))
         columns = metrics_of(arm, recording, points, protocol, (kind,))
-        if kind == "hold":
-            columns["tripped"] = np.repeat(recording.tripped[:, None], count, axis=1)
         if calibrations and kind == "hold":
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
             said = metrics_of(arm, blind, points, protocol, (kind,), calibrations)

@@ -26,9 +26,8 @@ from rejoint.pages.html import write_page as fill
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, read_toml, write_json, write_whole
 from rejoint.system.progress import Progress, no_progress, part
-from rejoint.training.presets import PpoSettings, Preset
 from rejoint.training.ranges import Interval
-from rejoint.training.task import ReachTask, TaskSettings
+from rejoint.training.task import PpoSettings, Preset, ReachTask, TaskSettings
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
