@@ -14,8 +14,8 @@ from lag: of a fit for each delay, the one that predicts these starts best wins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -40,8 +40,7 @@ _LONG = 4.0
 """[s] longest cluster; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Averages:
+class Averages(NamedTuple):
     """Averages of a joint's signals, N windows, D delays."""
 
     error: Array
@@ -67,7 +66,7 @@ class Averages:
 
     def at(self, rows: Mask) -> Averages:
         """Only the windows ``rows`` (N,)."""
-        return Averages(**{part.name: getattr(self, part.name)[..., rows] for part in fields(self)})
+        return Averages._make(part[..., rows] for part in self)
 
     @property
     def design(self) -> Array:
@@ -90,16 +89,13 @@ def window_averages(
 
     Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
-    parts = []
+    nothing = np.zeros(0)
+    parts = [Averages._make([np.zeros((len(delays), 0)), *[nothing] * 7, nothing.astype(np.intp), nothing])]
     for index, segment in enumerate(segments):
         time = np.arange(segment.start + cut, segment.stop, _GRID)
         if len(time) * _GRID > length:
             parts.append(_averages(data, time, joint, length, delays, 1000 * index))
-    names = [part.name for part in fields(Averages)]
-    if not parts:
-        empty: dict[str, Any] = dict.fromkeys(names, np.zeros(0))
-        return Averages(**empty | {"error": np.zeros((len(delays), 0)), "cluster": np.zeros(0, dtype=np.intp)})
-    return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
+    return Averages._make(np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
 
 
 def _averages(
@@ -121,7 +117,9 @@ def _averages(
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
-    read = np.asarray(sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1))
+    apart = np.diff(log.time)
+    before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(apart) - 1)
+    near = apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart)))
     return Averages(
         error=average(data.commanded(joint, time - delays[:, None]) - position, window),
         command_speed=-average(at(log.command), first),
@@ -133,14 +131,7 @@ def _averages(
         load=average(at(data.load), window),
         cluster=first_cluster + (begins / duration).astype(np.intp),
         time=time[0] + begins + 0.5 * length,
-    ).at(read)
-
-
-def _read(readings: Array, time: Array, length: float) -> Mask:
-    """Whether ``readings`` (T,) [s] are near each ``time`` (K,) [s]."""
-    apart = np.diff(readings)
-    before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
-    return apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart)))
+    ).at(np.asarray(sliding_window_view(near, count)[::hop].all(axis=-1)))
 
 
 def _window(count: int) -> tuple[Array, Array, Array]:
@@ -228,7 +219,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Av
     if len(np.unique(logs)) >= _MANY_LOGS:
         cluster = logs[segment]
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
-    return replace(found, cluster=cluster, gravity=found.gravity * loaded).at(chosen)
+    return found._replace(cluster=cluster, gravity=found.gravity * loaded).at(chosen)
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:

@@ -297,12 +297,17 @@ def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:
         policy = shelf_policy(arm)
     except ContractError:
         return None
-    weights = network_weights(policy.content)
-    shapes = [matrix.shape for matrix in weights[::2]]
-    sizes = (policy.contract.observation_size, *recipe.warm.actor_layers, arm.joints)
-    if not _same_task(policy.contract, recipe) or shapes != list(zip(sizes[1:], sizes[:-1], strict=True)):
-        return None
-    return begin_at(policy.content)
+    law, task, contract = policy.contract.law, recipe.task, policy.contract
+    sizes = (contract.observation_size, *recipe.warm.actor_layers, arm.joints)
+    suits = (
+        contract.layout == task.layout
+        and law == replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
+        and contract.min_period <= task.min_period
+        and task.max_period <= contract.max_period
+        and [matrix.shape for matrix in network_weights(policy.content)[::2]]
+        == list(zip(sizes[1:], sizes, strict=False))
+    )
+    return begin_at(policy.content) if suits else None
 
 
 def begin_at(content: bytes) -> Tensor:
@@ -315,10 +320,3 @@ def network_weights(content: bytes) -> tuple[NDArray[np.float32], ...]:
     graph = onnx.load_from_string(content).graph
     known = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
     return tuple(known[name] for node in graph.node if node.op_type == "Gemm" for name in node.input[1:])
-
-
-def _same_task(contract: PolicyContract, recipe: Preset) -> bool:
-    task, law = recipe.task, contract.law
-    own = replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
-    periods = contract.min_period <= task.min_period and task.max_period <= contract.max_period
-    return contract.layout == task.layout and law == own and periods
