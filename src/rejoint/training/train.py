@@ -299,13 +299,13 @@ def shelf_start(arm: Arm, recipe: Preset) -> Tensor | None:
         return None
     law, task, contract = policy.contract.law, recipe.task, policy.contract
     sizes = (contract.observation_size, *recipe.warm.actor_layers, arm.joints)
+    shapes = [matrix.shape for matrix in network_weights(policy.content)[::2]]
     suits = (
         contract.layout == task.layout
         and law == replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
         and contract.min_period <= task.min_period
         and task.max_period <= contract.max_period
-        and [matrix.shape for matrix in network_weights(policy.content)[::2]]
-        == list(zip(sizes[1:], sizes, strict=False))
+        and shapes == list(zip(sizes[1:], sizes, strict=False))
     )
     return begin_at(policy.content) if suits else None
 
