@@ -5,8 +5,7 @@ import pytest
 
 from madetwin import made_twin
 from rejoint.arms import mycobot280
-from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges
-from rejoint.training.train import training_ranges
+from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges, training_ranges
 from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
 
 ARM = mycobot280()

@@ -276,14 +276,12 @@ def _hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
 
 def _slowed(plan: Plan, arm: Arm) -> Plan:
     limit = float(arm.max_speed.min())
+    most = {"step_speed": 0.8, "multisine_speed": 0.6, "travel_speed": 0.4, "hold_speed": 0.2}
     return replace(
         plan,
         multisine_band=plan.multisine_band / max(length_size(arm), 1.0) ** 0.5,
-        step_speed=min(plan.step_speed, 0.8 * limit),
-        multisine_speed=min(plan.multisine_speed, 0.6 * limit),
-        travel_speed=min(plan.travel_speed, 0.4 * limit),
         sweep_speeds=tuple(min(speed, 0.2 * limit) for speed in plan.sweep_speeds),
-        hold_speed=min(plan.hold_speed, 0.2 * limit),
+        **{name: min(getattr(plan, name), share * limit) for name, share in most.items()},
     )
 
 

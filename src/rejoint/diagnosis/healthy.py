@@ -84,9 +84,9 @@ def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
     return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
 
-def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
+def load_healthy(arm: Arm) -> HealthyReference | None:
     """Return the package's reference for an arm, if any."""
-    return _measured(arm, p) if reference_path(arm, p).exists() else None
+    return _measured(arm, AS_SOLD) if reference_path(arm).exists() else None
 
 
 def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:

@@ -166,8 +166,8 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
-        hysteresis_rad=None if half is None else scaled(half, 2.0),
-        coulomb_nm=None if k is None or half is None else friction_torque(k, half),
+        hysteresis_rad=half and scaled(half, 2.0),
+        coulomb_nm=k and half and friction_torque(k, half),
         lag_s=None if law is None else law.fit.estimate(LAG),
         overshoot=metrics.overshoot(data, joint) if len(data.of_kind(STEP, joint)) >= FEWEST_STEPS else None,
         hunting_rad=metrics.hunting(data, joint),
@@ -192,7 +192,7 @@ def _stiffness(
     if motors is not None and any(motor is not None for motor in motors):
         known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
     for joint, ((k, _), ratio) in enumerate(zip(found, ratios, strict=True)):
-        if not known or k is not None or ratio is None or ratio.value <= 0:
+        if not known or k is not None or ratio is None:
             continue
         near = min(known, key=lambda other: abs(other - joint))
         motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
@@ -255,16 +255,18 @@ def _slope(fit: LinearFit | None, doubt: Estimate, ratio: float) -> Estimate | N
 
 
 def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Estimate | None, Estimate | None]:
-    if k is None or ratio is None or ratio.value <= 0:
+    if k is None or ratio is None:
         return k, None
     motor = shifted(product(k, ratio), -link)
     sure = motor is not None and motor.high is not None and motor.high - motor.value <= MOTOR_SHARE * motor.value
     return k, motor if sure else None
 
 
-def _inertia_ratio(law: Law) -> Estimate:
-    """J/k [s^2], widened by the delay's error."""
+def _inertia_ratio(law: Law) -> Estimate | None:
+    """J/k [s^2], widened by the delay's error; None unless it is positive."""
     ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
+    if ratio.value <= 0:
+        return None
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
 

@@ -182,8 +182,10 @@ class MixedRanges:
         return drawn
 
 
-def identified_ranges(arm: Arm, twin: Twin) -> MixedRanges:
-    """Mix draws around an identified twin with the broad ranges."""
+def training_ranges(arm: Arm, twin: Twin | None) -> Ranges:
+    """Arms to train on: draws around a twin mixed with broad ranges, else broad ones."""
+    if twin is None:
+        return BroadRanges(arm=arm)
     broad = BroadRanges(arm=arm).reaching(twin)
     return MixedRanges(first=IdentifiedRanges(broad=broad, twin=twin), second=broad, share=TWIN_SHARE)
 

@@ -42,7 +42,7 @@ from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
 from rejoint.training.learner import CurvePoint, Learner
-from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
+from rejoint.training.ranges import BroadRanges, Ranges, training_ranges
 from rejoint.training.task import Preset, load_preset
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
@@ -134,11 +134,6 @@ def train(
         point = learner.iterate()
         on_progress(learner.iteration / total, describe(point))
     return finish_training(files, learner.actor.net, contract, learner.curve)
-
-
-def training_ranges(arm: Arm, twin: Twin | None) -> Ranges:
-    """Arms to train on: around a twin, else broad ones."""
-    return BroadRanges(arm=arm) if twin is None else identified_ranges(arm, twin)
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:

@@ -34,6 +34,7 @@ from rejoint.training.learner import (
     step,
     unbounded,
 )
+from rejoint.training.ranges import training_ranges
 from rejoint.training.task import DEFAULT, ReachTask
 from rejoint.training.train import (
     Trainer,
@@ -42,7 +43,6 @@ from rejoint.training.train import (
     finish_training,
     know_stiffness,
     policy_contract,
-    training_ranges,
 )
 from rejoint.twin.twin import Twin
 

@@ -28,7 +28,7 @@ ARM = mycobot280()
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Every experiment, run quickly, in a folder of its own."""
-    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, scale=QUICK, threads=2)
+    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, **QUICK, threads=2)
     run_experiments(made, EXPERIMENTS, str)
     return made
 

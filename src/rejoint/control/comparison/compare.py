@@ -111,6 +111,8 @@ class Settings:
     seed: int = 0
     batched: bool
     """side by side on emulated arms, all driven to the end"""
+    wait: bool = False
+    """an arm that is stationary waits for the end of its dwell"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
     """a policy of another period"""
@@ -345,7 +347,9 @@ class TrialRunner:
         controller = self.controllers[name](robot.arm)
         correction = self.correction(robot.arm) if self.correction and corrected else None
         reference = TargetSequence(robot.arm, targets, turns=turns, correction=correction)
-        plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=False)
+        plan = schedule(
+            kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=self.settings.wait
+        )
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
             return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)

@@ -129,29 +129,6 @@ BEFORE = 3
 """Checks whose median is the old zero; chosen"""
 UNTOLD = 10.0
 """[K] difference where no temperature is known; chosen"""
-
-
-def find_jump(
-    deviation: Array, others: Sequence[Array], temperature: Array, *, scatter: float, per_degree: float
-) -> tuple[int, float] | None:
-    """Find the first check after the last jump of a joint's zero, if any, and its way [mm].
-
-    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear.
-    """
-    for at in range(len(deviation) - 1, 0, -1):
-        way = float(deviation[at] - deviation[at - 1])
-        warmer = float(temperature[at] - temperature[at - 1])
-        doubt = per_degree * (abs(warmer) if np.isfinite(warmer) else UNTOLD)
-        if abs(way) < SURE * float(np.hypot(2.0**0.5 * scatter, doubt)):
-            continue
-        alone = all(abs(float(one[at] - one[at - 1])) < SHARE * abs(way) for one in others)
-        was = float(np.median(deviation[max(at - BEFORE, 0) : at]))
-        stayed = (float(deviation[-1]) - was) / way >= STAYED
-        if alone and stayed:
-            return at, way
-    return None
-
-
 DRAWS = 4000
 """chosen: an 80 % interval repeats within a few per cent"""
 SHARES = (0.1, 0.5, 0.9)
@@ -312,7 +289,8 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
     ``left_mm``: error with the repair's controller; it grows as that of the bare arm.
     """
     changes = _ranked([_change(visits, *one) for one in _quantities(visits)])
-    moved = _moved(visits)
+    zeros = (_moved_zero(visits, j) for j in range(len(visits[0].measures.joints)))
+    moved = tuple(sorted(filter(None, zeros), key=lambda one: -abs(one.degrees)))
     state: State = "drifting" if moved and changes[0].state == "steady" else changes[0].state
     bare = _series(visits, "true_error_mm")
     known = bool(np.isfinite(bare).all())
@@ -375,19 +353,23 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     return tuple(sorted(drawn, key=rank))
 
 
-def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
-    found = []
-    for j, row in enumerate(visits[0].measures.joints):
-        values = [_series(visits, f"{name}_mm", j) for name in ("deviation", "reversal", "hysteresis", "sag")]
-        deviation, *others = [one for one in values if np.isfinite(one).all()]
-        scatter, per_degree = _scatter("deviation", deviation), ZERO_PER_DEGREE * row.lever_mm
-        warm = _series(visits, "temperature_c", j)
-        jump = find_jump(deviation, others, warm, scatter=scatter, per_degree=per_degree)
-        if jump is not None:
-            at, way = jump
+def _moved_zero(visits: Sequence[PastCheck], j: int) -> MovedZero | None:
+    """Last jump of a joint's zero, if it stayed and nothing jumped that also changes by wear."""
+    row, warm = visits[0].measures.joints[j], _series(visits, "temperature_c", j)
+    values = [_series(visits, f"{name}_mm", j) for name in ("deviation", "reversal", "hysteresis", "sag")]
+    deviation, *others = [one for one in values if np.isfinite(one).all()]
+    scatter, per_degree = _scatter("deviation", deviation), ZERO_PER_DEGREE * row.lever_mm
+    for at in range(len(visits) - 1, 0, -1):
+        way, warmer = float(deviation[at] - deviation[at - 1]), float(warm[at] - warm[at - 1])
+        doubt = per_degree * (abs(warmer) if np.isfinite(warmer) else UNTOLD)
+        if abs(way) < SURE * float(np.hypot(2.0**0.5 * scatter, doubt)):
+            continue
+        alone = all(abs(float(one[at] - one[at - 1])) < SHARE * abs(way) for one in others)
+        was = float(np.median(deviation[max(at - BEFORE, 0) : at]))
+        if alone and (float(deviation[-1]) - was) / way >= STAYED:
             degrees, (after, before) = float(np.degrees(way / row.lever_mm)), visits[at - 1 : at + 1]
-            found.append(MovedZero(joint=row.joint, degrees=degrees, after=after.time, before=before.time))
-    return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
+            return MovedZero(joint=row.joint, degrees=degrees, after=after.time, before=before.time)
+    return None
 
 
 def _typical(value: Array) -> float:

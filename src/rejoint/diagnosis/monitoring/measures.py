@@ -9,7 +9,7 @@ vAP the distance between directions of approach. ISO 230-2: *reversal value* B, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -217,8 +217,7 @@ def _hysteresis(data: ExcitationLog, joint: int) -> float:
     sides: tuple[list[float], list[float]] = ([], [])
     for segment in data.of_kind("sweep", joint):
         cut = 0.5 * (1.0 - _SWEEP_MIDDLE) * (segment.stop - segment.start)
-        rows = data.rows(segment, skip=cut)
-        rows = rows[data.log.time[rows] < segment.stop - cut]
+        rows = data.rows(replace(segment, start=segment.start + cut, stop=segment.stop - cut))
         command = data.log.command[rows, joint]
         if len(rows) > 1:
             sides[int(command[-1] < command[0])].append(float((command - data.log.position[rows, joint]).mean()))

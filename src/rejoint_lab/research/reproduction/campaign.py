@@ -143,15 +143,20 @@ DPI = 100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scale:
-    """Size of the experiments."""
+class Bench:
+    """Folder, settings and size of all experiments."""
 
+    folder: Path
+    arm: Arm
+    seed: int
+    quick: bool = False
+    """whether it is too small for a result"""
     sets: int = 5
     """the paper has one"""
     repetitions: int = 6
     """n of the paper's Table 4"""
-    targets: int = 10
-    """Park et al. 2024, section IV-A"""
+    count: int = 10
+    """targets of a set; Park et al. 2024, section IV-A"""
     protocol: Protocol = field(default_factory=Protocol)
     """20 s per target, 10 mm"""
     agents: int = 512
@@ -162,43 +167,14 @@ class Scale:
     """updates between policies of Fig. 12; chosen"""
     judged: int = 96
     """arms per such policy; chosen"""
-
-
-FULL = Scale()
-QUICK = Scale(
-    sets=1,
-    repetitions=2,
-    targets=3,
-    protocol=Protocol(dwell=2.0, hold=2.0),
-    agents=16,
-    updates=2,
-    snapshot_every=2,
-    judged=8,
-)
-"""Enough to try every step"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bench:
-    """Folder and settings of all experiments."""
-
-    folder: Path
-    arm: Arm
-    seed: int
-    scale: Scale = FULL
     threads: int = 2
     """of simulations"""
     on_progress: Progress = no_progress
 
-    @property
-    def quick(self) -> bool:
-        """Whether it is too small for a result."""
-        return self.scale != FULL
-
     @cached_property
     def targets(self) -> Array:
         """(S, K, 3) [m] of all sets."""
-        return draw_targets(self.arm, sets=self.scale.sets, count=self.scale.targets, seed=self.seed)
+        return draw_targets(self.arm, sets=self.sets, count=self.count, seed=self.seed)
 
     def training(self, name: str) -> RunFolder:
         """Folder of a training (`recipe`)."""
@@ -212,6 +188,20 @@ class Bench:
         """Save a figure of the page."""
         path = self.folder / "figures" / f"{key}.png"
         write_whole(path, lambda temporary: figure.savefig(temporary, format="png", dpi=DPI, facecolor="white"))
+
+
+QUICK: dict[str, Any] = {
+    "quick": True,
+    "sets": 1,
+    "repetitions": 2,
+    "count": 3,
+    "protocol": Protocol(dwell=2.0, hold=2.0),
+    "agents": 16,
+    "updates": 2,
+    "snapshot_every": 2,
+    "judged": 8,
+}
+"""Size that is enough to try every step"""
 
 
 class Grid(NamedTuple):
@@ -305,10 +295,10 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
         options = TrainingOptions(
             preset=preset,
             seed=bench.seed + offset,
-            agents=bench.scale.agents,
+            agents=bench.agents,
             threads=1,
-            iterations=bench.scale.updates,
-            snapshot_every=bench.scale.snapshot_every,
+            iterations=bench.updates,
+            snapshot_every=bench.snapshot_every,
             ranges=ranges_of(bench.arm, name),
         )
         ahead = part(bench.on_progress, done / len(missing), (done + 1) / len(missing), f"training {name}: ")

@@ -244,7 +244,7 @@ def measure_paths(bench: Bench) -> Found:
     """Play the same episodes before and after training."""
     folder, ranges = bench.training(WORN[0]), ranges_of(bench.arm, "worn")
     noises = pq.read_table(folder.curves, columns=["noise"])["noise"].to_numpy()
-    arms, found, played = min(ARMS, 4 * bench.scale.judged), Found(), {}
+    arms, found, played = min(ARMS, 4 * bench.judged), Found(), {}
     for key, file, noise in (
         ("first", folder.snapshot(0), noises[0]),
         ("quiet", folder.snapshot(0), 0.0),
@@ -266,35 +266,32 @@ def measure_paths(bench: Bench) -> Found:
 
 def measure_course(bench: Bench) -> Found:
     """Judge the policies of all trainings on the same arms."""
-    jobs = [(label, name, arms) for label, (names, arms, _) in CONDITIONS.items() for name in names]
-    courses: dict[str, list[Columns]] = {label: [] for label in CONDITIONS}
-    for done, (label, name, arms) in enumerate(jobs):
-        bench.on_progress(done / len(jobs), f"policies of {name} on {arms} arms")
-        courses[label].append(course(bench, name, arms))
-    cycles = PAPER.ppo.rollout * courses[label][0]["updates"]
-    found = {(label, key): np.array([one[key] for one in some]) for label, some in courses.items() for key in MEASURES}
-    ends = {at: values[:, -LAST_POLICIES:].mean(axis=1) for at, values in found.items()}
-    own, other, home = CONDITIONS
-    rewards = found[other, "reward"].mean(axis=0)
-    below = np.flatnonzero(found[own, "reward"].mean(axis=0) <= CONVERGED)
+    found = dict[str, Columns]()
+    for done, (label, (names, arms, _)) in enumerate(CONDITIONS.items()):
+        bench.on_progress(done / len(CONDITIONS), f"policies {label}")
+        each = [course(bench, name, arms) for name in names]
+        found[label] = {key: np.array([one[key] for one in each]) for key in each[0]}
+    own, other, home = found.values()
+    cycles = PAPER.ppo.rollout * own["updates"][0]
+    below = np.flatnonzero(own["reward"].mean(axis=0) <= CONVERGED)
     first = int(below[-1]) + 1 if len(below) else 0
-    better = ends[own, "reward"].min() > ends[other, "reward"].max()
-    told = {
-        f"{label}_{key}": _range(factor * ends[name, key])
-        for label, name in (("own", own), ("other", other), ("home", home))
+    ends = {
+        f"{name}_{key}": factor * one[key][:, -LAST_POLICIES:].mean(axis=1)
+        for name, one in (("own", own), ("other", other), ("home", home))
         for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
     }
+    better = ends["own_reward"].min() > ends["other_reward"].max()
     panels = {
-        f"{name} per episode": [_over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
+        f"{name} per episode": [_over(label, CONDITIONS[label][2], one[key]) for label, one in found.items()]
         for key, name in (("reward", "reward"), ("steps", "time steps"))
     }
     bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
-    return told | {
+    return {name: _range(values) for name, values in ends.items()} | {
         "converged": f"{cycles[first]:.0f}" if first < len(cycles) else "never",
-        "highest": cycles[np.argmax(rewards)],
-        "apart": "yes" if better and ends[own, "steps"].max() < ends[other, "steps"].min() else "no",
-        "every": bench.scale.snapshot_every * PAPER.ppo.rollout,
-        "judged": bench.scale.judged,
+        "highest": cycles[np.argmax(other["reward"].mean(axis=0))],
+        "apart": "yes" if better and ends["own_steps"].max() < ends["other_steps"].min() else "no",
+        "every": bench.snapshot_every * PAPER.ppo.rollout,
+        "judged": bench.judged,
     }
 
 
@@ -306,7 +303,7 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     """Judge the policies of a training: means (K,) over the episodes, with the ``updates`` (K,) of the policies."""
     folder = bench.training(name)
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
-    files[max(files) + bench.scale.snapshot_every] = folder.policy
+    files[max(files) + bench.snapshot_every] = folder.policy
 
     def judge() -> Columns:
         played = [
@@ -318,7 +315,7 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
         means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
         return means | {"updates": np.array(list(files), dtype=float)}
 
-    count = bench.scale.judged
+    count = bench.judged
     identity = repr((name, arms, count, bench.seed))
     return keep(folder.path / f"course-{arms}.parquet", identity, judge)
 
@@ -350,7 +347,7 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
         partial(_open, bench, profile),
         {name: _maker(bench, name) for name in names},
         bench.targets,
-        Settings(repetitions=repetitions, seed=bench.seed, batched=True, protocol=protocol),
+        Settings(repetitions=repetitions, seed=bench.seed, batched=True, wait=True, protocol=protocol),
         ledger=Ledger(file, repr((__version__, protocol))),
         on_progress=bench.on_progress,
     )
@@ -397,23 +394,23 @@ def measure_wear(bench: Bench) -> Found:
         means.append(sets.mean(axis=1))
         label = f"{profile}, mean {sets[0].mean():.1f} mm (paper {paper:g} mm)"
         series.append(Series(label=label, look=look, value=sets[0]))
-    numbers = np.arange(1.0, bench.scale.targets + 1)
+    numbers = np.arange(1.0, bench.count + 1)
     bench.draw(curves({"error by the encoders [mm]": series}, numbers, "target", (WIDE, 3.2)), "fig-9")
     healthy, worn = means
     return found | {
         "ratio": worn.mean() / healthy.mean(),
         "low": worn.min(),
         "high": worn.max(),
-        "sets": bench.scale.sets,
-        "targets": bench.scale.targets,
+        "sets": bench.sets,
+        "targets": bench.count,
         "dwell": FIG_9_DWELL,
     }
 
 
 def measure_trainings(bench: Bench) -> Found:
     """Compare trainings over the paper's open points, and their policies on the worn arm."""
-    scale, rows, success = bench.scale, [], dict[str, float]()
-    compared = trials(bench, "worn", (*WORN, *LITERALLY), scale.protocol, scale.repetitions).compare()
+    rows, success = [], dict[str, float]()
+    compared = trials(bench, "worn", (*WORN, *LITERALLY), bench.protocol, bench.repetitions).compare()
     for row in compared.rows:
         name, (preset, offset) = row.controller, recipe(row.controller)
         trained, success[name] = read_curves(bench.training(name).curves), 100 * row.reached
@@ -458,10 +455,10 @@ def _seconds(bench: Bench) -> float:
 
 def measure_control(bench: Bench) -> Found:
     """Compare by the paper's protocol, and by holds."""
-    scale, found, panels = bench.scale, Found(), dict[str, list[Stroke]]()
+    found, panels = Found(), dict[str, list[Stroke]]()
     policies = {name: WORN if name == "policy" else (name,) for name in NAMES}
     runner = trials(
-        bench, "worn", [one for names in policies.values() for one in names], scale.protocol, scale.repetitions
+        bench, "worn", [one for names in policies.values() for one in names], bench.protocol, bench.repetitions
     )
     compared = runner.compare()
     for name, names in policies.items():
@@ -475,12 +472,12 @@ def measure_control(bench: Bench) -> Found:
         path = tcp_position(bench.arm, recording.position[:, 0])
         panels[NAMES[name]] = strokes_of([path], bench.targets[0], look_of(name))
     bench.draw(ways(panels), "fig-13")
-    headers, cells = plain_table(result_columns(scale.protocol, scale.targets), compared.rows, notes=True)
-    title = f"The table of the comparison: every target held for {scale.protocol.hold:g} s as well (95 % intervals)"
+    headers, cells = plain_table(result_columns(bench.protocol, bench.count), compared.rows, notes=True)
+    title = f"The table of the comparison: every target held for {bench.protocol.hold:g} s as well (95 % intervals)"
     return found | {
         "seconds": _seconds(bench),
-        "targets": scale.targets,
-        "sets": scale.sets,
-        "repetitions": scale.repetitions,
+        "targets": bench.count,
+        "sets": bench.sets,
+        "repetitions": bench.repetitions,
         "grids": [Grid(title, tuple(headers), tuple(map(tuple, cells)))],
     }
