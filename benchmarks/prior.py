@@ -13,6 +13,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
@@ -20,7 +22,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.evaluate import SIGMA, fitted, measure
+from rejoint_lab.research.evaluation.evaluate import SIGMA, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on
 
 FIRST, TARGETS = 10, 4
@@ -42,7 +44,7 @@ def main(arms: int = 20, count: int = 3) -> None:
     """Print a table for each change; ``count`` points of the second calibration."""
     arm, family = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, crossings=0)
     begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
-    first = fitted(arm, begun, FIRST)
+    first = [fit(arm, one.rows(np.arange(FIRST))) for one in begun]
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
     for change in CHANGES:
         measured = measure(changed(change, family), suggest(arm, count, visits=1, sigma=SIGMA, seed=1), 1)
@@ -56,4 +58,6 @@ def main(arms: int = 20, count: int = 3) -> None:
         for name, calibrations in found.items():
             drive = partial(make_controller, "feedforward")
             opened = partial(changed, change, family)
-            corrected(name, try_on(arm, opened, drive, family, (targets, None), calibrations), calibrations)
+            corrected(
+                name, try_on(arm, opened, drive, family, (targets, None), lambda own=calibrations: own), calibrations
+            )

@@ -240,4 +240,5 @@ def _show(call: Call, found: Evaluation, file: Path) -> dict[str, object]:
     for table in terminal_tables(found):
         call.table(*table)
     call.result(f"All of it: {file}")
-    return {"out": file.parent, "best": found.best, "rows": found.rows, "pairs": found.pairs}
+    rows = [{"variant": variant} | vars(row) for variant, one in found.comparisons.items() for row in one.rows]
+    return {"out": file.parent, "best": found.best, "rows": rows, "pairs": found.pairs}

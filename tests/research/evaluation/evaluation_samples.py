@@ -10,10 +10,9 @@ def outcome(
 ) -> Columns:
     """Holds with these settled errors (A, K); everything else at rest and unremarkable."""
     shape = settled_mm.shape
-    found = {name: np.zeros(shape) for name in METRICS if not name.startswith(("away", "modelled"))}
+    found = {name: np.zeros(shape) for name in METRICS if not name.startswith("modelled")}
     found |= {name: np.full(shape, np.nan) for name in MODELLED}
     found |= {name: np.ones(shape) if stay is None else stay for name in Protocol().stay_names}
     found |= {"held": np.ones(shape), "crossed": np.ones(shape), "crossing_time": np.full(shape, cycle / shape[1])}
     found |= {"settled": settled_mm / 1e3, "settled_true": settled_mm / 1e3 + 0.007}
-    found["arm"], found["target"] = 10_000.0 + np.indices(shape)[0], np.indices(shape)[1].astype(float)
     return found | columns

@@ -10,10 +10,10 @@ from rejoint_lab.research.evaluation.evaluate import (
     Evaluation,
     evaluate,
     outcome_path,
-    summarise,
     terminal_tables,
+    together,
 )
-from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, keep, open_family
+from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
 
 ARM = mycobot280()
 FAMILY = ArmFamily(arms=3, targets=2)
@@ -36,34 +36,17 @@ def test_families_share_no_arm():
 
 
 def test_the_best_rival_is_the_soonest_and_not_a_policy():
-    stays = {"slow": 2.0, "fast": 1.5, "p #0": 1.0}
-    outcomes = {("worn", n): outcome(np.full((3, 2), 0.3), np.full((3, 2), s)) for n, s in stays.items()}
-    result = summarise("an arm", FAMILY, {"worn": "worn arms"}, outcomes, {"p"})
+    stays = {"slow": 2.0, "fast": 1.5, "p": 1.0}
+    found = {n: [outcome(np.full((3, 2), 0.3), np.full((3, 2), s))] for n, s in stays.items()}
+    found["p"] *= 2  # seeds
+    compared = {"worn": together(found, np.zeros((3, 2, 3)), FAMILY)}
+    result = Evaluation(family=FAMILY, meanings={"worn": "worn arms"}, comparisons=compared, ours=("p",))
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
-    assert [row.seeds for row in result.rows] == [1, 1, 1]
+    assert [row.held for row in compared["worn"].rows] == [6, 6, 12]
     tables = terminal_tables(result)
     assert len(tables) == 2
     assert tables[1][2][0][1] == "p against fast"
-
-
-def test_outcomes_survive_the_disk(tmp_path):
-    before = outcome(np.array([[0.4, np.nan], [1.0, 2.0]]), np.array([[1.0, np.inf], [2.0, 3.0]]))
-    file, made = tmp_path / "o.parquet", []
-
-    def find():
-        made.append(file)
-        return before
-
-    for seed, count in ((1, 1), (1, 1), (2, 2), (2, 2), (1, 3)):
-        after = keep(file, f"{seed}", find)
-        assert len(made) == count
-        assert after.keys() == before.keys()
-        for name, values in before.items():
-            np.testing.assert_array_equal(after[name], values)
-    file.write_bytes(file.read_bytes()[:200])
-    keep(file, "1", find)
-    assert len(made) == 4, "a damaged file is made again"
 
 
 def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_result(tmp_path):
@@ -81,7 +64,7 @@ def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_r
     again = evaluate(ARM, [one], variants, family, file, lambda *_: None)
     assert len(made) == 2
     assert again == first == read_json(file, Evaluation)
-    assert first.rows[0].controller == "mine"
+    assert first.comparisons["worn"].controllers == ("mine",)
     evaluate(ARM, [one._replace(identity="2")], variants, family, file, lambda *_: None)
     assert len(made) == 4
     assert outcome_path(tmp_path, "worn", one.name).exists()

@@ -10,7 +10,7 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
     row = rows_of(cli, "evaluate", tmp_path, *one)[0]
     assert 0.0 < row["settled"]["mean"]["value"] < 0.005
     assert row["cycle_time"] is None
-    kept = tmp_path / "outcomes" / "worn--integrator.parquet"
+    kept = tmp_path / "outcomes" / "worn--integrator.json"
     before = kept.stat().st_mtime_ns
     assert rows_of(cli, "evaluate", tmp_path, *one) == [row]
     assert kept.stat().st_mtime_ns == before

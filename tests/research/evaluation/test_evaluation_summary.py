@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from evaluation_samples import outcome
 
-from rejoint.control.comparison.result import Protocol
-from rejoint_lab.research.evaluation.evaluate import make_row, together
+from rejoint_lab.research.evaluation.evaluate import outside, together
+from rejoint_lab.research.evaluation.family import ArmFamily
 
 
 def test_a_row_counts_what_it_says():
@@ -18,14 +18,15 @@ def test_a_row_counts_what_it_says():
         crossing_error=np.array([[9e-3, 8e-3], [20e-3, 9e-3], [8e-3, 12e-3]]),
         crossing_time=np.array([[1.0, 2.0], [20.0, 2.0], [1.0, 20.0]]),
     )
-    row = make_row("worn", "x", together([found]), Protocol())
-    assert (row.variant, row.controller, row.seeds) == ("worn", "x", 1)
+    compared = together({"x": [found]}, np.zeros((3, 2, 3)), ArmFamily(arms=3))
+    row = compared.row("x")
+    assert compared.repetitions == 1
     assert row.settled.mean.value == pytest.approx(7.4e-3 / 5)
     assert row.settled.p95 == pytest.approx(np.quantile([0.2, 0.4, 0.3, 6.0, 0.5], 0.95) / 1e3)
     assert row.settled_true.mean.value == pytest.approx((7.4 / 5 + 7.0) / 1e3)
     assert row.settled_true.p95 == pytest.approx(row.settled.p95 + 7e-3)
     assert row.oscillation.mean.value == pytest.approx(7e-4 / 5)
-    assert row.outside.value == pytest.approx(2 / 6)  # 6 mm, and the one that the guard stopped
+    assert outside(compared, "x").mean() == pytest.approx(2 / 6)  # 6 mm, and the one that the guard stopped
     assert [one.within for one in row.stays] == [0.010, 0.005, 0.002]
     assert row.stays[-1].share.value == pytest.approx(4 / 6)
     assert row.stays[-1].median == pytest.approx(3.5)

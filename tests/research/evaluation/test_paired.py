@@ -5,17 +5,18 @@ import pytest
 from evaluation_samples import outcome
 from scipy.stats import binom
 
-from rejoint.control.comparison.result import Protocol
-from rejoint_lab.research.evaluation.evaluate import make_pair, together
+from rejoint_lab.research.evaluation.evaluate import pair, together
+from rejoint_lab.research.evaluation.family import ArmFamily
 
 
 def paired(*settled_mm):
     """Difference [mm] of the settled errors, and the worst arm's [mm], of two controllers with these (A, K)."""
-    pooled = {("worn", str(i)): together([outcome(one)]) for i, one in enumerate(settled_mm)}
-    pair = make_pair(("worn", "0"), ("worn", "1"), pooled, Protocol())
-    found = pair.differences["settled"]
-    worst = None if pair.worst_true is None else 1e3 * pair.worst_true
-    return found and tuple(1e3 * end for end in (found.mean.low, found.mean.value, found.mean.high)), worst
+    arms, targets = settled_mm[0].shape
+    both = {str(i): [outcome(one)] for i, one in enumerate(settled_mm)}
+    found = pair("worn", together(both, np.zeros((arms, targets, 3)), ArmFamily(arms=arms)), "0", "1")
+    mean = found.differences["settled"]
+    worst = None if found.worst_true is None else 1e3 * found.worst_true
+    return mean and tuple(1e3 * end for end in (mean.low, mean.value, mean.high)), worst
 
 
 def test_the_interval_of_a_difference_is_that_of_drawing_arms_with_replacement():

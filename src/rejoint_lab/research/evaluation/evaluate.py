@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from itertools import product
@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.result import Columns, ControllerRow, Protocol, cycle_times
-from rejoint.control.comparison.result import summarise as summarise_trials
+from rejoint.control.comparison.compare import Ledger
+from rejoint.control.comparison.result import MODELLED, Columns, Comparison, ControllerRow, comparison_of, row_of
 from rejoint.control.controllers.catalogue import (
     BASELINES,
     PREDICTIVE,
@@ -51,7 +51,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Estimate, Labels, Spread, clustered_share, spread
+from rejoint.system.statistics import Estimate, Spread, clustered_share, paired_difference, spread
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
@@ -60,7 +60,6 @@ from rejoint_lab.research.evaluation.family import (
     ArmFamily,
     Variant,
     family_targets,
-    keep,
     open_family,
     own_twins,
     targets_anywhere,
@@ -80,8 +79,12 @@ class Contestant(NamedTuple):
     """changes with everything that the behaviour depends on, except the software"""
     ours: bool = False
     """whether it is compared with all others, and is no rival itself"""
-    calibrations: Callable[[Variant], Sequence[Calibration]] = lambda _: ()
+    calibrations: Callable[[Variant], Sequence[Calibration]] | None = None
     """of each arm, where they correct its targets"""
+
+    def on(self, twins: Sequence[Twin]) -> Callable[[Arm], Controller]:
+        """Make the controller of arms with these twins."""
+        return lambda arm: self.make(arm, twins)
 
 
 KNOWN = (*BASELINES, *RIVALS, SHELF)
@@ -133,6 +136,51 @@ def group_of(name: str) -> str:
     return name.partition(" #")[0]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """A controller against another, target by target on the same arms."""
+
+    variant: str
+    controller: str
+    rival: str
+    differences: dict[str, Estimate | None]
+    """[m] or [s] by column, negative where the controller is better; never: the hold's length"""
+    worst_true: float | None
+    """[m] that of the settled true error on the arm where it is largest"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """A comparison under each condition: arms are its target sets, seeds of a learner its repetitions."""
+
+    family: ArmFamily
+    meanings: dict[str, str]
+    """of the variants, in words"""
+    comparisons: dict[str, Comparison]
+    """by variant; controllers without their training seeds"""
+    ours: tuple[str, ...]
+    """controllers that are compared with all others"""
+
+    @property
+    def best(self) -> dict[str, str]:
+        """Per variant, the rival that is soonest within the narrowest distance, else the nearest."""
+        rivals = {
+            variant: [row for row in found.rows if row.controller not in self.ours]
+            for variant, found in self.comparisons.items()
+        }
+        return {variant: min(rows, key=_late).controller for variant, rows in rivals.items() if rows}
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """Each of ours against all others."""
+        return [
+            pair(variant, found, one, rival)
+            for variant, found in self.comparisons.items()
+            for one, rival in product(found.controllers, found.controllers)
+            if one in self.ours and one != rival
+        ]
+
+
 def evaluate(
     arm: Arm,
     contestants: Sequence[Contestant],
@@ -141,9 +189,9 @@ def evaluate(
     file: Path,
     on_progress: Progress,
 ) -> Evaluation:
-    """Evaluate on all variants and write the JSON ``file``, with outcomes as Parquet, and twins, beside it.
+    """Evaluate on all variants and write the JSON ``file``, with finished trials, and twins, beside it.
 
-    Existing outcomes are taken over. InputError for two contestants of one name, ContractError for an arm without a
+    Finished trials are taken over. InputError for two contestants of one name, ContractError for an arm without a
     generic policy.
     """
     names = [one.name for one in contestants]
@@ -153,33 +201,34 @@ def evaluate(
     if twice:
         raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
     twins = cache(lambda: own_twins(arm, family.wear_seeds, file.parent, family.seed))
-    anywhere = cache(lambda: targets_anywhere(arm, family, twins()))
-    each, outcomes = family.arms * (family.targets + family.crossings), dict[tuple[str, str], Columns]()
-
-    def drive(variant: Variant, one: Contestant, ahead: Progress) -> Columns:
+    comparisons, total = dict[str, Comparison](), len(variants) * len(contestants)
+    for variant in variants:
         known = twins() if variant.twins else ()
         targets, ways = family_targets(arm, family, variant.draw), None
         if variant.anywhere:
-            targets[:, : family.targets], ways = anywhere()
-        return try_on(
-            arm,
-            partial(open_family, arm, variant, family),
-            lambda arm: one.make(arm, known),
-            family,
-            (targets, ways),
-            one.calibrations(variant),
-            lambda done: ahead(done / each, ""),
-        )
-
-    pairs = list(product(variants, contestants))
-    for place, (variant, one) in enumerate(pairs):
-        ahead = part(on_progress, place / len(pairs), (place + 1) / len(pairs), f"{variant.name}: {one.name}")
-        ahead(0.0, "")
-        identity = repr((arm.name, variant, one.identity, family))
-        path = outcome_path(file.parent, variant.name, one.name)
-        outcomes[variant.name, one.name] = keep(path, identity, partial(drive, variant, one, ahead))
-    meanings = {variant.name: variant.meaning for variant in variants}
-    result = summarise(arm.name, family, meanings, outcomes, {group_of(one.name) for one in contestants if one.ours})
+            targets[:, : family.targets], ways = targets_anywhere(arm, family, twins())
+        found: dict[str, list[Columns]] = {}
+        for place, one in enumerate(contestants, start=len(comparisons) * len(contestants)):
+            calibrations = None if one.calibrations is None else partial(one.calibrations, variant)
+            identity = repr((__version__, arm.name, variant, one.identity, family))
+            columns = try_on(
+                arm,
+                partial(open_family, arm, variant, family),
+                one.on(known),
+                family,
+                (targets, ways),
+                calibrations,
+                ledger=Ledger(outcome_path(file.parent, variant.name, one.name), identity),
+                on_progress=part(on_progress, place / total, (place + 1) / total, f"{variant.name}: {one.name}"),
+            )
+            found.setdefault(group_of(one.name), []).append(columns)
+        comparisons[variant.name] = together(found, targets, family)
+    result = Evaluation(
+        family=family,
+        meanings={variant.name: variant.meaning for variant in variants},
+        comparisons=comparisons,
+        ours=tuple(dict.fromkeys(group_of(one.name) for one in contestants if one.ours)),
+    )
     write_json(file, result)
     return result
 
@@ -187,161 +236,95 @@ def evaluate(
 def outcome_path(folder: Path, where: str, controller: str) -> Path:
     """Where the trials of a controller on some arms are kept."""
     name = re.sub(r"[^\w.-]+", "-", f"{where}--{controller}")
-    return folder / "outcomes" / f"{name}.parquet"
+    return folder / "outcomes" / f"{name}.json"
+
+
+def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: ArmFamily) -> Comparison:
+    """Comparison of results (A, K) by controller and training seed, at ``targets`` (A, K, 3) [m]."""
+    seeds, protocol = max(map(len, found.values())), family.protocol
+
+    def stacked(each: Sequence[Columns], key: str) -> Array:
+        missing = [np.full_like(each[0][key], np.nan)] * (seeds - len(each))
+        return np.stack([*(one[key] for one in each), *missing], axis=1)
+
+    whole = {name: {key: stacked(each, key) for key in each[0]} for name, each in found.items()}
+    rows = tuple(row_of(name, columns, protocol) for name, columns in whole.items())
+    return comparison_of(whole, targets, seed=family.seed, batched=True, protocol=protocol, rows=rows)
+
+
+def pair(variant: str, found: Comparison, controller: str, rival: str) -> Pair:
+    """Compare two controllers on the same arms and targets, as means over their training seeds."""
+    names = ("settled", "settled_true", *found.protocol.stay_names, "crossing_time")
+    arrays = {name: [np.ma.masked_invalid(found.array(name, one)) for one in (controller, rival)] for name in names}
+    means = {name: [array.mean(axis=1).filled(np.nan) for array in both] for name, both in arrays.items()}
+    arms = np.indices(means["settled"][0].shape)[0].ravel()
+    worst = np.ma.masked_invalid(np.subtract(*means["settled_true"])).mean(axis=1).max()
+    return Pair(
+        variant=variant,
+        controller=controller,
+        rival=rival,
+        differences={name: paired_difference(one.ravel(), other.ravel(), arms) for name, (one, other) in means.items()},
+        worst_true=None if worst is np.ma.masked else float(worst),
+    )
+
+
+def _late(row: ControllerRow) -> tuple[float, float]:
+    return (row.stays[-1].median or np.inf) if row.stays else np.inf, row.settled.mean.value if row.settled else np.inf
 
 
 FAR = 0.005
 """[m] settled encoder error beyond which a hold counts as failed"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class VariantRow(ControllerRow):
-    """One controller, or several seeds of a learner together, on one variant."""
-
-    variant: str
-    seeds: int
-    """trainings that are put together"""
-    outside: Estimate | None
-    """share of holds beyond 5 mm or stopped"""
-    inside: Estimate | None
-    """share of targets whose true error was in the calibration's interval"""
-    used: float | None
-    """share of arms that a calibration corrected"""
+def outside(found: Comparison, controller: str) -> Array:
+    """1 where a hold (A, seeds, K) ended beyond 5 mm or was stopped, else 0; NaN where there was none."""
+    held = found.array("held", controller)
+    return np.where(held == 1.0, ~(found.array("settled", controller) <= FAR), np.nan)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pair:
-    """A controller against another, target by target on the same arms."""
-
-    variant: str
-    controller: str
-    rival: str
-    differences: dict[str, Spread | None]
-    """[m] or [s] by column, negative where the controller is better; never: the hold's length"""
-    worst_true: float | None
-    """[m] that of the settled true error on the arm where it is largest"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """Everything."""
-
-    arm: str
-    software: str
-    family: ArmFamily
-    meanings: dict[str, str]
-    """of the variants, in words"""
-    rows: tuple[VariantRow, ...]
-    best: dict[str, str]
-    """per variant, the rival that is soonest within the narrowest distance, else the nearest"""
-    pairs: tuple[Pair, ...]
-
-
-def summarise(
-    arm: str,
-    family: ArmFamily,
-    meanings: dict[str, str],
-    outcomes: Mapping[tuple[str, str], Columns],
-    ours: Collection[str],
-) -> Evaluation:
-    """Compute every number of an evaluation.
-
-    ``outcomes``: results (T, K) of T trials by variant and contestant, see `try_on`; ``meanings`` of the variants;
-    the groups ``ours`` are compared with all others.
-    """
-    members: dict[tuple[str, str], list[Columns]] = {}
-    for (variant, name), found in outcomes.items():
-        members.setdefault((variant, group_of(name)), []).append(found)
-    pooled = {at: together(found) for at, found in members.items()}
-    rows = tuple(make_row(*at, found, family.protocol) for at, found in pooled.items())
-    rivals = sorted((row for row in rows if row.controller not in ours), key=_late, reverse=True)
-    return Evaluation(
-        arm=arm,
-        software=__version__,
-        family=family,
-        meanings=meanings,
-        rows=rows,
-        best={row.variant: row.controller for row in rivals},
-        pairs=tuple(
-            make_pair(one, rival, pooled, family.protocol)
-            for one, rival in product(pooled, pooled)
-            if one[1] in ours and one[0] == rival[0] and one != rival
-        ),
-    )
-
-
-def together(found: Sequence[Columns]) -> Columns:
-    """Put the results (T, K) of training seeds together: (T, seeds, K)."""
-    return {key: np.stack([one[key] for one in found], axis=1) for key in found[0]}
-
-
-def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) -> VariantRow:
-    """Summarise the results (T, seeds, K) of a controller."""
-    arms: Labels = np.unique(found["arm"], return_inverse=True)[1].ravel()
-    row, held = summarise_trials(controller, found, arms, protocol), found["held"] == 1.0
-    outside = np.where(held, ~(found["settled"] <= FAR), np.nan).ravel()
+def inside(found: Mapping[str, Array]) -> Array:
+    """1 where a true error lies in the interval of the calibration, else 0; NaN where a hold was cut short."""
     error = found["settled_true"]
-    inside = np.where(
-        np.isfinite(error), (error >= found["modelled_low"]) & (error <= found["modelled_high"]), np.nan
-    ).ravel()
-    return VariantRow(
-        **vars(row),
-        variant=variant,
-        seeds=held.shape[1],
-        outside=clustered_share(outside, arms) if held.any() else None,
-        inside=clustered_share(inside, arms) if row.settled_modelled and np.isfinite(inside).any() else None,
-        used=float(found["used"].mean()) if "used" in found else None,
-    )
+    hit = (error >= found["modelled_low"]) & (error <= found["modelled_high"])
+    return np.where(np.isfinite(error), hit, np.nan)
 
 
-def make_pair(
-    one: tuple[str, str], rival: tuple[str, str], pooled: Mapping[tuple[str, str], Columns], protocol: Protocol
-) -> Pair:
-    """Compare two variants' controllers: each seed (A, seeds, K) with each, on the same arm and target."""
-    ours, theirs = (pooled[at] | {"cycle_time": cycle_times(pooled[at])[..., None]} for at in (one, rival))
-    apart = {  # arms stay the first axis, so that a resampled arm brings all its seeds along
-        name: (ours[name][:, :, None] - theirs[name][:, None]).reshape(len(ours[name]), -1)
-        for name in ("settled", "settled_true", *protocol.stay_names, "cycle_time")
-    }
-    largest = np.ma.masked_invalid(apart["settled_true"]).mean(axis=1).max()
-    return Pair(
-        variant=one[0],
-        controller=one[1],
-        rival=rival[1],
-        differences={name: spread(some.ravel(), np.indices(some.shape)[0].ravel()) for name, some in apart.items()},
-        worst_true=None if largest is np.ma.masked else float(largest),
-    )
+def _columns(found: Comparison) -> list[ResultColumn]:
+    """Columns of a table, with those of calibrated arms."""
+
+    def share(values: Array) -> Cell:
+        arms = np.indices(values.shape)[0].ravel()
+        return measured(clustered_share(values.ravel(), arms) if np.isfinite(values).any() else None, 100.0)
+
+    def hits(controller: str) -> Array:
+        return inside({name: found.array(name, controller) for name in ("settled_true", *MODELLED)})
+
+    columns = [
+        *result_columns(found.protocol, found.shape[-1]),
+        ResultColumn("95 % below, encoders [mm]", lambda row: _p95(row.settled, 3)),
+        ResultColumn("95 % below, true [mm]", lambda row: _p95(row.settled_true, 2)),
+        ResultColumn("farther than 5 mm [%]", lambda row: share(outside(found, row.controller))),
+    ]
+    if "modelled" not in found.results:
+        return columns
+    return [
+        *columns,
+        ResultColumn("expected by the calibration [mm]", lambda row: Cell(_expected(row))),
+        ResultColumn(
+            "in its interval [%]", lambda row: share(hits(row.controller)) if row.settled_modelled else Cell("")
+        ),
+    ]
 
 
-def _late(row: VariantRow) -> tuple[float, float]:
-    return row.stays[-1].median or np.inf, np.inf if row.settled is None else row.settled.mean.value
-
-
-COLUMNS = (
-    ResultColumn("95 % below, encoders [mm]", lambda row: _p95(row.settled, 3)),
-    ResultColumn("95 % below, true [mm]", lambda row: _p95(row.settled_true, 2)),
-    ResultColumn("farther than 5 mm [%]", lambda row: measured(row.outside, 100.0)),
-)
-"""of all evaluations, besides those of a comparison"""
-CALIBRATED = (
-    ResultColumn(
-        "expected by the calibration [mm]",
-        lambda row: Cell("" if row.settled_modelled is None else row.settled_modelled.millimetres),
-    ),
-    ResultColumn("in its interval [%]", lambda row: measured(row.inside, 100.0)),
-    ResultColumn("corrected arms [%]", lambda row: Cell(number(row.used and 100 * row.used, 3))),
-)
-"""where arms are calibrated"""
+def _expected(row: ControllerRow) -> str:
+    return row.settled_modelled.millimetres if row.settled_modelled else ""
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
     """Title, headers and rows of a table per variant, and of pairs with its best rival."""
-    family, calibrated = evaluation.family, any(row.inside is not None for row in evaluation.rows)
-    basic = result_columns(family.protocol, max(family.targets, family.crossings))
-    columns = (*basic, *COLUMNS, *(CALIBRATED if calibrated else ()))
     tables = [
-        (f"{one}: {family.arms} arms", *plain_table(columns, [row for row in evaluation.rows if row.variant == one]))
-        for one in evaluation.meanings
+        (f"{variant}: {len(found.targets)} arms", *plain_table(_columns(found), found.rows))
+        for variant, found in evaluation.comparisons.items()
     ]
     pairs = [one for one in evaluation.pairs if one.rival == evaluation.best.get(one.variant)]
     if pairs:
@@ -350,12 +333,12 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
         headers += [f"{name} {unit}" for name, (_, unit) in factor.items()]
         rows = [
             [
-                pair.variant,
-                f"{pair.controller} against {pair.rival}",
-                number(pair.worst_true and MM * pair.worst_true, 2),
-                *(str(measured(one, factor[name][0])) for name, one in pair.differences.items()),
+                one.variant,
+                f"{one.controller} against {one.rival}",
+                number(one.worst_true and MM * one.worst_true, 2),
+                *(str(measured(value, factor[name][0])) for name, value in one.differences.items()),
             ]
-            for pair in pairs
+            for one in pairs
         ]
         tables.append(("Paired differences, 95 % intervals over arms", headers, rows))
     return tables

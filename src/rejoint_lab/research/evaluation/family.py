@@ -6,34 +6,32 @@ and gains are chosen on others.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from rejoint.arms import Arm, Array, Displacement, JointTrajectory, Mask, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.rotations import Orientation, rotation_about
 from rejoint.arms.workspace import length_size
-from rejoint.control.comparison.protocols import metrics_of, schedule
-from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
+from rejoint.control.comparison.compare import Settings, TrialRunner
+from rejoint.control.comparison.protocols import metrics_of
+from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Driven, Protocol
 from rejoint.control.correction import Modelled
-from rejoint.control.loop import run
-from rejoint.control.reference import TargetSequence, Ways, with_ways
+from rejoint.control.recording import Recording
+from rejoint.control.reference import Ways, with_ways
 from rejoint.control.robot import ControlInput, Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import read_parquet, write_parquet
 from rejoint.session.context import believed_motors
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import InputError
 from rejoint.system.files import read_toml
 from rejoint.system.progress import Progress, no_progress, part
-from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin, read_twin, write_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -173,9 +171,6 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
     )
 
 
-_IDENTITY = b"rejoint.research.evaluation"
-
-
 def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress: Progress = no_progress) -> Twin:
     """Return the twin in ``folder``; if missing, diagnose and identify ``worn?seed=WEAR_SEED`` first.
 
@@ -208,40 +203,35 @@ def try_on(
     controller: Callable[[Arm], Controller],
     family: ArmFamily,
     targets: tuple[Array, Ways | None] | None = None,
-    calibrations: Sequence[Calibration] = (),
-    on_targets: Callable[[int], object] = lambda _: None,
+    calibrations: Callable[[], Sequence[Calibration]] | None = None,
+    **kept: Any,  # noqa: ANN401 - ledger and progress of `TrialRunner`
 ) -> Columns:
-    """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
+    """Hold every arm at its targets, and run the crossing protocol; returns results (A, max(K, C)).
 
     ``opened`` puts all arms at rest. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or None, are the
-    family's by default. ``calibrations`` correct them, and model true errors. ``on_targets`` receives the number of
-    done targets.
-
-    Beside `METRICS`: seed of the ``arm``, number of the ``target``; with calibrations, whether they are ``used``.
+    family's by default. ``calibrations`` correct them, and model true errors.
     """
     places, ways = targets or (family_targets(arm, family), None)
-    protocol, shape = family.protocol, places.shape[:2]
-    found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
-    found["arm"], found["target"] = np.indices(shape) + np.array([family.wear_seeds[0], 0.0])[:, None, None]
-    correction = OwnCorrections(calibrations) if calibrations else None
-    if calibrations:
-        found["used"] = np.repeat([[float(one.used)] for one in calibrations], shape[1], axis=1)
-    counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
-    for kind, count in counts.items():
-        if not count:
-            continue
-        points = places[:, :count]
-        sequence = TargetSequence(arm, points, ways=ways if kind == "hold" else None, correction=correction)
-        plan = schedule(kind, protocol, keep_going=True)
-        recording = run(opened(), controller(arm), sequence, plan, on_cycle=lambda c: on_targets(c.target_index.sum()))
-        columns = metrics_of(arm, recording, points, protocol, (kind,))
-        if calibrations and kind == "hold":
+
+    def model(driven: Driven, recording: Recording) -> None:
+        if calibrations is not None and driven.key.kind == "hold":
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
-            said = metrics_of(arm, blind, points, protocol, (kind,), calibrations)
-            columns |= {name: said[name] for name in MODELLED}
-        for name, values in columns.items():
-            found[name][:, :count] = values
-    return found
+            said = metrics_of(arm, blind, places[:, : family.targets], family.protocol, models=calibrations())
+            driven.columns.update({name: said[name] for name in MODELLED})
+
+    runner = TrialRunner(
+        lambda *_: opened(),
+        {"": controller},
+        places,
+        Settings(seed=family.seed, batched=True, wait=True, protocol=family.protocol),
+        counts={"hold": family.targets, "crossing": family.crossings},
+        ways=ways,
+        correction=None if calibrations is None else lambda _: OwnCorrections(calibrations()),
+        on_trial=model,
+        **kept,
+    )
+    found = runner.compare()
+    return {name: found.array(name, "")[:, 0] for name in (*METRICS, *family.protocol.stay_names)}
 
 
 class OwnCorrections(Modelled):
@@ -267,21 +257,3 @@ class OwnCorrections(Modelled):
             found = one.again(target[row], replace(inputs, state=own, target=inputs.target[row]))
             fresh[row] = fresh[row] if found is None else found
         return None if (fresh == inputs.target).all() else fresh
-
-
-def keep(path: Path, identity: str, find: Callable[[], Columns]) -> Columns:
-    """Return the results of this ``identity`` in ``path``, a tidy table; else ``find`` and write them."""
-    wanted = f"rejoint {__version__}: {identity}"
-    try:
-        table = read_parquet(path, "delete it")
-        found_identity, *shape = json.loads((table.schema.metadata or {})[_IDENTITY])
-        if found_identity == wanted:
-            return {name: table[name].to_numpy().reshape(shape) for name in table.column_names}
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
-        pass  # damaged or missing
-    found = find()
-    shape = next(iter(found.values())).shape
-    table = pa.table({name: values.ravel() for name, values in found.items()})
-    table = table.replace_schema_metadata({_IDENTITY: json.dumps([wanted, *shape]).encode()})
-    write_parquet(path, table)
-    return found

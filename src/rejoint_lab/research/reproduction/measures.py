@@ -29,13 +29,12 @@ from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_json, read_toml, write_json
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.evaluation.family import keep
 from rejoint_lab.research.reproduction.campaign import (
     HEALTHY,
     LITERALLY,
@@ -305,19 +304,21 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
     files[max(files) + bench.snapshot_every] = folder.policy
 
-    def judge() -> Columns:
+    kept = folder.path / f"course-{arms}.json"
+    if not kept.exists():
         played = [
             play(
-                load_policy(file, bench.arm), ranges_of(bench.arm, arms), count, seed=bench.seed, threads=bench.threads
+                load_policy(file, bench.arm),
+                ranges_of(bench.arm, arms),
+                bench.judged,
+                seed=bench.seed,
+                threads=bench.threads,
             )
             for file in files.values()
         ]
-        means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
-        return means | {"updates": np.array(list(files), dtype=float)}
-
-    count = bench.judged
-    identity = repr((name, arms, count, bench.seed))
-    return keep(folder.path / f"course-{arms}.parquet", identity, judge)
+        means = {key: [float(one[key].mean()) for one in played] for key in MEASURES}
+        write_json(kept, means | {"updates": list(map(float, files))})
+    return {key: np.array(values) for key, values in read_json(kept, dict[str, list[float]]).items()}
 
 
 def _over(label: str, look: Look, values: Array) -> Series:
@@ -359,7 +360,7 @@ def _open(bench: Bench, profile: str, count: int, seed: int) -> Robot:
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return lambda arm: classical(name).make(arm, ())
+        return classical(name).on(())
     return partial(load_policy, bench.training(name).policy)
 
 
