@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import detrend
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
@@ -113,7 +114,7 @@ def _averages(
     def average(signal: Array, weight: Array) -> Array:
         return sliding_window_view(signal, count, axis=-1)[..., ::hop, :] @ weight / window.sum()
 
-    smooth = np.convolve(np.pad(np.gradient(position, _GRID), 20, mode="edge"), np.full(41, 1 / 41), mode="valid")
+    smooth = uniform_filter1d(np.gradient(position, _GRID), 41, mode="nearest")
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf

@@ -144,10 +144,8 @@ class TrialRunner:
     correction: Callable[[Arm], Modelled] | None = None
     model: ToolModel | None = None
     """estimates unknown tool errors"""
-    counts: Mapping[Kind, int] | None = None
-    """targets by each protocol side by side; None: all by both"""
     ways: Ways | None = None
-    """to the first targets that are held"""
+    """to the targets; None: the nearest postures at once"""
     ledger: Ledger = field(default_factory=Ledger)
     measured: Driven | None = None
     """trials of one arm, driven before"""
@@ -162,8 +160,7 @@ class TrialRunner:
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}
         self._out: dict[str, str] = {}  # why a controller is not driven any further, or never took part
         self._kinds: tuple[Kind, ...] = ("hold",) if settings.block else KINDS  # a hold tells of the crossing as well
-        self._counts: dict[Kind, int] = dict(self.counts or dict.fromkeys(self._kinds, int(count)))
-        self._total = len(self.controllers) * sum(self._counts.values()) * sets * settings.repetitions
+        self._total = len(self.controllers) * len(self._kinds) * int(np.prod(self.shape))
         self._done, self._text = 0, ""
         self._sent: Array | None = None
         self._rng = np.random.default_rng(settings.seed)
@@ -198,8 +195,7 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        kinds = [kind for kind in KINDS if self._counts.get(kind)]
-        asked = [Key(name, kind, places) for name, kind in product(self.controllers, kinds)]
+        asked = [Key(name, kind, places) for name, kind in product(self.controllers, KINDS)]
         left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
         beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
         for key in asked:
@@ -318,7 +314,7 @@ class TrialRunner:
 
     def _drive(self, robot: Robot, key: Key) -> Result:
         name, kind, places, first = key
-        sets, part = [s for s, _ in places], slice(first, first + min(self._step, self._counts[kind]))
+        sets, part = [s for s, _ in places], slice(first, first + self._step)
         targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
         self._text, protocol = f"{name}: {kind} protocol", self.settings.protocol
 
@@ -352,8 +348,7 @@ class TrialRunner:
     ) -> Recording:
         controller = self.controllers[name](robot.arm)
         correction = self.correction(robot.arm) if self.correction and corrected else None
-        ways = self.ways if kind == "hold" else None
-        reference = TargetSequence(robot.arm, targets, ways=ways, turns=turns, correction=correction)
+        reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
         plan = schedule(
             kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=self.settings.wait
         )

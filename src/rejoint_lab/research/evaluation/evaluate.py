@@ -33,6 +33,7 @@ from rejoint.control.controllers.catalogue import (
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
+from rejoint.control.correction import NOT_KNOWN
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Guide, PathReference, Stream, standard_path
@@ -309,15 +310,11 @@ def _columns(found: Comparison) -> list[ResultColumn]:
         return columns
     return [
         *columns,
-        ResultColumn("expected by the calibration [mm]", lambda row: Cell(_expected(row))),
         ResultColumn(
-            "in its interval [%]", lambda row: share(hits(row.controller)) if row.settled_modelled else Cell("")
+            "expected by the calibration [mm]", lambda row: Cell((row.settled_modelled or NOT_KNOWN).millimetres)
         ),
+        ResultColumn("in its interval [%]", lambda row: share(hits(row.controller))),
     ]
-
-
-def _expected(row: ControllerRow) -> str:
-    return row.settled_modelled.millimetres if row.settled_modelled else ""
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:

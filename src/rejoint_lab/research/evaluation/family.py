@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +17,10 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.rotations import Orientation, rotation_about
 from rejoint.arms.workspace import length_size
-from rejoint.control.comparison.compare import Settings, TrialRunner
+from rejoint.control.comparison.compare import Ledger, Settings, TrialRunner
 from rejoint.control.comparison.protocols import metrics_of
-from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Driven, Protocol
+from rejoint.control.comparison.result import MODELLED, Columns, Key, Kind, Protocol, collect
 from rejoint.control.correction import Modelled
-from rejoint.control.recording import Recording
 from rejoint.control.reference import Ways, with_ways
 from rejoint.control.robot import ControlInput, Controller, Robot
 from rejoint.control.targets import draw_targets
@@ -204,34 +202,38 @@ def try_on(
     family: ArmFamily,
     targets: tuple[Array, Ways | None] | None = None,
     calibrations: Callable[[], Sequence[Calibration]] | None = None,
-    **kept: Any,  # noqa: ANN401 - ledger and progress of `TrialRunner`
+    *,
+    ledger: Ledger | None = None,
+    on_progress: Progress = no_progress,
 ) -> Columns:
     """Hold every arm at its targets, and run the crossing protocol; returns results (A, max(K, C)).
 
     ``opened`` puts all arms at rest. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or None, are the
-    family's by default. ``calibrations`` correct them, and model true errors.
+    family's by default. ``calibrations`` correct them, and model true errors. The ``ledger`` keeps finished trials.
     """
     places, ways = targets or (family_targets(arm, family), None)
-
-    def model(driven: Driven, recording: Recording) -> None:
-        if calibrations is not None and driven.key.kind == "hold":
+    ledger, protocol, arms = ledger or Ledger(), family.protocol, len(places)
+    counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
+    for kind, count in counts.items():
+        key = Key("", kind, tuple((a, 0) for a in range(arms)))
+        if not count or key in ledger.done:
+            continue
+        driven, recording = TrialRunner(
+            lambda *_: opened(),
+            {"": controller},
+            places[:, :count],
+            Settings(seed=family.seed, batched=True, wait=True, protocol=protocol),
+            ways=ways if kind == "hold" else None,
+            correction=None if calibrations is None else lambda _: OwnCorrections(calibrations()),
+            on_progress=part(on_progress, 0.5 * (kind == "crossing"), 1.0 + 0.5 * (kind == "crossing")),
+        ).drive_batch(key)  # which is half of a runner's work
+        if calibrations is not None and kind == "hold":
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
-            said = metrics_of(arm, blind, places[:, : family.targets], family.protocol, models=calibrations())
+            said = metrics_of(arm, blind, places[:, :count], protocol, models=calibrations())
             driven.columns.update({name: said[name] for name in MODELLED})
-
-    runner = TrialRunner(
-        lambda *_: opened(),
-        {"": controller},
-        places,
-        Settings(seed=family.seed, batched=True, wait=True, protocol=family.protocol),
-        counts={"hold": family.targets, "crossing": family.crossings},
-        ways=ways,
-        correction=None if calibrations is None else lambda _: OwnCorrections(calibrations()),
-        on_trial=model,
-        **kept,
-    )
-    found = runner.compare()
-    return {name: found.array(name, "")[:, 0] for name in (*METRICS, *family.protocol.stay_names)}
+        ledger.add(driven)
+    found = collect(ledger.done.values(), (arms, 1, places.shape[1]), protocol)
+    return {name: values[:, 0] for name, values in found.items()}
 
 
 class OwnCorrections(Modelled):
