@@ -316,7 +316,7 @@ class TrialRunner:
         name, kind, places, first = key
         sets, part = [s for s, _ in places], slice(first, first + self._step)
         targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
-        self._text, protocol = f"{name}: {kind} protocol", self.settings.protocol
+        self._text, settings = f"{name}: {kind} protocol", self.settings
 
         def see(cycle: Cycle) -> None:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
@@ -328,10 +328,11 @@ class TrialRunner:
             if stopped is None or not bad_command(stopped):
                 raise
             recording = stopped
-        if not self.settings.batched:
+        if not settings.batched:
             self._sent = recording.command[-1]
-        both = self.settings.block > 0
-        driven = measure(robot.arm, recording, targets, protocol, key, model=self.model, both=both)
+        driven = measure(
+            robot.arm, recording, targets, settings.protocol, key, model=self.model, both=settings.block > 0
+        )
         self.on_trial(driven, recording)
         return driven, recording
 

@@ -326,7 +326,7 @@ def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Pro
         part = slice(one.key.first, one.key.first + one.targets)
         for name, values in one.columns.items():
             for (s, r), row in zip(one.key.places, values, strict=True):
-                columns[name][s, r, part] = row
+                columns.setdefault(name, np.full(shape, np.nan))[s, r, part] = row
     return columns
 
 

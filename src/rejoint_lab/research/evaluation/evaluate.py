@@ -41,7 +41,7 @@ from rejoint.control.moving.reference import Path as MotionPath
 from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, command_for, home_of
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Controller
-from rejoint.control.start import move
+from rejoint.control.start import play
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -244,11 +244,13 @@ def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: Arm
     """Comparison of results (A, K) by controller and training seed, at ``targets`` (A, K, 3) [m]."""
     seeds, protocol = max(map(len, found.values())), family.protocol
 
-    def stacked(each: Sequence[Columns], key: str) -> Array:
-        missing = [np.full_like(each[0][key], np.nan)] * (seeds - len(each))
-        return np.stack([*(one[key] for one in each), *missing], axis=1)
+    keys = {key for each in found.values() for key in each[0]}
 
-    whole = {name: {key: stacked(each, key) for key in each[0]} for name, each in found.items()}
+    def stacked(each: Sequence[Columns], key: str) -> Array:
+        missing = np.full(targets.shape[:2], np.nan)
+        return np.stack([one.get(key, missing) for one in (*each, *[{}] * (seeds - len(each)))], axis=1)
+
+    whole = {name: {key: stacked(each, key) for key in keys} for name, each in found.items()}
     rows = tuple(row_of(name, columns, protocol) for name, columns in whole.items())
     return comparison_of(whole, targets, seed=family.seed, batched=True, protocol=protocol, rows=rows)
 
@@ -314,6 +316,7 @@ def _columns(found: Comparison) -> list[ResultColumn]:
             "expected by the calibration [mm]", lambda row: Cell((row.settled_modelled or NOT_KNOWN).millimetres)
         ),
         ResultColumn("in its interval [%]", lambda row: share(hits(row.controller))),
+        ResultColumn("corrected arms [%]", lambda row: share(found.array("used", row.controller))),
     ]
 
 
@@ -349,8 +352,8 @@ POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
 SIGMA = 5e-4
 """[m] noise of each measured coordinate (chosen: a vernier ruler)"""
-WAIT = 1.5
-"""[s] in a posture before measuring (chosen)"""
+SPEED, WAIT = 0.5, 1.5
+"""[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
 
 
 def evaluate_calibrations(
@@ -387,7 +390,7 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
     sent, found = robot.read().position, []
     for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
         for goal in (start, place):
-            came, sent = robot.read().position, move(robot, goal, sent=sent, settle=WAIT).command[-1]
+            came, sent = robot.read().position, _go(robot, sent, goal)
         last = [robot.step(sent).position for _ in range(8)]
         point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
         found.append((np.mean(last, axis=0), came, point))
@@ -397,6 +400,14 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
         Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
         for position, approach, point in each
     ]
+
+
+def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
+    """Bring all arms to ``goal`` (n,) [rad] and wait; returns the last command (B, n)."""
+    way = goal - sent
+    duration = float(np.abs(way).max()) / SPEED
+    recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
+    return recording.command[-1]
 
 
 RATE = 30.0

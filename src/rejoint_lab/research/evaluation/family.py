@@ -209,7 +209,8 @@ def try_on(
     """Hold every arm at its targets, and run the crossing protocol; returns results (A, max(K, C)).
 
     ``opened`` puts all arms at rest. ``targets`` (A, max(K, C), 3) [m], with ways to the first K or None, are the
-    family's by default. ``calibrations`` correct them, and model true errors. The ``ledger`` keeps finished trials.
+    family's by default. ``calibrations`` correct them, and model true errors; the column ``used`` says whether they do.
+    The ``ledger`` keeps finished trials.
     """
     places, ways = targets or (family_targets(arm, family), None)
     ledger, protocol, arms = ledger or Ledger(), family.protocol, len(places)
@@ -231,6 +232,7 @@ def try_on(
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
             said = metrics_of(arm, blind, places[:, :count], protocol, models=calibrations())
             driven.columns.update({name: said[name] for name in MODELLED})
+            driven.columns["used"] = np.repeat([[float(one.used)] for one in calibrations()], count, axis=1)
         ledger.add(driven)
     found = collect(ledger.done.values(), (arms, 1, places.shape[1]), protocol)
     return {name: values[:, 0] for name, values in found.items()}
