@@ -161,14 +161,14 @@ def measure_joints(data: ExcitationLog) -> tuple[JointMetrics, ...]:
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
-    half = None if law is None else law.fit.estimate(WIDTH)
+    half = None if law is None else law.estimate(WIDTH)
     effort = metrics.fit_effort(data, joint)
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
         hysteresis_rad=half and scaled(half, 2.0),
         coulomb_nm=k and half and friction_torque(k, half),
-        lag_s=None if law is None else law.fit.estimate(LAG),
+        lag_s=None if law is None else law.estimate(LAG),
         overshoot=metrics.overshoot(data, joint) if len(data.of_kind(STEP, joint)) >= FEWEST_STEPS else None,
         hunting_rad=metrics.hunting(data, joint),
         noise_rad=metrics.noise(data, joint)
@@ -178,7 +178,7 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
         stuck_rad=metrics.farthest_off(data, joint, law),
         coulomb_effort=None if effort is None else effort.estimate(WIDTH),
         viscous_effort=None if effort is None else effort.estimate(LAG),
-        offset_rad=None if law is None else scaled(law.fit.estimate(OFFSET), -1.0),
+        offset_rad=None if law is None else scaled(law.estimate(OFFSET), -1.0),
     )
 
 
@@ -205,7 +205,7 @@ def _stiffness(
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
     """Sag per gravity torque (n,) [rad/(N m)], and logarithm and sigma (n,) of stiffness; infinite if unknown."""
     laws = [fit_law(data, joint) for joint in range(data.arm.joints)]
-    softness = np.array([np.inf if law is None else float(law.fit.coefficients[SOFTNESS]) for law in laws])
+    softness = np.array([np.inf if law is None else float(law.coefficients[SOFTNESS]) for law in laws])
     ends = [(k.low, k.high) if k and k.low and k.high else (0.0, np.inf) for k in _known(data, laws)]
     low, high = np.log(np.maximum(ends, 1e-300)).T
     known = np.isfinite(high)
@@ -222,7 +222,7 @@ def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate
     """Stiffness by gravity; None if the sag does not follow the model, or its ends are ``ratio`` apart."""
     loaded = [law if law and law.torque_range >= LOADED * torque_size(arm) else None for law in laws]
     if arm.name in CATALOGUE:
-        return [_slope(law.fit, SAG, ratio) if law else None for law in loaded]
+        return [_slope(law, SAG, ratio) if law else None for law in loaded]
     value, sigma = _uncertain_masses(arm, loaded)
     told = [law is not None and law.follows >= FOLLOWS for law in loaded] & (2.0 * NORMAL95 * sigma < np.log(ratio))
     ends = np.exp(value + NORMAL95 * sigma * np.array([[0.0], [-1.0], [1.0]])).T.tolist()
@@ -264,7 +264,7 @@ def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Es
 
 def _inertia_ratio(law: Law) -> Estimate | None:
     """J/k [s^2], widened by the delay's error; None unless it is positive."""
-    ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
+    ratio, lag = law.estimate(INERTIA), float(law.coefficients[LAG])
     if ratio.value <= 0:
         return None
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
@@ -273,8 +273,8 @@ def _inertia_ratio(law: Law) -> Estimate | None:
 
 def _damping_ratio(law: Law) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
-    ratio = float(law.fit.coefficients[INERTIA])
-    return None if ratio <= 0 else scaled(law.fit.estimate(LAG), 0.5 / ratio**0.5)
+    ratio = float(law.coefficients[INERTIA])
+    return None if ratio <= 0 else scaled(law.estimate(LAG), 0.5 / ratio**0.5)
 
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:

@@ -195,10 +195,9 @@ LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Law:
+class Law(LinearFit):
     """Of one joint, N windows."""
 
-    fit: LinearFit
     torque_range: float
     """[N m] of gravity"""
     follows: float = 1.0
@@ -242,7 +241,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
     follows, moments = (1.0, None) if known else _shared(data, motion, joint)
-    return Law(fit=fit, torque_range=float(np.ptp(motion.gravity)), follows=follows, moments=moments)
+    return Law(**vars(fit), torque_range=float(np.ptp(motion.gravity)), follows=follows, moments=moments)
 
 
 def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
@@ -309,7 +308,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     """[rad] largest distance at rest that law and friction leave."""
-    _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.fit.coefficients
+    _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
     rests = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD, joint)]
     return max([0.0, *(abs(float(error[rows].mean())) - float(width) for rows in rests if len(rows))])
@@ -458,7 +457,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     found = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
     found = found.at(np.abs(found.acceleration) < _STEADY / length_size(data.arm))
     data.require(len(found.time) >= _MIN_WINDOWS, "steady moments", joint)
-    lag, half_width, _, _, offset, _ = law.fit.coefficients
+    lag, half_width, _, _, offset, _ = law.coefficients
     friction = stiffness * max(half_width, 0.0)
     demand = stiffness * (found.error[0] - offset - lag * found.speed)
     given = found.gravity + friction * found.direction
