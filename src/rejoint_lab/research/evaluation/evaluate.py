@@ -155,8 +155,6 @@ class Evaluation:
     """A comparison under each condition: arms are its target sets, seeds of a learner its repetitions."""
 
     family: ArmFamily
-    meanings: dict[str, str]
-    """of the variants, in words"""
     comparisons: dict[str, Comparison]
     """by variant; controllers without their training seeds"""
     ours: tuple[str, ...]
@@ -165,11 +163,12 @@ class Evaluation:
     @property
     def best(self) -> dict[str, str]:
         """Per variant, the rival that is soonest within the narrowest distance, else the nearest."""
-        rivals = {
-            variant: [row for row in found.rows if row.controller not in self.ours]
-            for variant, found in self.comparisons.items()
-        }
-        return {variant: min(rows, key=_late).controller for variant, rows in rivals.items() if rows}
+        found = {}
+        for variant, comparison in self.comparisons.items():
+            rivals = [row for row in comparison.rows if row.controller not in self.ours]
+            if rivals:
+                found[variant] = min(rivals, key=_late).controller
+        return found
 
     @property
     def pairs(self) -> list[Pair]:
@@ -226,7 +225,6 @@ def evaluate(
         comparisons[variant.name] = together(found, targets, family)
     result = Evaluation(
         family=family,
-        meanings={variant.name: variant.meaning for variant in variants},
         comparisons=comparisons,
         ours=tuple(dict.fromkeys(group_of(one.name) for one in contestants if one.ours)),
     )
