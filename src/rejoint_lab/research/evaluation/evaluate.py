@@ -368,7 +368,7 @@ def evaluate_calibrations(
     measured = cache(lambda arms: measure(open_family(arm, arms, family), suggestion, family.seed))
     calibrated = cache(lambda count, arms: [fit(arm, one.rows(np.arange(count))) for one in measured(arms)])
     places = {
-        replace(one, name=f"{one.name}, {where}", meaning=f"{one.meaning}, {where}", anywhere=anywhere, draw=1): one
+        replace(one, name=f"{one.name}, {where}", anywhere=anywhere, draw=1): one
         for one in conditions
         for where, anywhere in (("target region", False), ("anywhere", True))
     }

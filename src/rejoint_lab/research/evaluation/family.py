@@ -48,8 +48,6 @@ FAMILY_SIZE = 10_000
 class Variant:
     """A condition that a family of arms is tried under."""
 
-    meaning: str
-    """what differs from the arms that were trained for, in words"""
     name: str = ""
     """key of its table"""
     profile: str = "worn"
