@@ -16,7 +16,7 @@ from rejoint.control.robot import Robot
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.robots import open_robot
-from rejoint.training import presets
+from rejoint.training import task
 from rejoint.training.task import DEFAULT, PpoSettings, TaskSettings
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear
@@ -93,7 +93,7 @@ def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch)
     assert max(deployed.last["error_mm"]) < 5.0
     known = dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain)
     made_twin(ARM, known).save(folder.twin)
-    monkeypatch.setitem(presets.PRESETS, "default", SMALL)
+    monkeypatch.setitem(task.PRESETS, "default", SMALL)
     words = ("--run", folder.path, "--targets", points, "--controllers", "integrator,policy", "--json")
     assert cli("repair", ADDRESS, *words).last["recommended"]["controller"] in ("integrator", "policy")
     assert {row["controller"] for row in json.loads(folder.comparison.read_text())["rows"]} == {"integrator", "policy"}

@@ -284,10 +284,10 @@ def outside(found: Comparison, controller: str) -> Array:
 
 
 def inside(found: Mapping[str, Array]) -> Array:
-    """1 where a true error lies in the interval of the calibration, else 0; NaN where a hold was cut short."""
+    """1 where a true error lies in the interval of the calibration, else 0; NaN where either is not known."""
     error = found["settled_true"]
     hit = (error >= found["modelled_low"]) & (error <= found["modelled_high"])
-    return np.where(np.isfinite(error), hit, np.nan)
+    return np.where(np.isfinite(error + found["modelled_high"]), hit, np.nan)
 
 
 def _columns(found: Comparison) -> list[ResultColumn]:
