@@ -27,7 +27,7 @@ from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, position_k
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import metrics_of, schedule
-from rejoint.control.comparison.result import Columns, Protocol
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import Pace, dls_step, limit_position, null_space
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.loop import run
@@ -242,7 +242,7 @@ def tune(
 
 
 def candidate_costs(arm: Arm, ranges: Ranges, rival: Rival, gains: Gains, draw: tuple[int, int]) -> Array:
-    """Cost (P,) of ``gains`` (P,) on the same arms and targets, of seed and generation ``draw``."""
+    """Cost (P,) [s] of ``gains`` (P,) on the same arms and targets, of seed and generation ``draw``."""
     from rejoint.twin.simulation import TwinRobot
 
     count = len(np.atleast_1d(next(iter(gains.values()))))
@@ -252,11 +252,7 @@ def candidate_costs(arm: Arm, ranges: Ranges, rival: Rival, gains: Gains, draw: 
     robot = TwinRobot(arm, drawn, seed=draw[1], copies=count)
     controller = rival.make(arm, {name: np.repeat(value, ARMS)[:, None] for name, value in gains.items()})
     recording = run(robot, controller, targets, schedule("hold", PROTOCOL, keep_going=True))
-    return cost(metrics_of(arm, recording, targets, PROTOCOL)).reshape(count, -1).mean(axis=1)
-
-
-def cost(holds: Columns) -> Array:
-    """Cost (B, K) [s] of holds."""
+    holds = metrics_of(arm, recording, targets, PROTOCOL)
     late = np.nan_to_num(holds["stay_2mm"], nan=PROTOCOL.hold)
     error = np.minimum(np.nan_to_num(holds["settled"], nan=np.inf), FARTHEST)
-    return late + WEIGHT * 1e3 * error
+    return np.asarray((late + WEIGHT * 1e3 * error).reshape(count, -1).mean(axis=1))

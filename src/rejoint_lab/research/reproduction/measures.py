@@ -285,17 +285,13 @@ def measure_course(bench: Bench) -> Found:
         for key, name in (("reward", "reward"), ("steps", "time steps"))
     }
     bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
-    return {name: _range(values) for name, values in ends.items()} | {
+    return {name: f"{one.mean():.3g} ({one.min():.3g} to {one.max():.3g})" for name, one in ends.items()} | {
         "converged": f"{cycles[first]:.0f}" if first < len(cycles) else "never",
         "highest": cycles[np.argmax(other["reward"].mean(axis=0))],
         "apart": "yes" if better and ends["own_steps"].max() < ends["other_steps"].min() else "no",
         "every": bench.snapshot_every * PAPER.ppo.rollout,
         "judged": bench.judged,
     }
-
-
-def _range(values: Array) -> str:
-    return f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})"
 
 
 def course(bench: Bench, name: str, arms: str) -> Columns:
