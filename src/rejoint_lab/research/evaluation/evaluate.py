@@ -258,6 +258,7 @@ def pair(variant: str, found: Comparison, controller: str, rival: str) -> Pair:
     names = ("settled", "settled_true", *found.protocol.stay_names, "crossing_time")
     arrays = {name: [np.ma.masked_invalid(found.array(name, one)) for one in (controller, rival)] for name in names}
     means = {name: [array.mean(axis=1).filled(np.nan) for array in both] for name, both in arrays.items()}
+    means["cycle_time"] = [found.shape[-1] * one for one in means.pop("crossing_time")]
     arms = np.indices(means["settled"][0].shape)[0].ravel()
     worst = np.ma.masked_invalid(np.subtract(*means["settled_true"])).mean(axis=1).max()
     return Pair(
