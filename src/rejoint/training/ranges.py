@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.twin.parameters import STICTION, TwinParameters, nominal_parameters
+from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
 
@@ -94,10 +94,9 @@ class BroadRanges:
             ramp_speed=base.ramp_speed * rng.uniform(*self.ramp_speed, whole),
         )
         drawn = Draw(
-            twin=twin,
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
-            stiction=rng.uniform(*self.stiction, joints),
+            twin=replace(twin, stiction=rng.uniform(*self.stiction, joints)),
             acceleration=np.full(count, self.acceleration),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
@@ -148,10 +147,8 @@ class IdentifiedRanges:
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count)
-        share, acceleration, stiction = rng.uniform(*self.outward, count), np.full(count, np.inf), free.stiction
+        share, acceleration = rng.uniform(*self.outward, count), np.full(count, np.inf)
         twins = replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count))
-        if self.twin.stiction != STICTION:
-            stiction = np.full_like(stiction, self.twin.stiction)
         if self.twin.acceleration < np.inf:  # else nothing is drawn: other numbers stay what they were
             acceleration = self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
         return replace(
@@ -159,7 +156,6 @@ class IdentifiedRanges:
             twin=twins,
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
-            stiction=stiction,
             acceleration=acceleration,
         )
 

@@ -92,8 +92,6 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
-AT_REST = 0.3
-"""Sigma of the log ratio of friction at rest to that in motion; chosen: between the ratios that a fit tries"""
 STEP = 0.1
 """Finite-difference step of the logarithms; chosen"""
 
@@ -122,4 +120,3 @@ def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
         yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
         yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
-    yield replace(replay, stiction=replay.stiction * np.exp(STEP)), AT_REST
