@@ -55,7 +55,6 @@ from rejoint.twin.replay import (
     recorded_gain,
 )
 from rejoint.twin.structure import (
-    SELDOM,
     Structure,
     decide_compensation,
     drive_torque,
@@ -99,8 +98,6 @@ LEAST_CONTACT = 5.0
 
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
-SATURATED = 0.3
-"""Share of rows beyond a torque limit in which a weak joint looks like a stuck one; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -247,8 +244,8 @@ def fitted_twin(
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held, limit = largest_static_torque(replay.arm, replay.logs, parameters.coulomb), parameters.torque_limit
-    most, usual = drive_torque(problem, found.vector, (SELDOM, SATURATED))
-    identified[problem.layout.at("torque_limit")] &= (usual < limit) & (limit < most)
+    most = drive_torque(problem, found.vector)
+    identified[problem.layout.at("torque_limit")] &= limit < most
     shown = np.where(limit < most, held, np.maximum(held, most))
     lower = unpack(belief.lower, problem.joints)
     raised = np.clip(shown, lower.torque_limit, 0.99 * limit)

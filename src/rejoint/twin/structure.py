@@ -222,7 +222,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = drive_torque(problem, x)[0]
+        torque = drive_torque(problem, x)
         values = [np.log(share * torque) for share in _TORQUES]
     elif limit == "load_friction":
         values = [np.full(problem.joints, share) for share in _SHARES]
@@ -245,12 +245,12 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     return y, _losses(problem, y)
 
 
-def drive_torque(problem: Problem, x: Array, shares: Sequence[float] = (SELDOM,)) -> Array:
-    """(s, n) [N m] servo torque without limit, exceeded in each of the ``shares`` (s,) of the rows."""
+def drive_torque(problem: Problem, x: Array) -> Array:
+    """(n,) [N m] servo torque without limit, exceeded in `SELDOM` of the rows."""
     parameters = unpack(x, problem.joints)
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
     torque = parameters.stiffness * np.maximum(np.abs(lead), problem.floor)
-    return np.quantile(torque, 1.0 - np.array(shares), axis=0)
+    return np.quantile(torque, 1.0 - SELDOM, axis=0)
 
 
 def without(belief: Prior, names: Sequence[str]) -> Prior:
