@@ -116,15 +116,6 @@ def test_a_single_joint_by_hand():
     assert np.allclose(behind.tool(rod, np.zeros(1)), [0.2 * np.cos(drop), 0.0, -0.2 * np.sin(drop)], atol=1e-9)
 
 
-def test_a_floating_joint_runs_ahead_of_its_last_motion_and_a_loaded_one_does_not():
-    behind = replace(worn(), carry=np.full(6, 0.5))
-    q = postures(3)
-    up = behind.joints(ARM, q, q - 0.2) - behind.joints(ARM, q)
-    assert np.allclose(up[:, 0], 0.25 * behind.play[0])
-    assert np.abs(up[:, 1:4]).max() < 1e-9
-    assert np.allclose(behind.joints(ARM, q, np.full(q.shape, np.nan)), behind.joints(ARM, q))
-
-
 @pytest.mark.parametrize(("count", "most"), [(5, 1.2e-3), (10, 1.0e-3), (20, 0.7e-3)])
 def test_a_fit_finds_the_displacement_that_was_put_in(count, most):
     errors = []
