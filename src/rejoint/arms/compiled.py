@@ -73,17 +73,14 @@ def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
 
 @compiled(void(IN3, IN2, IN2, IN2, OUT4))
 def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): the first r rows of the frames of joints and TCP.
-
-    ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
-    """
+    """Fill ``poses`` (n + 1, 3, 4, B) of joints and TCP; ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` (n, B)."""
     steps = _steps(terms, tip, sine, cosine)
-    _, rows, _, postures = poses.shape
-    for e in range(4 * rows):
+    postures = poses.shape[3]
+    for e in range(12):
         for b in range(postures):
             poses[0, e // 4, e % 4, b] = steps[0, e, b]
     for i in range(1, len(steps)):
-        for r in range(rows):
+        for r in range(3):
             for k in range(4):
                 for b in range(postures):
                     value = poses[i - 1, r, 0, b] * steps[i, k, b]
@@ -108,14 +105,6 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
                 columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
 
 
-@compiled(OUT3(CHAIN, IN1))
-def place(chain, q):  # noqa: ANN001, ANN201
-    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
-    poses = np.empty((len(q) + 1, 3, 4, 1))
-    fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
-    return poses.reshape(poses.shape[:3])
-
-
 @inner
 def dot(row, vector):  # noqa: ANN001, ANN201
     """Scalar product with the beginning of a ``row``."""
@@ -123,6 +112,40 @@ def dot(row, vector):  # noqa: ANN001, ANN201
     for i in range(len(vector)):
         total += row[i] * vector[i]
     return total
+
+
+@inner
+def _cross(a, b):  # noqa: ANN001, ANN202
+    out = np.empty(3)
+    for r in range(3):
+        out[r] = a[r - 2] * b[r - 1] - a[r - 1] * b[r - 2]
+    return out
+
+
+@compiled(void(CHAIN, IN4, IN1, OUT2))
+def fill_torques(chain, poses, gravity, torques):  # noqa: ANN001, ANN201
+    """Fill ``torques`` (B, n) [N m] that hold ``poses`` (n + 1, 3, 4, B) against ``gravity`` (3,) [m/s^2]."""
+    postures, joints = torques.shape
+    axis, lever, moment = np.empty(3), np.empty(3), np.empty(3)
+    for b in range(postures):
+        mass = 0.0
+        moment[:] = 0.0
+        for i in range(joints - 1, -1, -1):
+            mass += chain.mass[i]
+            for r in range(3):
+                row = poses[i, r, :, b]  # axis, and moment of all that hangs on the joint
+                axis[r] = dot(row, chain.axes[i])
+                moment[r] += chain.mass[i] * (dot(row, chain.com[i]) + row[3])
+                lever[r] = moment[r] - mass * row[3]
+            torques[b, i] = -dot(_cross(axis, lever), gravity)
+
+
+@compiled(OUT3(CHAIN, IN1))
+def place(chain, q):  # noqa: ANN001, ANN201
+    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
+    poses = np.empty((len(q) + 1, 3, 4, 1))
+    fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
+    return poses.reshape(poses.shape[:3])
 
 
 @inner
@@ -147,14 +170,6 @@ def largest(vector):  # noqa: ANN001, ANN201
 def _clip(q, limits):  # noqa: ANN001, ANN202
     for i in range(len(q)):
         q[i] = min(max(q[i], limits[0, i]), limits[1, i])
-
-
-@inner
-def _cross(a, b):  # noqa: ANN001, ANN202
-    out = np.empty(3)
-    for r in range(3):
-        out[r] = a[r - 2] * b[r - 1] - a[r - 1] * b[r - 2]
-    return out
 
 
 @compiled(OUT1(IN1, IN2))
