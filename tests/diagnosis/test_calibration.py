@@ -51,7 +51,6 @@ def measured(truth, count, *, seed=0, noise=SIGMA):
     point = tcp_position(truth.moved(ARM), links) + rng.normal(0.0, noise, (count, 3))
     return Measurements(
         position=q,
-        approach=np.full((count, 6), np.nan),
         point=point,
         sigma=np.full(count, noise),
         posture=np.arange(count),

@@ -1,7 +1,6 @@
 """An image sequence: pictures of a board in many postures of one arm, with encoder readings, and what they tell.
 
-Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``approach.JOINT_deg``,
-``posture``.
+Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``posture``.
 
 OpenCV finds the lens and the poses of the board; one fit refines them with the arm's displacement. Views that do not
 fit are left out; a bent board is refused: it makes focal lengths wrong.
@@ -46,8 +45,6 @@ class Shot:
     """in the plan, from 1"""
     position: Array
     """(n,) [rad] by encoders"""
-    approach: Array
-    """(n,) [rad] before the last motion; NaN where unknown"""
     posture: int
     """shots of the same number visit one posture from different sides"""
     seen: BoardView | Unusable
@@ -110,7 +107,7 @@ class Film:
                 f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
                 f"{why and f' ({why})'}"
             )
-        position, approach = positions(shots, arm)
+        position = positions(shots, arm)
         lens = first_lens(self.size, board, views)
         placed = [place(lens, board.corners[view.number], view.pixel) for view in views]
         sights = np.array([one.pose for one in placed])
@@ -149,7 +146,6 @@ class Film:
         problem, fitted = likeliest(problem, beliefs_of(arm, problem.posture, prior, outside))
         measured = Measurements(
             position=problem.position,
-            approach=approach[good],
             point=problem.tool(fitted.vector)[:, :3, 3],
             sigma=point_sigma(problem.spread),
             posture=problem.posture,
@@ -174,11 +170,9 @@ class Film:
         write_rig(folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
 
 
-def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Positions and approaches (V, n) [rad] of shots."""
-    shape = (-1, arm.joints)
-    position, approach = ([getattr(shot, name) for shot in shots] for name in ("position", "approach"))
-    return np.array(position).reshape(shape), np.array(approach).reshape(shape)
+def positions(shots: tuple[Shot, ...], arm: Arm) -> Array:
+    """Positions (V, n) [rad] of shots."""
+    return np.array([shot.position for shot in shots]).reshape(-1, arm.joints)
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
@@ -187,9 +181,8 @@ def write_postures(path: Path, arm: Arm, film: Film) -> None:
         "picture": [shot.name for shot in film.shots],
         "posture": [shot.posture for shot in film.shots],
     }
-    for names, rows in zip(joint_columns(arm), positions(film.shots, arm), strict=True):
-        columns |= {f"{name}_deg": np.degrees(row) for name, row in zip(names, rows.T, strict=True)}
-    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    angles = np.degrees(positions(film.shots, arm).T)
+    table = pa.table(columns | {f"{name}_deg": row for name, row in zip(joint_columns(arm), angles, strict=True)})
     write_whole(path, lambda temporary: pc.write_csv(table, temporary))
 
 
@@ -216,26 +209,24 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
 
 
 def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
-    joints, came = joint_columns(arm)
+    joints = joint_columns(arm)
     remedy = "write one line for each picture"
-    meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}
+    meanings = {"picture": None, **dict.fromkeys(joints, ANGLES), "posture": COUNT}
     if not path.exists():
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
     found, lines = read_columns(path, meanings, ["picture", *joints], joints, most=SHEET_MOST)
-    empty = np.full(len(lines), np.nan)
-    position, approach = (np.array([found.get(name, empty) for name in names]).T for names in (joints, came))
+    position = np.array([found[name] for name in joints]).T
     require_degrees(path, position)
     rows = {Path(word).name: row for row, word in enumerate(found["picture"])}
     if len(rows) < len(lines):
         raise FileError(path, "two lines name the same picture", "leave one line out")
     if without := [name for name in pictures if name not in rows]:
         raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
-    place = found.get("posture", empty)
+    place = found.get("posture", np.full(len(lines), np.nan))
     return [
         Shot(
             number=number,
             position=position[rows[name]],
-            approach=approach[rows[name]],
             posture=int(np.nan_to_num(place[rows[name]], nan=number)),
             seen=Unusable(name, ""),
         )

@@ -203,11 +203,11 @@ class _Shooting:
         if any(shot.number == number for shot in self.film.usable):
             return
         self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
-        position, approach = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
+        position = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
         picture = self.camera.still(number)
         check()
         seen = self.detector.find(f"view-{number:03}.png", picture)
-        shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
+        shot = Shot(number=number, position=position, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:
             data = cv2.imencode(".png", picture)[1].tobytes()
@@ -231,4 +231,4 @@ def believed_rig(arm: Arm, scouted: Film) -> Rig:
         )
     lens = first_lens(scouted.size, scouted.board, scouted.views)
     sights = [place(lens, scouted.board.corners[view.number], view.pixel).pose for view in scouted.views]
-    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], np.array(sights))
+    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm), np.array(sights))

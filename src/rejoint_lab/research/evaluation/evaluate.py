@@ -412,16 +412,13 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
     sent, found = robot.read().position, []
     for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
         for goal in (start, place):
-            came, sent = robot.read().position, _go(robot, sent, goal)
+            sent = _go(robot, sent, goal)
         last = [robot.step(sent).position for _ in range(8)]
         point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
-        found.append((np.mean(last, axis=0), came, point))
+        found.append((np.mean(last, axis=0), point))
     sigma, posture = np.full(len(found), SIGMA), suggestion.posture
     each = zip(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)), strict=True)
-    return [
-        Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
-        for position, approach, point in each
-    ]
+    return [Measurements(position=position, point=point, sigma=sigma, posture=posture) for position, point in each]
 
 
 def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
