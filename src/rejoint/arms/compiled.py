@@ -89,22 +89,6 @@ def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
                     poses[i, r, k, b] = value
 
 
-@compiled(void(IN2, IN4, OUT3))
-def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
-    """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
-    _, joints, postures = columns.shape
-    axis, lever = np.empty(3), np.empty(3)
-    for i in range(joints):
-        for b in range(postures):
-            for r in range(3):
-                pose = poses[i, r]
-                axis[r] = axes[i, 0] * pose[0, b] + axes[i, 1] * pose[1, b] + axes[i, 2] * pose[2, b]
-                lever[r] = poses[joints, r, 3, b] - pose[3, b]
-            for r in range(3):
-                after, last = (r + 1) % 3, (r + 2) % 3
-                columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
-
-
 @inner
 def dot(row, vector):  # noqa: ANN001, ANN201
     """Scalar product with the beginning of a ``row``."""
@@ -116,10 +100,20 @@ def dot(row, vector):  # noqa: ANN001, ANN201
 
 @inner
 def _cross(a, b):  # noqa: ANN001, ANN202
-    out = np.empty(3)
-    for r in range(3):
-        out[r] = a[r - 2] * b[r - 1] - a[r - 1] * b[r - 2]
-    return out
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled(void(IN2, IN4, OUT3))
+def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
+    """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
+    _, joints, postures = columns.shape
+    axis, lever = np.empty(3), np.empty(3)
+    for i in range(joints):
+        for b in range(postures):
+            for r in range(3):
+                axis[r] = dot(poses[i, r, :, b], axes[i])
+                lever[r] = poses[joints, r, 3, b] - poses[i, r, 3, b]
+            columns[0, i, b], columns[1, i, b], columns[2, i, b] = _cross(axis, lever)
 
 
 @compiled(void(CHAIN, IN4, IN1, OUT2))
@@ -191,8 +185,8 @@ def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
         half[most] += 1.0
     else:
         now, own = _times(frame, goal[12:15]), _times(wanted, goal[12:15])
-        vector, cosine = _cross(now, own), dot(now, own)
-        half = _cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1])
+        vector, cosine = np.array(_cross(now, own)), dot(now, own)
+        half = np.array(_cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1]))
     sine = np.sqrt(dot(vector, vector))
     if sine > 1e-9:
         return vector * (np.arctan2(sine, cosine) / sine)
@@ -281,39 +275,38 @@ def solve_all(chain, goals, q, pull, rounds, tolerance, missed):  # noqa: ANN001
         missed[b] = solve(chain, goals[b], q[b], chain.limits, pull, rounds, tolerance)
 
 
+@inner
+def _from_to(ends, i, j):  # noqa: ANN001, ANN202
+    return ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1], ends[j, 2] - ends[i, 2]
+
+
 @compiled(float64(IN2, int64, int64))
 def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     """Distance between the axes of links i and j; ``ends`` (n + 2, 3)."""
-    a = e = b = c = f = 0.0
-    for r in range(3):
-        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
-        apart = ends[i, r] - ends[j, r]
-        a, e, b = a + along * along, e + across * across, b + along * across
-        c, f = c + along * apart, f + across * apart
+    along, across, apart = _from_to(ends, i, i + 1), _from_to(ends, j, j + 1), _from_to(ends, j, i)
+    a, e, b = dot(along, along), dot(across, across), dot(along, across)
+    c, f = dot(along, apart), dot(across, apart)
     under = a * e - b * b
     s = min(max((b * f - c * e) / under, 0.0), 1.0) if under > POINT else 0.0
     t = min(max((b * s + f) / e, 0.0), 1.0) if e > POINT else 0.0
     s = min(max((b * t - c) / a, 0.0), 1.0) if a > POINT else 0.0
     square = 0.0
     for r in range(3):
-        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
-        gap = ends[i, r] - ends[j, r] + s * along - t * across
-        square += gap * gap
+        square += (apart[r] + s * along[r] - t * across[r]) ** 2
     return np.sqrt(square)
 
 
 @compiled(float64(IN2, int64, IN1))
 def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3). Halves the convex function."""
-    low, high, square = 0.0, 1.0, 0.0
+    low, high, square, along = 0.0, 1.0, 0.0, _from_to(ends, link, link + 1)
     for k in range(HALVINGS + 2):
         t = 0.0 if k == 0 else 1.0 if k == 1 else 0.5 * (low + high)
         slope = square = 0.0
         for r in range(3):
-            along = ends[link + 1, r] - ends[link, r]
-            place = ends[link, r] + t * along
+            place = ends[link, r] + t * along[r]
             gap = max(place - box[3 + r], 0.0) - max(box[r] - place, 0.0)
-            slope, square = slope + along * gap, square + gap * gap
+            slope, square = slope + along[r] * gap, square + gap * gap
         if slope < 0.0:
             low = t
         else:

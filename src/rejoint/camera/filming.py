@@ -27,7 +27,7 @@ from rejoint.camera.film import (
 )
 from rejoint.camera.rig import TERMS, Rig, place
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.parameters import belief
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
@@ -60,9 +60,8 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
     own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
-    problem = film_problem(own, arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)))
-    expected = rig.sight(problem.displacement(own.mean).tool_pose(arm, candidates))
-    problem = film_problem(own, arm, rig, candidates, expected)
+    expected = displacement_of(DisplacementLayout(joints=arm.joints), own.mean).tool_pose(arm, candidates)
+    problem = film_problem(own, arm, rig, candidates, rig.sight(expected))
     slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
     variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]
     variance[problem.layout.body :] = _LOOK**2

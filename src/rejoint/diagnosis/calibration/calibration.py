@@ -82,10 +82,6 @@ class Calibration(Readable):
         """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad]."""
         return self.displacement.tool(self.arm, position)
 
-    def shift(self, position: Array) -> Array:
-        """Displacement (..., 3) [m] of the tool from the encoders'."""
-        return self.tool(position) - tcp_position(self.arm, position)
-
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`: draws of the parameters, play of floating joints, and the floor."""
         own, layout = np.random.default_rng(0), self.layout

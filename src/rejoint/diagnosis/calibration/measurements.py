@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,28 +120,19 @@ SHEET_MOST = 4 * MEGABYTE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ArmRecord:
-    """What a JSON file of one arm begins with."""
+class MeasurementFile:
+    """Content of a file of measurements."""
 
     arm: str
     joints: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeasurementFile(ArmRecord):
-    """Content of a file of measurements."""
-
     measured: Measurements
     session: MeasuringSession | None = None
     """None: it is complete"""
 
 
-T = TypeVar("T", bound=ArmRecord)
-
-
-def read_for(path: Path, arm: Arm, kind: type[T]) -> T:
+def _of(path: Path, arm: Arm) -> MeasurementFile:
     """Read a JSON file of ``arm``; FileError for another one's."""
-    found = read_json(path, kind)
+    found = read_json(path, MeasurementFile)
     if (found.arm, found.joints) != (arm.name, arm.joint_names):
         raise FileError(path, f"of arm {found.arm}, expected {arm.name}", "name the right arm")
     return found
@@ -154,14 +145,14 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
     """Read interrupted measurements and progress; None if complete."""
-    found = read_for(path, arm, MeasurementFile)
+    found = _of(path, arm)
     return None if found.session is None else (found.measured, found.session)
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base") -> Measurements:
     """Read JSON, or text with columns, measured in ``frame``; FileError if unusable."""
     if path.suffix.lower() == ".json":
-        return read_for(path, arm, MeasurementFile).measured
+        return _of(path, arm).measured
     return _from_csv(path, arm, frame)
 
 

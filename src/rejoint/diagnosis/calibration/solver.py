@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 from scipy.special import chdtri
 
 from rejoint.arms import Arm, Array, Displacement, Mask
@@ -87,8 +87,7 @@ class ToolProblem:
     @property
     def layout(self) -> DisplacementLayout:
         """Places in the vector."""
-        body = DisplacementLayout(joints=self.arm.joints)
-        return replace(body, outside=len(self.belief.mean) - body.size)
+        return DisplacementLayout(joints=self.arm.joints)
 
     def rows(self, where: Mask) -> ToolProblem:
         """Problem of some rows."""
@@ -120,13 +119,9 @@ class ToolProblem:
         predicted, slope = linearised(self.arm, self.layout, vector, self.position)
         by_arm = np.where(self.known[..., None], back @ slope, 0.0)
 
-        def device(outside: Array) -> Array:
-            return self._misfit(np.append(vector[:body], outside), predicted).ravel()
-
-        by_device = (
-            approx_fprime(vector[body:], device, _STEP) if self.layout.outside else np.zeros((by_arm[..., 0].size, 0))
-        )
-        return np.concatenate([by_arm, by_device.reshape(*by_arm.shape[:2], by_device.shape[-1])], axis=-1)
+        here, steps = self._misfit(vector, predicted), _STEP * np.eye(len(vector))[body:]
+        by_device = [(self._misfit(vector + step, predicted) - here)[..., None] / _STEP for step in steps]
+        return np.concatenate([by_arm, *by_device], axis=-1)
 
     def _misfit(self, vector: Array, predicted: Array) -> Array:
         off = difference(inverse(self.outside(vector)[0]) @ predicted, self.tool(vector))
@@ -150,7 +145,7 @@ class ToolProblem:
         """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
-        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))[body]
+        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
         rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
