@@ -77,8 +77,8 @@ def test_derivatives_are_finite_differences(tilt):
     vector[layout.at("tilt")] = tilt
     tool, slope = linearised(ARM, layout, vector, q)
     np.testing.assert_allclose(tool, displacement_of(layout, vector).tool_pose(ARM, q), atol=1e-12)
-    for k in range(layout.size):
-        step = 1e-6 * np.eye(layout.size)[k]
+    for k in range(layout.body):
+        step = 1e-6 * np.eye(layout.body)[k]
         ends = [displacement_of(layout, vector + sign * step).tool_pose(ARM, q) for sign in (1.0, -1.0)]
         assert np.allclose(difference(*ends) / 2e-6, slope[..., k], atol=1e-4), layout.names()[k]
 

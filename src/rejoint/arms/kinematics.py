@@ -154,8 +154,6 @@ class Solution:
 
     q: Array
     """(..., n) [rad] within the joint limits"""
-    error: Array
-    """(...) [m] TCP"""
     converged: Mask
     """(...) error, and wanted orientation, within tolerance"""
 
@@ -207,6 +205,4 @@ def solve_position(
     q = np.array(np.broadcast_to(start, (*shape, arm.joints)), dtype=float, order="C").reshape(-1, arm.joints)
     goals, missed = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17), np.empty(len(q))
     compiled.solve_all(chain_of(arm), goals, q, rest_gain, iterations, tolerance, missed)
-    q = q.reshape(*shape, arm.joints)
-    error = np.linalg.norm(target - tcp_position(arm, q), axis=-1)
-    return Solution(q=q, error=error, converged=(missed < tolerance).reshape(shape) & np.isfinite(error))
+    return Solution(q=q.reshape(*shape, arm.joints), converged=(missed < tolerance).reshape(shape))

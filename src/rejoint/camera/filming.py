@@ -48,12 +48,12 @@ _AROUND = 0.04  # [m] around the region of targets in which the tool stays (chos
 _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
 
 
-def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board: D-optimal.
 
-    D-optimal. InputError for too few views.
+    InputError for too few views.
     """
-    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed)
     if len(candidates) < count:
         raise InputError(
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
@@ -75,9 +75,9 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     return candidates[chosen]
 
 
-def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
+def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
     """Choose postures (count, n) [rad] about rest, far apart."""
-    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried])
     if len(drawn) < count:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
@@ -90,11 +90,9 @@ def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Arra
     return np.array(chosen)
 
 
-def seen_postures(
-    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
-) -> Array:
-    """Draw up to ``count`` free postures (C, n) [rad] about rest that a ``rig`` shows."""
-    rng, room = np.random.default_rng(seed), _ROOM + before
+def seen_postures(arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD) -> Array:
+    """Draw up to ``count`` postures (C, n) [rad] about rest that a ``rig`` shows, free from `BEFORE` on either side."""
+    rng, room = np.random.default_rng(seed), _ROOM + BEFORE
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found = np.zeros((0, arm.joints))
     for _ in range(_TRIES):
@@ -104,7 +102,7 @@ def seen_postures(
         tool = tcp_position(arm, drawn)
         drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
-        for away in (0.0, before, -before) if before else (0.0,):
+        for away in (0.0, BEFORE, -BEFORE):
             drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
             drawn = drawn[~collides(arm, drawn - away)]
         found = np.concatenate([found, drawn])
@@ -189,10 +187,10 @@ class _Shooting:
 
     def take(self, count: int, visits: int) -> Film:
         arm = self.drive.robot.arm
-        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS), start=1):
             self._shoot(number, posture, number - 1)
         scouted = replace(self.film, shots=tuple(shot for shot in self.film.shots if shot.number <= SCOUTS))
-        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count, before=BEFORE), visits, axis=0)
+        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count), visits, axis=0)
         for row, posture in enumerate(chosen):
             self._shoot(SCOUTS + 1 + row, posture, SCOUTS + row // visits)
         self.drive.rest()

@@ -86,11 +86,6 @@ class Lens:
         by_pose = np.concatenate([slope[:, 3:6], slope[:, :3]], axis=1)
         return pixel[:, 0], by_pose, np.concatenate([slope[:, 6:7] + slope[:, 7:8], slope[:, 8:14]], axis=1)
 
-    def shows(self, pixel: Array, margin: float = 0.0) -> Array:
-        """Which pixels (..., 2) are ``margin`` [px] inside the image."""
-        size = np.array([self.width, self.height]) - 1.0
-        return np.asarray(((pixel >= margin) & (pixel <= size - margin)).all(axis=-1))
-
 
 class Placed(NamedTuple):
     """A board before a camera."""
@@ -132,6 +127,8 @@ def _placed(lens: Lens, corners: Array, pixel: Array, turn: Array, shift: Array)
 
 
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
+EDGE, STEEPEST = 20.0, np.radians(55.0)
+"""[px] of a shown board from the edge of the picture, and most [rad] between line of sight and normal; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,18 +161,16 @@ class Rig:
         between = inverse(self.standing) @ tool @ self.mounted
         return between if self.carried == "board" else inverse(between)
 
-    def shows(self, tool: Array, margin: float = 20.0, steepest: float = np.radians(55.0)) -> Array:
-        """Whether the whole board is visible at ``tool`` (..., 4, 4).
-
-        ``margin`` [px] to the edge; ``steepest`` [rad] between line of sight and normal.
-        """
+    def shows(self, tool: Array) -> Array:
+        """Whether the whole board is visible at ``tool`` (..., 4, 4)."""
         pose = self.sight(tool)
         outline = np.einsum("...ij,cj->...ci", pose[..., :3, :3], self.board.outline) + pose[..., None, :3, 3]
         middle = outline.mean(axis=-2)
         facing = (pose[..., :3, 2] * middle).sum(axis=-1) / np.linalg.norm(middle, axis=-1)
         ahead = (outline[..., 2] > 0.05).all(axis=-1)
         pixel = self.lens.project(np.where(ahead[..., None, None], outline, [0.0, 0.0, 1.0]))
-        return ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1)
+        most = [self.lens.width - 1.0 - EDGE, self.lens.height - 1.0 - EDGE]
+        return ahead & (facing > np.cos(STEEPEST)) & ((pixel >= EDGE) & (pixel <= most)).all(axis=(-2, -1))
 
 
 def point_sigma(spread: Array) -> Array:

@@ -22,7 +22,7 @@ def calibration(sigma=1e-9, arm=ARM, **values):
     return Calibration(
         arm=arm,
         displacement=found,
-        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).size),
+        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).body),
         frame=np.eye(4),
         frame_name="base",
         source="touch",
