@@ -200,7 +200,7 @@ class _Shooting:
         if any(shot.number == number for shot in self.film.usable):
             return
         self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
-        position = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
+        position = self.drive.stand(posture, number - 1)
         picture = self.camera.still(number)
         check()
         seen = self.detector.find(f"view-{number:03}.png", picture)
