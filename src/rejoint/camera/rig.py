@@ -16,7 +16,7 @@ from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation
 from rejoint.camera.board import Board
 from rejoint.diagnosis.calibration.calibration import finite
 from rejoint.system.errors import ContractError
-from rejoint.system.files import read_sealed, write_sealed
+from rejoint.system.files import array_of, read_sealed, write_sealed
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
@@ -199,8 +199,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
-        poses = {name: finite(data[name], (4, 4)) for name in ("standing", "mounted")}
-        lens, board = msgspec.convert(data["lens"], Lens), msgspec.convert(data["board"], Board)
-        return Rig(lens=lens, board=board, carried=str(data["carried"]), **poses)
+        rig = msgspec.convert(data, Rig, dec_hook=array_of)
+        finite(rig.tool(np.eye(4)), (4, 4))
+        return rig
 
     return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -207,8 +207,8 @@ covariance: of the parameters of the displacement in this order: mass less one, 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration, atomically."""
     own = calibration
-    told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
-    told |= {"geometry": geometry_of(own.arm), "order": own.layout.names()}
+    told = {"format": FORMAT, **vars(own), "arm": own.arm.name, "geometry": geometry_of(own.arm)}
+    told["order"] = own.layout.names()
     write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
 
 

@@ -121,7 +121,7 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
         )
     if not np.isfinite(measurements.point).any():
         raise InputError("measurements: no coordinate was measured; expected at least one")
-    measurements, foreign, none = merge_repeats(measurements), measurements.frame != "base", np.zeros((6, 0))
+    measurements, foreign = merge_repeats(measurements), measurements.frame != "base"
     seen = np.tile(np.eye(4), (len(measurements), 1, 1))
     seen[:, :3, 3] = np.nan_to_num(measurements.point)
     beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
@@ -129,7 +129,7 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
         arm=arm,
         belief=beliefs[0][0],
         seen=seen,
-        by_lens=np.tile(none, (len(seen), 1, 1)),
+        by_lens=np.zeros((len(seen), 6, 0)),
         known=np.isfinite(np.pad(measurements.point, ((0, 0), (0, 3)), constant_values=np.nan)),
         spread=measurements.sigma[:, None, None] ** 2 * np.eye(6),
         position=measurements.position,
@@ -153,14 +153,13 @@ def beliefs_of(
 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
-    base, layout = belief(arm, PriorCase(), outside), DisplacementLayout(joints=arm.joints)
-    body, links = slice(0, layout.body), layout.at("twist")
-    mean, precision, lower, upper = (getattr(base, name).copy() for name in ("mean", "precision", "lower", "upper"))
-    mean[body] = vector_of(layout, prior.displacement)
-    if prior.displacement.twist.any():
-        lower[links], upper[links] = -np.inf, np.inf
-    precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(1.0 / np.diag(base.precision)[body]))
-    return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
+    layout = DisplacementLayout(joints=arm.joints)
+    body, links = slice(0, layout.body), prior.displacement.twist.any()
+    found = belief(arm, PriorCase(twist=1.0 if links else 0.0), outside)
+    usual = 1.0 / np.diag(belief(arm, PriorCase()).precision)
+    found.mean[body] = vector_of(layout, prior.displacement)
+    found.precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(usual))
+    return found
 
 
 def likeliest(problem: ToolProblem, beliefs: list[tuple[Belief, float]]) -> tuple[ToolProblem, Fitted]:
