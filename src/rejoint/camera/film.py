@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
-from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma, write_rig
+from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
 from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
@@ -95,28 +95,32 @@ class Film:
         """Views of the usable shots."""
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
+    def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
+        """Lens, camera and board as flat boards and the encoders have them, and the board in each usable shot."""
+        lens = first_lens(self.size or (0, 0), self.board, self.views)
+        placed = [place(lens, self.board, view) for view in self.views]
+        sights = np.array([one.pose for one in placed])
+        return first_rig(arm, lens, self.board, self.carried, positions(self.usable, arm), sights), placed
+
     def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
         """Fit lens, camera, board and displacement, tested on views left out.
 
         ``prior``: an earlier calibration. InputError for too few views that fit, or a bent board.
         """
         shots, views, board = self.usable, self.views, self.board
-        if self.size is None or len(shots) < FEWEST:
+        if len(shots) < FEWEST:
             why = "; ".join(f"{one.name}: {one.why}" for one in self.unusable[:3])
             raise InputError(
                 f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
                 f"{why and f' ({why})'}"
             )
-        position = positions(shots, arm)
-        lens = first_lens(self.size, board, views)
-        placed = [place(lens, board.corners[view.number], view.pixel) for view in views]
+        rig, placed = self.located(arm)
         sights = np.array([one.pose for one in placed])
-        rig = first_rig(arm, lens, board, self.carried, position, sights)
-        by_lens, told = _lens_ties(lens, board, views, sights)
+        by_lens, told = _lens_ties(rig.lens, board, views, sights)
         outside = with_lens(told)
         own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
         problem = replace(
-            film_problem(own, arm, rig, position, sights),
+            film_problem(own, arm, rig, positions(shots, arm), sights),
             by_lens=by_lens,
             spread=rig.spread(sights, np.array([one.covariance for one in placed])),
             posture=np.array([shot.posture for shot in shots], dtype=np.int64),
@@ -437,10 +441,7 @@ def _judged(
 ) -> tuple[ToolProblem, list[Residual], list[str]]:
     """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
     told = rig_of(problem, rig, vector).sight(problem.displacement(vector).tool_pose(problem.arm, problem.position))
-    placed = [
-        place(rig.lens, rig.board.corners[view.number], view.pixel, near)
-        for view, near in zip(views, told, strict=True)
-    ]
+    placed = [place(rig.lens, rig.board, view, near) for view, near in zip(views, told, strict=True)]
     sights = np.array([one.pose for one in placed])
     problem = replace(problem, seen=inverse(sights) if problem.inverted else sights)
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))

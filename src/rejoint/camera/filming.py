@@ -18,14 +18,11 @@ from rejoint.camera.film import (
     Film,
     Shot,
     film_problem,
-    first_lens,
-    first_rig,
-    positions,
     read_folder,
     with_lens,
     write_postures,
 )
-from rejoint.camera.rig import TERMS, Rig, place
+from rejoint.camera.rig import TERMS, Rig
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
@@ -219,13 +216,10 @@ class _Shooting:
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:
     """Locate camera and board by pictures about rest; InputError on failure."""
-    shots = scouted.usable
-    if len(shots) < FEWEST_SCOUTS or scouted.size is None:
+    if len(scouted.usable) < FEWEST_SCOUTS:
         raise UnseenBoardError(
-            f"camera: the board is seen well in {len(shots)} of the {len(scouted)} pictures about the rest posture, "
-            f"expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera "
-            "still, focus it, add light, or put it farther away"
+            f"camera: the board is seen well in {len(scouted.usable)} of the {len(scouted)} pictures about the rest "
+            f"posture, expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera still, "
+            "focus it, add light, or put it farther away"
         )
-    lens = first_lens(scouted.size, scouted.board, scouted.views)
-    sights = [place(lens, scouted.board.corners[view.number], view.pixel).pose for view in scouted.views]
-    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm), np.array(sights))
+    return scouted.located(arm)[0]

@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_error, turned
-from rejoint.camera.board import Board
+from rejoint.camera.board import Board, BoardView
 from rejoint.diagnosis.calibration.calibration import finite
 from rejoint.system.errors import ContractError
 from rejoint.system.files import array_of, read_sealed, write_sealed
@@ -98,13 +98,14 @@ class Placed(NamedTuple):
     """[px] residual per coordinate"""
 
 
-def place(lens: Lens, corners: Array, pixel: Array, near: Array | None = None) -> Placed:
-    """Pose of a board with ``corners`` (K, 3) [m], not on a line, at ``pixel`` (K, 2).
+def place(lens: Lens, board: Board, view: BoardView, near: Array | None = None) -> Placed:
+    """Pose of a board in a view.
 
     A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006); of those that fit, the nearest to
     ``near`` (4, 4) wins, else the best.
     """
-    seen = (np.asarray(corners), np.asarray(pixel), lens.matrix, lens.distortion)
+    corners, pixel = board.corners[view.number], view.pixel
+    seen = (corners, pixel, lens.matrix, lens.distortion)
     _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)
     starts = list(zip(turns, shifts, strict=True))
     if near is not None:

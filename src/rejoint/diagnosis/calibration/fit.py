@@ -127,7 +127,7 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
     problem = ToolProblem(
         arm=arm,
-        belief=beliefs[0][0],
+        belief=beliefs[0],
         seen=seen,
         by_lens=np.zeros((len(seen), 6, 0)),
         known=np.isfinite(np.pad(measurements.point, ((0, 0), (0, 3)), constant_values=np.nan)),
@@ -140,15 +140,13 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     return judged(*likeliest(problem, beliefs), measurements, date)
 
 
-def beliefs_of(
-    arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array
-) -> list[tuple[Belief, float]]:
-    """Priors for rows of numbered postures (M,), with log odds; ``outside``: see `belief`."""
+def beliefs_of(arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array) -> list[Belief]:
+    """Priors for rows of numbered postures (M,); ``outside``: see `belief`."""
     if prior is not None:
         prior.require(arm)
-        return [(earlier(arm, prior, outside), 0.0)]
+        return [earlier(arm, prior, outside)]
     few = len(np.unique(posture)) < LINKS_FROM
-    return [(belief(arm, case, outside), case.odds) for case in CASES if not (case.twist and few)]
+    return [belief(arm, case, outside) for case in CASES if not (case.twist and few)]
 
 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
@@ -162,11 +160,10 @@ def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belie
     return found
 
 
-def likeliest(problem: ToolProblem, beliefs: list[tuple[Belief, float]]) -> tuple[ToolProblem, Fitted]:
-    """Solve a problem under each prior with its log odds; return the likeliest."""
-    tried = [(replace(problem, belief=one), odds) for one, odds in beliefs]
-    solved = [(own, search(own), odds) for own, odds in tried]
-    return max(solved, key=lambda each: each[1].evidence + each[2])[:2]
+def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem, Fitted]:
+    """Solve a problem under each prior; return the likeliest."""
+    tried = [replace(problem, belief=one) for one in beliefs]
+    return max(zip(tried, map(search, tried), strict=True), key=lambda each: each[1].evidence + each[0].belief.odds)
 
 
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:

@@ -75,6 +75,8 @@ class Belief:
     """(k,)"""
     upper: Array
     """(k,)"""
+    odds: float
+    """log odds against the others"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +125,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
         precision=block_diag(np.diag(sigma**-2.0), more),
         lower=np.append(lower, -free),
         upper=np.append(upper, free),
+        odds=case.odds,
     )
 
 
