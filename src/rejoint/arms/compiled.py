@@ -160,12 +160,6 @@ def largest(vector):  # noqa: ANN001, ANN201
     return found
 
 
-@inner
-def _clip(q, limits):  # noqa: ANN001, ANN202
-    for i in range(len(q)):
-        q[i] = min(max(q[i], limits[0, i]), limits[1, i])
-
-
 @compiled(OUT1(IN1, IN2))
 def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
     """Rotation vector (3,) [rad] from a ``frame`` (3, 4) to the orientation of a ``goal``."""
@@ -200,10 +194,8 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
     poses, columns = place(chain, q), np.empty((3, joints, 1))
     error, jacobian = np.empty(rows), np.empty((rows, joints))
     fill_columns(chain.axes, poses.reshape(joints + 1, 3, 4, 1), columns)
-    for r in range(3):
-        error[r] = goal[r] - poses[joints, r, 3]
-        for i in range(joints):
-            jacobian[r, i] = columns[r, i, 0]
+    error[:3] = goal[:3] - poses[joints, :, 3]
+    jacobian[:3] = columns[:, :, 0]
     if rows == 6:
         error[3:] = goal[15] * _missing_turn(goal, poses[joints])
         own = _times(goal[3:12].reshape(3, 3), goal[12:15])
@@ -251,7 +243,7 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
 
     ``pull``: to rest per step, in the null space.
     """
-    _clip(q, limits)
+    q[:] = np.minimum(np.maximum(q, limits[0]), limits[1])
     missed = np.inf
     for k in range(rounds + 1):
         error, jacobian = task(chain, goal, q)
@@ -262,9 +254,7 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
         if pull > 0.0:
             step += in_null_space(jacobian, pull * (chain.rest - q))
         scale = MOST_STEP / max(MOST_STEP, largest(step))
-        for i in range(len(q)):
-            q[i] += scale * step[i]
-        _clip(q, limits)
+        q[:] = np.minimum(np.maximum(q + scale * step, limits[0]), limits[1])
     return missed
 
 
@@ -319,23 +309,21 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
 @compiled(void(IN4, IN1, SHAPE, OUT2))
 def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
     """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`; ``poses`` (n + 1, 3, 4, B), ``floors`` (n,)."""
-    joints, first = poses.shape[0], len(floors) + len(shape.pairs)
-    boxed, links = first + len(shape.places), len(shape.moving)
-    ends = np.zeros((joints + 1, 3))
+    ends = np.zeros((len(poses) + 1, 3))
     for b in range(len(out)):
-        for i in range(joints):
-            for r in range(3):
-                ends[i + 1, r] = poses[i, r, 3, b]
-        for k in range(len(floors)):
-            out[b, k] = ends[k + 2, 2] - floors[k]
-        for k in range(len(shape.pairs)):
-            apart = _axis_distance(ends, shape.pairs[k, 0], shape.pairs[k, 1])
-            out[b, len(floors) + k] = apart - 2.0 * shape.radius
-        for k in range(len(shape.places)):
-            out[b, first + k] = ends[shape.places[k], 2] - shape.ground - shape.radius
+        ends[1:] = poses[:, :, 3, b]
+        row, at = out[b], len(floors)
+        row[:at] = ends[2 : at + 2, 2] - floors
+        for pair in shape.pairs:
+            row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
+            at += 1
+        for place in shape.places:
+            row[at] = ends[place, 2] - shape.ground - shape.radius
+            at += 1
         for k in range(len(shape.boxes)):
-            for j in range(links):
-                out[b, boxed + k * links + j] = _box_distance(ends, shape.moving[j], shape.boxes[k]) - shape.radius
+            for link in shape.moving:
+                row[at] = _box_distance(ends, link, shape.boxes[k]) - shape.radius
+                at += 1
 
 
 @compiled(OUT2(CHAIN, SHAPE, IN1, IN2))
