@@ -116,10 +116,7 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
 @compiled(float64(BODY, IN1, IN1, IN2))
 def _cost(body, q, start, load):  # noqa: ANN001, ANN202
     """Cost of a posture (n,) with its travel, nearly that of the joint that turns most."""
-    total = 0.0
-    for i in range(len(q)):
-        total += ((q[i] - start[i]) / np.pi) ** 4
-    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt(total))
+    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt((((q - start) / np.pi) ** 4).sum()))
 
 
 @compiled(float64(BODY, IN1, OUT1, IN1, IN2, float64, int64))
@@ -239,19 +236,6 @@ def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
         share = min(1.0, share + ahead)
 
 
-@compiled(int64(OUT2, int64, IN1))
-def _closest(nodes, count, q):  # noqa: ANN001, ANN202
-    """Nearest to ``q`` (n,) of the first ``count`` rows."""
-    best, least = 0, np.inf
-    for k in range(count):
-        square = 0.0
-        for i in range(len(q)):
-            square += (nodes[k, i] - q[i]) ** 2
-        if square < least:
-            best, least = k, square
-    return best
-
-
 @inner
 def _branch(nodes, parents, node):  # noqa: ANN001, ANN202
     """Rows (k, n) from ``node`` to the root of its tree."""
@@ -273,7 +257,8 @@ def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
     for k in range(len(drawn)):
         tree, aim = k % 2, drawn[k].copy()
         for side in (tree, 1 - tree):
-            near = _closest(nodes[side], counts[side], aim)
+            apart = nodes[side, : counts[side]] - aim
+            near = (apart * apart).sum(axis=1).argmin()
             origin = nodes[side, near]
             size = largest(aim - origin)
             if size < 1e-9:
