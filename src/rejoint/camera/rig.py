@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_error, turned
 from rejoint.camera.board import Board, BoardView
-from rejoint.diagnosis.calibration.calibration import finite
+from rejoint.diagnosis.calibration.calibration import require_finite
 from rejoint.system.errors import ContractError
 from rejoint.system.files import array_of, read_sealed, write_sealed
 
@@ -201,7 +201,7 @@ def read_rig(path: Path, arm: Arm) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
         rig = msgspec.convert(data, Rig, dec_hook=array_of)
-        finite(rig.tool(np.eye(4)), (4, 4))
+        require_finite(rig.tool(np.eye(4)), (4, 4))
         return rig
 
     return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")

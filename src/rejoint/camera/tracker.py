@@ -87,7 +87,7 @@ class ToolTracker:
         self._detector = Detector(rig.board)
 
     def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
-        """Locate the tool in a grey or BGR picture; None without a good view."""
+        """Locate the tool in a picture; None without a good view."""
         found = self._detector.find("picture", picture)
         if isinstance(found, Unusable):
             self.why = found.why

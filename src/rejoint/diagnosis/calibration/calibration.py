@@ -220,16 +220,13 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
         kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name != "arm"}
         parts = {name: msgspec.convert(data[name], kind, dec_hook=array_of) for name, kind in kinds.items()}
         own = Calibration(arm=arm, **parts)
-        finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
+        require_finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
         return own
 
     return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
 
 
-def finite(value: object, shape: tuple[int, ...]) -> Array:
-    """Read finite numbers of a shape from a file; InputError."""
-    array = np.array(value, dtype=float)
-    array = array if array.size else array.reshape(shape)  # an empty list tells no columns
+def require_finite(array: Array, shape: tuple[int, ...]) -> None:
+    """Raise InputError unless an array that follows from a file has finite numbers and this ``shape``."""
     if array.shape != shape or not np.isfinite(array).all():
         raise InputError(f"expected finite numbers of shape {shape}, found {array.shape}")
-    return array
