@@ -167,11 +167,6 @@ class Film:
             ),
         )
 
-    def write(self, folder: RunFolder, arm: Arm, found: Filmed) -> None:
-        """Write camera setup to a run."""
-        set_aside(folder.camera)
-        write_rig(folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
-
 
 def positions(shots: tuple[Shot, ...], arm: Arm) -> Array:
     """Positions (V, n) [rad] of shots."""
@@ -433,6 +428,11 @@ class Filmed:
     def rms(self) -> float:
         """[px] over all corners, per coordinate."""
         return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
+
+    def write(self, folder: RunFolder) -> None:
+        """Write the camera's setup to a run."""
+        set_aside(folder.camera)
+        write_rig(folder.camera, self.calibration.arm, self.rig, self.rig_sigma, self.calibration.date)
 
 
 def _judged(
