@@ -61,8 +61,8 @@ class Film:
     board: Board
     carried: str
     """by the tool, see `rejoint.camera.rig.Rig`"""
-    size: tuple[int, int] | None = None
-    """[px] width and height"""
+    size: tuple[int, int] = (0, 0)
+    """[px] width and height; zero before the first picture that can be read"""
     shots: tuple[Shot, ...] = ()
     """by number"""
 
@@ -71,7 +71,7 @@ class Film:
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
         """Add a picture, in place of one of its number; InputError for another ``size``."""
-        if self.size is not None and size != self.size:
+        if any(self.size) and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
                 "take all of them with one camera and one setting"
@@ -96,7 +96,7 @@ class Film:
 
     def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
         """Lens, camera and board as flat boards and the encoders have them, and the board in each usable shot."""
-        lens = first_lens(self.size or (0, 0), self.board, self.views)
+        lens = first_lens(self.size, self.board, self.views)
         placed = [place(lens, self.board, view) for view in self.views]
         sights = np.array([one.pose for one in placed])
         return first_rig(arm, lens, self.board, self.carried, positions(self.usable, arm), sights), placed
@@ -198,7 +198,7 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
     shots = _postures(paths[0].parent / POSTURES, arm, [path.name for path in paths])
     detector, film = Detector(board), Film(board=board, carried=carried)
     for path, shot in zip(paths, shots, strict=True):
-        picture, size = read_picture(path), film.size or (0, 0)
+        picture, size = read_picture(path), film.size
         seen: BoardView | Unusable = Unusable(path.name, "is no picture that OpenCV can read")
         if picture is not None:
             seen, size = detector.find(path.name, picture), (picture.shape[1], picture.shape[0])
