@@ -350,8 +350,8 @@ def beliefs_of(arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
     layout = DisplacementLayout(joints=arm.joints)
-    body, links = slice(0, layout.body), prior.displacement.twist.any()
-    found = belief(arm, PriorCase(twist=1.0 if links else 0.0), outside)
+    body, fits_links = slice(0, layout.body), prior.displacement.twist.any()
+    found = belief(arm, PriorCase(twist=1.0 if fits_links else 0.0), outside)
     usual = 1.0 / np.diag(belief(arm, PriorCase()).precision)
     found.mean[body] = vector_of(layout, prior.displacement)
     found.precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(usual))
