@@ -99,7 +99,7 @@ class Film:
         lens = first_lens(self.size, self.board, self.views)
         placed = [place(lens, self.board, view) for view in self.views]
         sights = np.array([one.pose for one in placed])
-        return first_rig(arm, lens, self.board, self.carried, positions(self.usable, arm), sights), placed
+        return first_rig(arm, lens, self.board, self.carried, positions(self.usable), sights), placed
 
     def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
         """Fit lens, camera, board and displacement, tested on views left out.
@@ -119,7 +119,7 @@ class Film:
         outside = with_lens(told)
         own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
         problem = replace(
-            film_problem(own, arm, rig, positions(shots, arm), sights),
+            film_problem(own, arm, rig, positions(shots), sights),
             by_lens=by_lens,
             spread=rig.spread(sights, np.array([one.covariance for one in placed])),
             posture=np.array([shot.posture for shot in shots], dtype=np.int64),
@@ -168,9 +168,9 @@ class Film:
         )
 
 
-def positions(shots: tuple[Shot, ...], arm: Arm) -> Array:
+def positions(shots: tuple[Shot, ...]) -> Array:
     """Positions (V, n) [rad] of shots."""
-    return np.array([shot.position for shot in shots]).reshape(-1, arm.joints)
+    return np.array([shot.position for shot in shots])
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
@@ -179,7 +179,7 @@ def write_postures(path: Path, arm: Arm, film: Film) -> None:
         "picture": [shot.name for shot in film.shots],
         "posture": [shot.posture for shot in film.shots],
     }
-    angles = np.degrees(positions(film.shots, arm).T)
+    angles = np.degrees(positions(film.shots).T)
     table = pa.table(columns | {f"{name}_deg": row for name, row in zip(joint_columns(arm), angles, strict=True)})
     write_whole(path, lambda temporary: pc.write_csv(table, temporary))
 
