@@ -12,13 +12,14 @@ goals as they are.
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 import rejoint
-from rejoint.arms import Arm, Array, gravity_torque, load_arm, plan, tcp_position
+from rejoint.arms import Arm, Array, JointTrajectory, gravity_torque, load_arm, plan, tcp_position
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.session.session import ArmSession
 from rejoint_lab.emulated import EmulatedRobot
@@ -67,11 +68,16 @@ def moved(session: ArmSession, goals: Array) -> Array:
     return np.array(errors)
 
 
+def hand_way(arm: Arm, start: Array, goal: Array) -> JointTrajectory:
+    """Way of a hand, which moves at half of the arm's speed."""
+    return plan(replace(arm, max_speed=0.5 * arm.max_speed), start, goal)
+
+
 def streamed(session: ArmSession, robot: EmulatedRobot, goals: Array) -> Array:
     """Distances (2, K) [mm] of a tool from where the hand has it: as the stream sees it, and truly."""
     rng, errors, hand = np.random.default_rng(0), [], session.shown_joints()
     for goal in goals:
-        way, hand = plan(session.arm, hand, goal, speed=0.5), goal
+        way, hand = hand_way(session.arm, hand, goal), goal
         session.hold()
         began = session.state.time_s
         while (since := session.state.time_s - began) < way.duration + RESTS:
@@ -102,7 +108,7 @@ def light(robot: EmulatedRobot, goals: Array) -> Array:
     arm, hand, found = robot.arm, robot.arm.rest, []
     most, sticks = (robot.plant.joints[name][0] for name in ("torque_limit", "stiction"))
     for goal in goals:
-        way, hand = plan(arm, hand, goal, speed=0.5), goal
+        way, hand = hand_way(arm, hand, goal), goal
         torque = np.abs(gravity_torque(arm, way.at(np.linspace(0.0, way.duration, 50)))) + sticks
         found.append((torque <= MOST * most).all())
     return np.array(found)

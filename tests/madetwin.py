@@ -26,7 +26,7 @@ def made_twin(arm, parameters, **facts):
 
 def made_calibration(arm, displacement, **facts):
     found = {
-        "covariance": 1e-12 * np.eye(DisplacementLayout(joints=arm.joints).size),
+        "covariance": 1e-12 * np.eye(DisplacementLayout(joints=arm.joints).body),
         "frame": np.eye(4),
         "frame_name": "base",
         "source": "touch",

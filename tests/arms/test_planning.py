@@ -116,7 +116,7 @@ def test_a_straight_way_is_straight_and_as_fast_as_its_limits_allow():
     q = way.at(np.linspace(0.0, way.duration, 50)) - arm.rest
     np.testing.assert_allclose(q, q[:, :1] / (goal - arm.rest)[0] * (goal - arm.rest), atol=1e-12)
     assert way.duration == pytest.approx(np.radians(40) / arm.max_speed[0] + 0.15, rel=0.01)
-    assert plan(arm, arm.rest, goal, speed=0.5).duration > 1.5 * way.duration
+    assert plan(replace(arm, max_speed=0.5 * arm.max_speed), arm.rest, goal).duration > 1.5 * way.duration
     assert plan(arm, arm.rest, arm.rest).duration == 0.0
 
 

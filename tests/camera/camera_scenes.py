@@ -59,7 +59,6 @@ def film_of(t, carried="board", names=()):
         shot = Shot(
             number=k + 1,
             position=position,
-            approach=np.full(ARM.joints, np.nan),
             posture=k,
             seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
         )

@@ -68,7 +68,8 @@ def test_one_picture_tells_where_the_tool_is(found):
 def _seen(found, pixel):
     from rejoint.camera.rig import place
 
-    return found.rig.tool(place(found.rig.lens, found.rig.board.corners, pixel).pose[None])[0, :3, 3]
+    view = BoardView(name="seen", number=np.arange(len(pixel)), pixel=pixel)
+    return found.rig.tool(place(found.rig.lens, found.rig.board, view).pose[None])[0, :3, 3]
 
 
 def test_swapped_and_crooked_views_are_named_and_left_out():

@@ -76,6 +76,10 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     (tmp_path / "notes.txt").write_text("skipped")
     unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable
     assert [(one.name, one.why) for one in unreadable] == [("view-02.png", "is no picture that OpenCV can read")]
+    first = (tmp_path / "view-00.png").read_bytes()
+    (tmp_path / "view-00.png").write_bytes(b"no picture")
+    assert len(read_folder(str(tmp_path), ARM, ON_TOOL).usable) == 1
+    (tmp_path / "view-00.png").write_bytes(first)
     cv2.imwrite(str(tmp_path / "view-02.png"), np.zeros((480, 640), np.uint8))
     with pytest.raises(InputError, match=r"view-02.png has 640 x 480 px, those before it 1920 x 1080"):
         read_folder(str(tmp_path), ARM, ON_TOOL)

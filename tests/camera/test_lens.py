@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_vector, turned
-from rejoint.camera.board import ON_TOOL
+from rejoint.camera.board import ON_TOOL, BoardView
 from rejoint.camera.rig import TERMS, place
 from rejoint_lab.cameras import LENS
 
@@ -50,7 +50,7 @@ def test_a_board_is_placed_whichever_way_it_is_tilted():
     for _ in range(30):
         pose = before_camera(rng)
         pixel = STRONG.project(corners @ pose[:3, :3].T + pose[:3, 3]) + 0.1 * rng.standard_normal((24, 2))
-        found = place(STRONG, corners, pixel)
+        found = place(STRONG, ON_TOOL, BoardView(name="seen", number=np.arange(24), pixel=pixel))
         off.append(found.pose[:3, 3] - pose[:3, 3])
         assert np.linalg.norm(difference(found.pose, pose)[3:]) < np.radians(0.6)
         assert found.rms == pytest.approx(0.1, rel=0.5)

@@ -104,7 +104,7 @@ def test_a_calibration_turns_the_aim_back_by_what_lies_behind_the_encoders():
     from rejoint.arms.postures import find_postures
 
     posture = find_postures(ARM, aims, start, aimed)
-    really = frames(known.moved(ARM), known.joints(ARM, posture, start))
+    really = frames(known.moved(ARM), known.joints(ARM, posture))
     np.testing.assert_allclose(really.tcp_position, points, atol=2e-4)
     assert (turns.angle(really.tcp_rotation) < np.radians(0.05)).all()
 

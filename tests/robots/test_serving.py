@@ -241,7 +241,7 @@ def test_what_is_old_is_not_told(monkeypatch):
 
 def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is():
     way = np.array([0.004, -0.003, -0.008])
-    apparent = Apparent(arm=ARM, shift=lambda position, came: way)  # noqa: ARG005
+    apparent = Apparent(arm=ARM, shift=lambda _: way)
     rng = np.random.default_rng(3)
     for posture in ARM.rest + rng.uniform(-0.4, 0.4, (10, 6)):
         shown = apparent.shown(posture)

@@ -33,6 +33,9 @@ _STILL = 1e-6
 GRID = 3
 """Free targets per edge (chosen)"""
 
+NO_FLOORS = np.zeros(0)
+"""Where heights do not count"""
+
 
 class CollisionShape(NamedTuple):
     """Capsules; link 0 is the base, ends are base to TCP."""
@@ -61,13 +64,13 @@ def collision_shape(arm: Arm) -> CollisionShape:
     apart = np.transpose(np.triu_indices(links, 2))
     boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
     shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
-    distance = clearances_of(arm, shape, free, np.zeros(0))[:, : len(apart)]
+    distance = clearances_of(arm, shape, free, NO_FLOORS)[:, : len(apart)]
     return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))
 
 
 def collides(arm: Arm, q: Array) -> Mask:
     """Which postures (..., n) [rad] have a contact."""
-    return np.asarray((clearances(arm, q, np.zeros(0)) < 0.0).any(axis=-1))
+    return np.asarray((clearances(arm, q) < 0.0).any(axis=-1))
 
 
 def clearances_of(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> Array:
@@ -81,7 +84,7 @@ def clearances_of(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> A
 def usual_distances(arm: Arm) -> Array:
     """Distances (256, c) [m] between bodies at random postures."""
     drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    return clearances(arm, drawn, np.zeros(0))
+    return clearances(arm, drawn)
 
 
 @lru_cache(maxsize=32)
@@ -91,7 +94,7 @@ def guarded_floors(arm: Arm) -> Array:
     return frozen(np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor))
 
 
-def clearances(arm: Arm, q: Array, floors: Array) -> Array:
+def clearances(arm: Arm, q: Array, floors: Array = NO_FLOORS) -> Array:
     """Heights above ``floors`` (n,), then distances of capsules, (..., n + P + G + L K) [m] at ``q`` (..., n) [rad].
 
     Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.

@@ -73,23 +73,34 @@ def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
 
 @compiled(void(IN3, IN2, IN2, IN2, OUT4))
 def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): the first r rows of the frames of joints and TCP.
-
-    ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
-    """
+    """Fill ``poses`` (n + 1, 3, 4, B) of joints and TCP; ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` (n, B)."""
     steps = _steps(terms, tip, sine, cosine)
-    _, rows, _, postures = poses.shape
-    for e in range(4 * rows):
+    postures = poses.shape[3]
+    for e in range(12):
         for b in range(postures):
             poses[0, e // 4, e % 4, b] = steps[0, e, b]
     for i in range(1, len(steps)):
-        for r in range(rows):
+        for r in range(3):
             for k in range(4):
                 for b in range(postures):
                     value = poses[i - 1, r, 0, b] * steps[i, k, b]
                     for j in range(1, 4):
                         value += poses[i - 1, r, j, b] * steps[i, 4 * j + k, b]
                     poses[i, r, k, b] = value
+
+
+@inner
+def dot(row, vector):  # noqa: ANN001, ANN201
+    """Scalar product with the beginning of a ``row``."""
+    total = 0.0
+    for i in range(len(vector)):
+        total += row[i] * vector[i]
+    return total
+
+
+@inner
+def _cross(a, b):  # noqa: ANN001, ANN202
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled(void(IN2, IN4, OUT3))
@@ -100,12 +111,27 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
     for i in range(joints):
         for b in range(postures):
             for r in range(3):
-                pose = poses[i, r]
-                axis[r] = axes[i, 0] * pose[0, b] + axes[i, 1] * pose[1, b] + axes[i, 2] * pose[2, b]
-                lever[r] = poses[joints, r, 3, b] - pose[3, b]
+                axis[r] = dot(poses[i, r, :, b], axes[i])
+                lever[r] = poses[joints, r, 3, b] - poses[i, r, 3, b]
+            columns[0, i, b], columns[1, i, b], columns[2, i, b] = _cross(axis, lever)
+
+
+@compiled(void(CHAIN, IN4, IN1, OUT2))
+def fill_torques(chain, poses, gravity, torques):  # noqa: ANN001, ANN201
+    """Fill ``torques`` (B, n) [N m] that hold ``poses`` (n + 1, 3, 4, B) against ``gravity`` (3,) [m/s^2]."""
+    postures, joints = torques.shape
+    axis, lever, moment = np.empty(3), np.empty(3), np.empty(3)
+    for b in range(postures):
+        mass = 0.0
+        moment[:] = 0.0
+        for i in range(joints - 1, -1, -1):
+            mass += chain.mass[i]
             for r in range(3):
-                after, last = (r + 1) % 3, (r + 2) % 3
-                columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
+                row = poses[i, r, :, b]  # axis, and moment of all that hangs on the joint
+                axis[r] = dot(row, chain.axes[i])
+                moment[r] += chain.mass[i] * (dot(row, chain.com[i]) + row[3])
+                lever[r] = moment[r] - mass * row[3]
+            torques[b, i] = -dot(_cross(axis, lever), gravity)
 
 
 @compiled(OUT3(CHAIN, IN1))
@@ -114,15 +140,6 @@ def place(chain, q):  # noqa: ANN001, ANN201
     poses = np.empty((len(q) + 1, 3, 4, 1))
     fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
     return poses.reshape(poses.shape[:3])
-
-
-@inner
-def dot(row, vector):  # noqa: ANN001, ANN201
-    """Scalar product with the beginning of a ``row``."""
-    total = 0.0
-    for i in range(len(vector)):
-        total += row[i] * vector[i]
-    return total
 
 
 @inner
@@ -141,20 +158,6 @@ def largest(vector):  # noqa: ANN001, ANN201
     for i in range(len(vector)):
         found = max(found, abs(vector[i]))
     return found
-
-
-@inner
-def _clip(q, limits):  # noqa: ANN001, ANN202
-    for i in range(len(q)):
-        q[i] = min(max(q[i], limits[0, i]), limits[1, i])
-
-
-@inner
-def _cross(a, b):  # noqa: ANN001, ANN202
-    out = np.empty(3)
-    for r in range(3):
-        out[r] = a[r - 2] * b[r - 1] - a[r - 1] * b[r - 2]
-    return out
 
 
 @compiled(OUT1(IN1, IN2))
@@ -176,8 +179,8 @@ def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
         half[most] += 1.0
     else:
         now, own = _times(frame, goal[12:15]), _times(wanted, goal[12:15])
-        vector, cosine = _cross(now, own), dot(now, own)
-        half = _cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1])
+        vector, cosine = np.array(_cross(now, own)), dot(now, own)
+        half = np.array(_cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1]))
     sine = np.sqrt(dot(vector, vector))
     if sine > 1e-9:
         return vector * (np.arctan2(sine, cosine) / sine)
@@ -191,10 +194,8 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
     poses, columns = place(chain, q), np.empty((3, joints, 1))
     error, jacobian = np.empty(rows), np.empty((rows, joints))
     fill_columns(chain.axes, poses.reshape(joints + 1, 3, 4, 1), columns)
-    for r in range(3):
-        error[r] = goal[r] - poses[joints, r, 3]
-        for i in range(joints):
-            jacobian[r, i] = columns[r, i, 0]
+    error[:3] = goal[:3] - poses[joints, :, 3]
+    jacobian[:3] = columns[:, :, 0]
     if rows == 6:
         error[3:] = goal[15] * _missing_turn(goal, poses[joints])
         own = _times(goal[3:12].reshape(3, 3), goal[12:15])
@@ -242,7 +243,7 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
 
     ``pull``: to rest per step, in the null space.
     """
-    _clip(q, limits)
+    q[:] = np.minimum(np.maximum(q, limits[0]), limits[1])
     missed = np.inf
     for k in range(rounds + 1):
         error, jacobian = task(chain, goal, q)
@@ -253,9 +254,7 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
         if pull > 0.0:
             step += in_null_space(jacobian, pull * (chain.rest - q))
         scale = MOST_STEP / max(MOST_STEP, largest(step))
-        for i in range(len(q)):
-            q[i] += scale * step[i]
-        _clip(q, limits)
+        q[:] = np.minimum(np.maximum(q + scale * step, limits[0]), limits[1])
     return missed
 
 
@@ -266,39 +265,38 @@ def solve_all(chain, goals, q, pull, rounds, tolerance, missed):  # noqa: ANN001
         missed[b] = solve(chain, goals[b], q[b], chain.limits, pull, rounds, tolerance)
 
 
+@inner
+def _from_to(ends, i, j):  # noqa: ANN001, ANN202
+    return ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1], ends[j, 2] - ends[i, 2]
+
+
 @compiled(float64(IN2, int64, int64))
 def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     """Distance between the axes of links i and j; ``ends`` (n + 2, 3)."""
-    a = e = b = c = f = 0.0
-    for r in range(3):
-        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
-        apart = ends[i, r] - ends[j, r]
-        a, e, b = a + along * along, e + across * across, b + along * across
-        c, f = c + along * apart, f + across * apart
+    along, across, apart = _from_to(ends, i, i + 1), _from_to(ends, j, j + 1), _from_to(ends, j, i)
+    a, e, b = dot(along, along), dot(across, across), dot(along, across)
+    c, f = dot(along, apart), dot(across, apart)
     under = a * e - b * b
     s = min(max((b * f - c * e) / under, 0.0), 1.0) if under > POINT else 0.0
     t = min(max((b * s + f) / e, 0.0), 1.0) if e > POINT else 0.0
     s = min(max((b * t - c) / a, 0.0), 1.0) if a > POINT else 0.0
     square = 0.0
     for r in range(3):
-        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
-        gap = ends[i, r] - ends[j, r] + s * along - t * across
-        square += gap * gap
+        square += (apart[r] + s * along[r] - t * across[r]) ** 2
     return np.sqrt(square)
 
 
 @compiled(float64(IN2, int64, IN1))
 def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3). Halves the convex function."""
-    low, high, square = 0.0, 1.0, 0.0
+    low, high, square, along = 0.0, 1.0, 0.0, _from_to(ends, link, link + 1)
     for k in range(HALVINGS + 2):
         t = 0.0 if k == 0 else 1.0 if k == 1 else 0.5 * (low + high)
         slope = square = 0.0
         for r in range(3):
-            along = ends[link + 1, r] - ends[link, r]
-            place = ends[link, r] + t * along
+            place = ends[link, r] + t * along[r]
             gap = max(place - box[3 + r], 0.0) - max(box[r] - place, 0.0)
-            slope, square = slope + along * gap, square + gap * gap
+            slope, square = slope + along[r] * gap, square + gap * gap
         if slope < 0.0:
             low = t
         else:
@@ -311,23 +309,21 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
 @compiled(void(IN4, IN1, SHAPE, OUT2))
 def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
     """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`; ``poses`` (n + 1, 3, 4, B), ``floors`` (n,)."""
-    joints, first = poses.shape[0], len(floors) + len(shape.pairs)
-    boxed, links = first + len(shape.places), len(shape.moving)
-    ends = np.zeros((joints + 1, 3))
+    ends = np.zeros((len(poses) + 1, 3))
     for b in range(len(out)):
-        for i in range(joints):
-            for r in range(3):
-                ends[i + 1, r] = poses[i, r, 3, b]
-        for k in range(len(floors)):
-            out[b, k] = ends[k + 2, 2] - floors[k]
-        for k in range(len(shape.pairs)):
-            apart = _axis_distance(ends, shape.pairs[k, 0], shape.pairs[k, 1])
-            out[b, len(floors) + k] = apart - 2.0 * shape.radius
-        for k in range(len(shape.places)):
-            out[b, first + k] = ends[shape.places[k], 2] - shape.ground - shape.radius
+        ends[1:] = poses[:, :, 3, b]
+        row, at = out[b], len(floors)
+        row[:at] = ends[2 : at + 2, 2] - floors
+        for pair in shape.pairs:
+            row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
+            at += 1
+        for place in shape.places:
+            row[at] = ends[place, 2] - shape.ground - shape.radius
+            at += 1
         for k in range(len(shape.boxes)):
-            for j in range(links):
-                out[b, boxed + k * links + j] = _box_distance(ends, shape.moving[j], shape.boxes[k]) - shape.radius
+            for link in shape.moving:
+                row[at] = _box_distance(ends, link, shape.boxes[k]) - shape.radius
+                at += 1
 
 
 @compiled(OUT2(CHAIN, SHAPE, IN1, IN2))

@@ -1,7 +1,6 @@
 """Displacements behind encoders: play, flex, zero errors, links, a tilted base.
 
-Weight presses a joint to one side of its play and bends it; without weight the last motion tells the side (Khalil and
-Dombre 2002, chapter 11).
+Weight presses a joint to one side of its play and bends it (Khalil and Dombre 2002, chapter 11).
 """
 
 from __future__ import annotations
@@ -16,9 +15,6 @@ from rejoint.arms.rotations import moved
 
 FLOATING = 0.001
 """[N m] of a floating joint (chosen)"""
-
-CARRIED = np.radians(1.0)
-"""[rad] shortest motion with a direction (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,8 +33,6 @@ class Displacement:
     """(3,) [m/s^2] in the base frame"""
     mass: Array = field(default_factory=lambda: np.ones(()))
     """(n,) or () factor on masses"""
-    carry: Array = field(default_factory=lambda: np.zeros(()))
-    """(n,) or () share of half the play ahead, floating"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -56,15 +50,10 @@ class Displacement:
         loaded = arm if (self.mass == 1.0).all() else replace(arm, mass=arm.mass * self.mass)
         return gravity_torque(loaded, position, self.gravity)
 
-    def joints(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Return true joint positions (..., n) [rad] at rest, at encoder ``position`` (..., n) [rad].
-
-        ``approach`` (..., n) [rad]: before the last motion; NaN or None: unknown.
-        """
+    def joints(self, arm: Arm, position: Array) -> Array:
+        """Return true joint positions (..., n) [rad] at rest, at encoder ``position`` (..., n) [rad]."""
         torque = self.torque(arm, position)
-        side = np.tanh(torque / FLOATING)
-        side = side - self.carry * (1.0 - side**2) * direction(position, approach)
-        return position + self.offset - self.compliance * torque - 0.5 * self.play * side
+        return position + self.offset - self.compliance * torque - 0.5 * self.play * np.tanh(torque / FLOATING)
 
     def rigid(self, arm: Arm, position: Array) -> Displacement:
         """Without play and flex: their mean over ``position`` (M, n) goes to `offset`."""
@@ -79,16 +68,9 @@ class Displacement:
         return replace(arm, offset=fixed[:-1], tip=fixed[-1])
 
     def tool(self, arm: Arm, position: Array) -> Array:
-        """Return true tool (..., 3) [m] at encoder ``position`` (..., n) [rad], for an unknown approach."""
+        """Return true tool (..., 3) [m] at encoder ``position`` (..., n) [rad]."""
         return tcp_position(self.moved(arm), self.joints(arm, position))
 
     def tool_pose(self, arm: Arm, position: Array) -> Array:
         """Return true tool poses (..., 4, 4)."""
         return tcp_pose(self.moved(arm), self.joints(arm, position))
-
-
-def direction(position: Array, approach: Array | None) -> Array:
-    """Directions (..., n) of the last motion: 1, -1, 0 unknown or short."""
-    if approach is None:
-        return np.zeros_like(position)
-    return np.tanh(np.where(np.isfinite(approach), position - approach, 0.0) / CARRIED)

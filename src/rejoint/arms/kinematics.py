@@ -41,8 +41,6 @@ class Frames(NamedTuple):
 
 compiled = Late("rejoint.arms.compiled")
 
-_CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product: each with the one before it
-
 
 class Chain(NamedTuple):
     """A kinematic chain in compiled loops; see `Arm`."""
@@ -76,10 +74,10 @@ def joint_terms(arm: Arm) -> Array:
     return terms.reshape(arm.joints, 16, 3)
 
 
-def all_poses(arm: Arm, q: Array, rows: int = 3) -> Array:
-    """First ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at ``q`` (..., n)."""
+def all_poses(arm: Arm, q: Array) -> Array:
+    """Rotations and places of joints and TCP, (n + 1, 3, 4, B), at ``q`` (..., n)."""
     angles = np.ascontiguousarray(q.reshape(-1, arm.joints).T)
-    poses, chain = np.empty((arm.joints + 1, rows, 4, angles.shape[1])), chain_of(arm)
+    poses, chain = np.empty((arm.joints + 1, 3, 4, angles.shape[1])), chain_of(arm)
     compiled.fill_poses(chain.terms, chain.tip, np.sin(angles), np.cos(angles), poses)
     return poses
 
@@ -109,7 +107,8 @@ def tcp_position(arm: Arm, q: Array) -> Array:
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    return _by_posture(all_poses(arm, q, 4), q)[..., -1, :, :]
+    rows = _by_posture(all_poses(arm, q), q)[..., -1, :, :]
+    return np.concatenate([rows, np.broadcast_to([[0.0, 0.0, 0.0, 1.0]], (*q.shape[:-1], 1, 4))], axis=-2)
 
 
 def _by_posture(values: Array, q: Array) -> Array:
@@ -132,12 +131,10 @@ def jacobian(arm: Arm, q: Array) -> Array:
 
 def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
     """Return holding torques (..., n) [N m] against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
-    f = frames(arm, q)
-    com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
-    # Of all that hangs on each joint: mass, and mass times lever.
-    mass = np.cumsum(arm.mass[::-1])[::-1, None]
-    first_moment = np.cumsum((arm.mass[:, None] * com)[..., ::-1, :], axis=-2)[..., ::-1, :] - mass * f.position
-    return -(_cross(f.axis, first_moment) @ gravity)
+    poses = all_poses(arm, q)
+    torques = np.empty((poses.shape[-1], arm.joints))
+    compiled.fill_torques(chain_of(arm), poses, np.array(gravity), torques)
+    return torques.reshape(q.shape)
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
@@ -151,20 +148,12 @@ def link_inertia(arm: Arm, q: Array) -> Array:
     return np.triu(about).sum(axis=-1)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Vector products (..., 3), coordinates first inside; faster than `numpy.cross`."""
-    x, y = a.T[_CYCLE], b.T[_CYCLE]
-    return (x[:-1] * y[1:] - x[1:] * y[:-1]).T
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
     """Result of an inverse-kinematics search."""
 
     q: Array
     """(..., n) [rad] within the joint limits"""
-    error: Array
-    """(...) [m] TCP"""
     converged: Mask
     """(...) error, and wanted orientation, within tolerance"""
 
@@ -216,6 +205,4 @@ def solve_position(
     q = np.array(np.broadcast_to(start, (*shape, arm.joints)), dtype=float, order="C").reshape(-1, arm.joints)
     goals, missed = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17), np.empty(len(q))
     compiled.solve_all(chain_of(arm), goals, q, rest_gain, iterations, tolerance, missed)
-    q = q.reshape(*shape, arm.joints)
-    error = np.linalg.norm(target - tcp_position(arm, q), axis=-1)
-    return Solution(q=q, error=error, converged=(missed < tolerance).reshape(shape) & np.isfinite(error))
+    return Solution(q=q.reshape(*shape, arm.joints), converged=(missed < tolerance).reshape(shape))

@@ -64,8 +64,6 @@ class JointTrajectory:
     """(m,) share of each piece over its time, a `scipy.interpolate.PPoly`"""
     motors: Motors | None = None
     """of the `plan`"""
-    speed: float = 1.0
-    """of the `plan`"""
     heavy: bool = False
     """whether those motors may not lift the arm on it"""
 
@@ -89,7 +87,6 @@ def plan(
     goal: Array,
     *,
     motors: Motors | None = None,
-    speed: float = 1.0,
 ) -> JointTrajectory:
     """Plan a motion between rests, ``start`` (n,) to ``goal`` (n,) [rad].
 
@@ -103,8 +100,6 @@ def plan(
         postures; the start may have a contact
     motors
         their torques: the plan respects their speed, and takes the lightest detour where they may not lift the arm
-    speed
-        share of ``arm.max_speed``
 
     Returns
     -------
@@ -134,13 +129,12 @@ def plan(
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
     load, field, way = min(found, key=lambda one: one[0])
-    timed = _timed(field, way, _limits(arm, way, motors, speed))
-    return replace(timed, motors=motors, speed=speed, heavy=load > 1.0)
+    return replace(_timed(field, way, _limits(arm, way, motors)), motors=motors, heavy=load > 1.0)
 
 
 def clearance(arm: Arm, q: Array) -> Array:
     """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
-    smallest: Array = clearances(arm, np.asarray(q, dtype=float), np.zeros(0)).min(axis=-1, initial=np.inf)
+    smallest: Array = clearances(arm, np.asarray(q, dtype=float)).min(axis=-1, initial=np.inf)
     return smallest
 
 
@@ -153,7 +147,8 @@ class _Field:
     @classmethod
     def of(cls, arm: Arm, start: Array, goal: Array, clearance: float) -> _Field:
         """Field of a trajectory; PlanningError where its goal has a contact."""
-        body, least = body_of(arm), np.full(len(clearances(arm, start, np.zeros(arm.joints))), clearance)
+        body = body_of(arm)
+        least = np.full(arm.joints + len(body.least), clearance)
         least[: arm.joints] = LOW * length_size(arm)
         least[arm.joints : arm.joints + len(body.shape.pairs)] *= 2.0
         always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
@@ -263,9 +258,9 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
     return found
 
 
-def _limits(arm: Arm, way: Array, motors: Motors | None, speed: float) -> Array:
+def _limits(arm: Arm, way: Array, motors: Motors | None) -> Array:
     """Limits (3, n) of speed, acceleration and jerk on the way (k, n)."""
-    fastest = _SPEED * speed * arm.max_speed
+    fastest = _SPEED * arm.max_speed
     acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
     if motors is not None:
         torque, lifted = _torques(arm, way[None], 4 * _PARTS)

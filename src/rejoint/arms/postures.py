@@ -140,7 +140,7 @@ def choose_postures(
     for k, goal in enumerate(goals):
         begin = q[k - 1] if chained and k else q[k]
         near = chained and k > 0 and _neighbours(arm, goal, goals[k - 1])
-        found = None if goal[2] < arm.floor else _choose(arm, load, goal, begin, near)
+        found = _choose(arm, load, goal, begin, near)
         if found is None and not thorough:
             refusals[k], found, nearest[k] = "not found at once", begin, tcp_position(arm, begin)
         elif found is None:
@@ -180,6 +180,8 @@ def comfortable_postures(arm: Arm) -> Array:
 
 def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Array | None:
     """Posture (n,) of one goal (17,), or None; ``load`` as in `rejoint.arms.redundancy`."""
+    if goal[2] < arm.floor:
+        return None
     cost, stayed = redundancy.stay(body_of(arm), goal, start, load, near)
     if cost == 0.0 or (near and cost < SWITCH):
         return np.asarray(stayed)
@@ -246,11 +248,10 @@ def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None, 
     body = body_of(arm)
     room = clearances(arm, found, body.floors) - np.append(np.full(arm.joints, -2.0 * TOLERANCE), body.least)
     if room.min() < 0.0:
-        cost, light, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
+        cost, found, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
         if cost >= redundancy.FAR:
             what, other = contact(arm, int(np.argmin(room)))
             return f"in collision: {what} would touch {other}"
-        found = light
     return f"too heavy: {too_heavy(arm, found, load[1])[1]}"
 
 
@@ -274,7 +275,7 @@ def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Ar
         for step in _STEPS:
             trial = goal.copy()
             trial[:3] = pool.place[k] + (share + step) * (goal[:3] - pool.place[k])
-            found = None if trial[2] < arm.floor else _choose(arm, load, trial, works, False)
+            found = _choose(arm, load, trial, works, False)
             if found is not None:
                 share, works = share + step, found
         missed = float(np.linalg.norm(tcp_position(arm, works) - goal[:3]))

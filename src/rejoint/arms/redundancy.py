@@ -23,8 +23,8 @@ from rejoint.arms.compiled import (
     OUT3,
     SHAPE,
     compiled,
-    dot,
     fill_clearances,
+    fill_torques,
     in_null_space,
     inner,
     largest,
@@ -32,7 +32,7 @@ from rejoint.arms.compiled import (
     solve,
     task,
 )
-from rejoint.arms.kinematics import REST_GAIN, TOLERANCE, Chain
+from rejoint.arms.kinematics import GRAVITY, REST_GAIN, TOLERANCE, Chain
 
 AMPLE, CRAMPED = 5.0 / 3.0, 10.0
 """Least distances from which there is enough room, and cost of a sufficient clearance less (chosen by `python -m
@@ -79,19 +79,6 @@ def measure(body, poses):  # noqa: ANN001, ANN201
     return clear[0]
 
 
-@compiled(OUT1(CHAIN, OUT3))
-def _torque(chain, poses):  # noqa: ANN001, ANN202
-    """Torques (n,) [N m] as `kinematics.gravity_torque`; ``poses`` (n + 1, 3, 4)."""
-    torque, mass, x, y = np.empty(len(poses) - 1), 0.0, 0.0, 0.0
-    for i in range(len(torque) - 1, -1, -1):
-        mass += chain.mass[i]
-        x += chain.mass[i] * (dot(poses[i, 0], chain.com[i]) + poses[i, 0, 3])
-        y += chain.mass[i] * (dot(poses[i, 1], chain.com[i]) + poses[i, 1, 3])
-        along, across = dot(poses[i, 0], chain.axes[i]), dot(poses[i, 1], chain.axes[i])
-        torque[i] = 9.81 * (along * (y - mass * poses[i, 1, 3]) - across * (x - mass * poses[i, 0, 3]))
-    return torque
-
-
 @compiled(types.UniTuple(float64, 4)(BODY, IN1, IN2))
 def _judge(body, q, load):  # noqa: ANN001, ANN202
     """Cost of a posture without travel, largest torque share, lack of `AMPLE` distances, distance from a limit.
@@ -99,13 +86,15 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
     A cost of `FAR` and more: impossible.
     """
     poses, limits, joints = place(body.chain, q), body.chain.limits, len(q)
-    torque, clear = _torque(body.chain, poses), measure(body, poses)
+    torque, clear = np.empty((1, joints)), measure(body, poses)
+    fill_torques(body.chain, poses.reshape(joints + 1, 3, 4, 1), GRAVITY, torque)
     cost = wrong = share = over = lack = 0.0
     away = np.inf
     for i in range(joints):
-        share, over = max(share, abs(torque[i]) / load[0, i]), max(over, abs(torque[i]) / load[1, i])
+        lifted = abs(torque[0, i])
+        share, over = max(share, lifted / load[0, i]), max(over, lifted / load[1, i])
         near = min(q[i] - limits[0, i], limits[1, i] - q[i])
-        cost += 0.5 * min(abs(torque[i]) / load[0, i] / LOAD, MOST_LOAD) ** 4
+        cost += 0.5 * min(lifted / load[0, i] / LOAD, MOST_LOAD) ** 4
         cost += 0.5 * max(1.0 - near / NEAR_LIMIT, 0.0) ** 2
         away = min(away, near)
         if clear[i] < -2.0 * TOLERANCE:
@@ -127,10 +116,7 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
 @compiled(float64(BODY, IN1, IN1, IN2))
 def _cost(body, q, start, load):  # noqa: ANN001, ANN202
     """Cost of a posture (n,) with its travel, nearly that of the joint that turns most."""
-    total = 0.0
-    for i in range(len(q)):
-        total += ((q[i] - start[i]) / np.pi) ** 4
-    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt(total))
+    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt((((q - start) / np.pi) ** 4).sum()))
 
 
 @compiled(float64(BODY, IN1, OUT1, IN1, IN2, float64, int64))
@@ -250,19 +236,6 @@ def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
         share = min(1.0, share + ahead)
 
 
-@compiled(int64(OUT2, int64, IN1))
-def _closest(nodes, count, q):  # noqa: ANN001, ANN202
-    """Nearest to ``q`` (n,) of the first ``count`` rows."""
-    best, least = 0, np.inf
-    for k in range(count):
-        square = 0.0
-        for i in range(len(q)):
-            square += (nodes[k, i] - q[i]) ** 2
-        if square < least:
-            best, least = k, square
-    return best
-
-
 @inner
 def _branch(nodes, parents, node):  # noqa: ANN001, ANN202
     """Rows (k, n) from ``node`` to the root of its tree."""
@@ -284,7 +257,8 @@ def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
     for k in range(len(drawn)):
         tree, aim = k % 2, drawn[k].copy()
         for side in (tree, 1 - tree):
-            near = _closest(nodes[side], counts[side], aim)
+            apart = nodes[side, : counts[side]] - aim
+            near = (apart * apart).sum(axis=1).argmin()
             origin = nodes[side, near]
             size = largest(aim - origin)
             if size < 1e-9:

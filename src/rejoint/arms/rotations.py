@@ -159,12 +159,8 @@ def tool_axis(arm: Arm) -> Array:
     """Tool axis (3,) in the tool frame."""
     tip = bare(arm).tip
     off = tip[:3, :3].T @ tip[:3, 3]
-    if np.linalg.norm(off) < 1e-9:
-        return np.array([0.0, 0.0, 1.0])
-    found = np.zeros(3)
-    largest = int(np.argmax(np.abs(off)))
-    found[largest] = np.sign(off[largest])
-    return found
+    largest = int(np.argmax(np.abs(off))) if np.linalg.norm(off) >= 1e-9 else 2
+    return np.eye(3)[largest] * (-1.0 if off[largest] < -1e-9 else 1.0)
 
 
 def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:

@@ -237,11 +237,10 @@ class Detector:
         self._shown = False  # whether it has been seen: then it is the right board, and any fault is of one picture
 
     def find(self, name: str, picture: Picture) -> BoardView | Unusable:
-        """Find the board in a grey or BGR ``picture``."""
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        corners, numbers, markers, _ = self._opencv.detectBoard(grey)
+        """Find the board in a ``picture``."""
+        corners, numbers, markers, _ = self._opencv.detectBoard(picture)
         count = 0 if numbers is None else len(numbers)
-        why = next(filter(None, self._doubts(grey, markers or (), count)), "")
+        why = next(filter(None, self._doubts(picture, markers or (), count)), "")
         if why:
             return Unusable(name=name, why=why)
         number = np.ravel(numbers).astype(np.int64)

@@ -1,7 +1,6 @@
 """An image sequence: pictures of a board in many postures of one arm, with encoder readings, and what they tell.
 
-Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``approach.JOINT_deg``,
-``posture``.
+Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``posture``.
 
 OpenCV finds the lens and the poses of the board; one fit refines them with the arm's displacement. Views that do not
 fit are left out; a bent board is refused: it makes focal lengths wrong.
@@ -23,12 +22,11 @@ from scipy.spatial.transform import Rotation
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
-from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma, write_rig
+from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.fit import beliefs_of, earlier, judged, likeliest
+from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, earlier, judged, likeliest, solve
 from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
 from rejoint.diagnosis.calibration.parameters import ANYWHERE, Belief, PriorCase, belief
-from rejoint.diagnosis.calibration.solver import ToolProblem, solve
 from rejoint.diagnosis.regression import fit_clustered
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
@@ -46,8 +44,6 @@ class Shot:
     """in the plan, from 1"""
     position: Array
     """(n,) [rad] by encoders"""
-    approach: Array
-    """(n,) [rad] before the last motion; NaN where unknown"""
     posture: int
     """shots of the same number visit one posture from different sides"""
     seen: BoardView | Unusable
@@ -65,8 +61,8 @@ class Film:
     board: Board
     carried: str
     """by the tool, see `rejoint.camera.rig.Rig`"""
-    size: tuple[int, int] | None = None
-    """[px] width and height"""
+    size: tuple[int, int] = (0, 0)
+    """[px] width and height; zero before the first picture that can be read"""
     shots: tuple[Shot, ...] = ()
     """by number"""
 
@@ -75,7 +71,7 @@ class Film:
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
         """Add a picture, in place of one of its number; InputError for another ``size``."""
-        if self.size is not None and size != self.size:
+        if any(self.size) and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
                 "take all of them with one camera and one setting"
@@ -98,28 +94,32 @@ class Film:
         """Views of the usable shots."""
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
+    def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
+        """Lens, camera and board as flat boards and the encoders have them, and the board in each usable shot."""
+        lens = first_lens(self.size, self.board, self.views)
+        placed = [place(lens, self.board, view) for view in self.views]
+        sights = np.array([one.pose for one in placed])
+        return first_rig(arm, lens, self.board, self.carried, positions(self.usable), sights), placed
+
     def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
         """Fit lens, camera, board and displacement, tested on views left out.
 
         ``prior``: an earlier calibration. InputError for too few views that fit, or a bent board.
         """
         shots, views, board = self.usable, self.views, self.board
-        if self.size is None or len(shots) < FEWEST:
+        if len(shots) < FEWEST:
             why = "; ".join(f"{one.name}: {one.why}" for one in self.unusable[:3])
             raise InputError(
                 f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
                 f"{why and f' ({why})'}"
             )
-        position, approach = positions(shots, arm)
-        lens = first_lens(self.size, board, views)
-        placed = [place(lens, board.corners[view.number], view.pixel) for view in views]
+        rig, placed = self.located(arm)
         sights = np.array([one.pose for one in placed])
-        rig = first_rig(arm, lens, board, self.carried, position, sights)
-        by_lens, told = _lens_ties(lens, board, views, sights)
+        by_lens, told = _lens_ties(rig.lens, board, views, sights)
         outside = with_lens(told)
         own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
         problem = replace(
-            film_problem(own, arm, rig, position, sights),
+            film_problem(own, arm, rig, positions(shots), sights),
             by_lens=by_lens,
             spread=rig.spread(sights, np.array([one.covariance for one in placed])),
             posture=np.array([shot.posture for shot in shots], dtype=np.int64),
@@ -149,7 +149,6 @@ class Film:
         problem, fitted = likeliest(problem, beliefs_of(arm, problem.posture, prior, outside))
         measured = Measurements(
             position=problem.position,
-            approach=approach[good],
             point=problem.tool(fitted.vector)[:, :3, 3],
             sigma=point_sigma(problem.spread),
             posture=problem.posture,
@@ -168,17 +167,10 @@ class Film:
             ),
         )
 
-    def write(self, folder: RunFolder, arm: Arm, found: Filmed) -> None:
-        """Write camera setup to a run."""
-        set_aside(folder.camera)
-        write_rig(folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
 
-
-def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Positions and approaches (V, n) [rad] of shots."""
-    shape = (-1, arm.joints)
-    position, approach = ([getattr(shot, name) for shot in shots] for name in ("position", "approach"))
-    return np.array(position).reshape(shape), np.array(approach).reshape(shape)
+def positions(shots: tuple[Shot, ...]) -> Array:
+    """Positions (V, n) [rad] of shots."""
+    return np.array([shot.position for shot in shots])
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
@@ -187,9 +179,8 @@ def write_postures(path: Path, arm: Arm, film: Film) -> None:
         "picture": [shot.name for shot in film.shots],
         "posture": [shot.posture for shot in film.shots],
     }
-    for names, rows in zip(joint_columns(arm), positions(film.shots, arm), strict=True):
-        columns |= {f"{name}_deg": np.degrees(row) for name, row in zip(names, rows.T, strict=True)}
-    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    angles = np.degrees(positions(film.shots).T)
+    table = pa.table(columns | {f"{name}_deg": row for name, row in zip(joint_columns(arm), angles, strict=True)})
     write_whole(path, lambda temporary: pc.write_csv(table, temporary))
 
 
@@ -207,7 +198,7 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
     shots = _postures(paths[0].parent / POSTURES, arm, [path.name for path in paths])
     detector, film = Detector(board), Film(board=board, carried=carried)
     for path, shot in zip(paths, shots, strict=True):
-        picture, size = read_picture(path), film.size or (0, 0)
+        picture, size = read_picture(path), film.size
         seen: BoardView | Unusable = Unusable(path.name, "is no picture that OpenCV can read")
         if picture is not None:
             seen, size = detector.find(path.name, picture), (picture.shape[1], picture.shape[0])
@@ -216,26 +207,24 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
 
 
 def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
-    joints, came = joint_columns(arm)
+    joints = joint_columns(arm)
     remedy = "write one line for each picture"
-    meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}
+    meanings = {"picture": None, **dict.fromkeys(joints, ANGLES), "posture": COUNT}
     if not path.exists():
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
     found, lines = read_columns(path, meanings, ["picture", *joints], joints, most=SHEET_MOST)
-    empty = np.full(len(lines), np.nan)
-    position, approach = (np.array([found.get(name, empty) for name in names]).T for names in (joints, came))
+    position = np.array([found[name] for name in joints]).T
     require_degrees(path, position)
     rows = {Path(word).name: row for row, word in enumerate(found["picture"])}
     if len(rows) < len(lines):
         raise FileError(path, "two lines name the same picture", "leave one line out")
     if without := [name for name in pictures if name not in rows]:
         raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
-    place = found.get("posture", empty)
+    place = found.get("posture", np.full(len(lines), np.nan))
     return [
         Shot(
             number=number,
             position=position[rows[name]],
-            approach=approach[rows[name]],
             posture=int(np.nan_to_num(place[rows[name]], nan=number)),
             seen=Unusable(name, ""),
         )
@@ -440,16 +429,18 @@ class Filmed:
         """[px] over all corners, per coordinate."""
         return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
 
+    def write(self, folder: RunFolder) -> None:
+        """Write the camera's setup to a run."""
+        set_aside(folder.camera)
+        write_rig(folder.camera, self.calibration.arm, self.rig, self.rig_sigma, self.calibration.date)
+
 
 def _judged(
     problem: ToolProblem, rig: Rig, vector: Array, views: Sequence[BoardView]
 ) -> tuple[ToolProblem, list[Residual], list[str]]:
     """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
     told = rig_of(problem, rig, vector).sight(problem.displacement(vector).tool_pose(problem.arm, problem.position))
-    placed = [
-        place(rig.lens, rig.board.corners[view.number], view.pixel, near)
-        for view, near in zip(views, told, strict=True)
-    ]
+    placed = [place(rig.lens, rig.board, view, near) for view, near in zip(views, told, strict=True)]
     sights = np.array([one.pose for one in placed])
     problem = replace(problem, seen=inverse(sights) if problem.inverted else sights)
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))

@@ -18,16 +18,13 @@ from rejoint.camera.film import (
     Film,
     Shot,
     film_problem,
-    first_lens,
-    first_rig,
-    positions,
     read_folder,
     with_lens,
     write_postures,
 )
-from rejoint.camera.rig import TERMS, Rig, place
+from rejoint.camera.rig import TERMS, Rig
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.parameters import belief
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
@@ -48,21 +45,20 @@ _AROUND = 0.04  # [m] around the region of targets in which the tool stays (chos
 _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
 
 
-def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board: D-optimal.
 
-    D-optimal. InputError for too few views.
+    InputError for too few views.
     """
-    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed)
     if len(candidates) < count:
         raise InputError(
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
     own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
-    problem = film_problem(own, arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)))
-    expected = rig.sight(problem.displacement(own.mean).tool_pose(arm, candidates))
-    problem = film_problem(own, arm, rig, candidates, expected)
+    expected = displacement_of(DisplacementLayout(joints=arm.joints), own.mean).tool_pose(arm, candidates)
+    problem = film_problem(own, arm, rig, candidates, rig.sight(expected))
     slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
     variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]
     variance[problem.layout.body :] = _LOOK**2
@@ -76,9 +72,9 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     return candidates[chosen]
 
 
-def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
+def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
     """Choose postures (count, n) [rad] about rest, far apart."""
-    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried])
     if len(drawn) < count:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
@@ -91,11 +87,9 @@ def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Arra
     return np.array(chosen)
 
 
-def seen_postures(
-    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
-) -> Array:
-    """Draw up to ``count`` free postures (C, n) [rad] about rest that a ``rig`` shows."""
-    rng, room = np.random.default_rng(seed), _ROOM + before
+def seen_postures(arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD) -> Array:
+    """Draw up to ``count`` postures (C, n) [rad] about rest that a ``rig`` shows, free from `BEFORE` on either side."""
+    rng, room = np.random.default_rng(seed), _ROOM + BEFORE
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found = np.zeros((0, arm.joints))
     for _ in range(_TRIES):
@@ -105,7 +99,7 @@ def seen_postures(
         tool = tcp_position(arm, drawn)
         drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
-        for away in (0.0, before, -before) if before else (0.0,):
+        for away in (0.0, BEFORE, -BEFORE):
             drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
             drawn = drawn[~collides(arm, drawn - away)]
         found = np.concatenate([found, drawn])
@@ -190,10 +184,10 @@ class _Shooting:
 
     def take(self, count: int, visits: int) -> Film:
         arm = self.drive.robot.arm
-        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS), start=1):
             self._shoot(number, posture, number - 1)
         scouted = replace(self.film, shots=tuple(shot for shot in self.film.shots if shot.number <= SCOUTS))
-        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count, before=BEFORE), visits, axis=0)
+        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count), visits, axis=0)
         for row, posture in enumerate(chosen):
             self._shoot(SCOUTS + 1 + row, posture, SCOUTS + row // visits)
         self.drive.rest()
@@ -203,11 +197,11 @@ class _Shooting:
         if any(shot.number == number for shot in self.film.usable):
             return
         self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
-        position, approach = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
+        position = self.drive.stand(posture, number - 1)
         picture = self.camera.still(number)
         check()
         seen = self.detector.find(f"view-{number:03}.png", picture)
-        shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
+        shot = Shot(number=number, position=position, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:
             data = cv2.imencode(".png", picture)[1].tobytes()
@@ -222,13 +216,10 @@ class _Shooting:
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:
     """Locate camera and board by pictures about rest; InputError on failure."""
-    shots = scouted.usable
-    if len(shots) < FEWEST_SCOUTS or scouted.size is None:
+    if len(scouted.usable) < FEWEST_SCOUTS:
         raise UnseenBoardError(
-            f"camera: the board is seen well in {len(shots)} of the {len(scouted)} pictures about the rest posture, "
-            f"expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera "
-            "still, focus it, add light, or put it farther away"
+            f"camera: the board is seen well in {len(scouted.usable)} of the {len(scouted)} pictures about the rest "
+            f"posture, expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera still, "
+            "focus it, add light, or put it farther away"
         )
-    lens = first_lens(scouted.size, scouted.board, scouted.views)
-    sights = [place(lens, scouted.board.corners[view.number], view.pixel).pose for view in scouted.views]
-    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], np.array(sights))
+    return scouted.located(arm)[0]

@@ -13,10 +13,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_error, turned
-from rejoint.camera.board import Board
-from rejoint.diagnosis.calibration.calibration import finite
+from rejoint.camera.board import Board, BoardView
+from rejoint.diagnosis.calibration.calibration import require_finite
 from rejoint.system.errors import ContractError
-from rejoint.system.files import read_sealed, write_sealed
+from rejoint.system.files import array_of, read_sealed, write_sealed
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
@@ -86,11 +86,6 @@ class Lens:
         by_pose = np.concatenate([slope[:, 3:6], slope[:, :3]], axis=1)
         return pixel[:, 0], by_pose, np.concatenate([slope[:, 6:7] + slope[:, 7:8], slope[:, 8:14]], axis=1)
 
-    def shows(self, pixel: Array, margin: float = 0.0) -> Array:
-        """Which pixels (..., 2) are ``margin`` [px] inside the image."""
-        size = np.array([self.width, self.height]) - 1.0
-        return np.asarray(((pixel >= margin) & (pixel <= size - margin)).all(axis=-1))
-
 
 class Placed(NamedTuple):
     """A board before a camera."""
@@ -103,13 +98,14 @@ class Placed(NamedTuple):
     """[px] residual per coordinate"""
 
 
-def place(lens: Lens, corners: Array, pixel: Array, near: Array | None = None) -> Placed:
-    """Pose of a board with ``corners`` (K, 3) [m], not on a line, at ``pixel`` (K, 2).
+def place(lens: Lens, board: Board, view: BoardView, near: Array | None = None) -> Placed:
+    """Pose of a board in a view.
 
     A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006); of those that fit, the nearest to
     ``near`` (4, 4) wins, else the best.
     """
-    seen = (np.asarray(corners), np.asarray(pixel), lens.matrix, lens.distortion)
+    corners, pixel = board.corners[view.number], view.pixel
+    seen = (corners, pixel, lens.matrix, lens.distortion)
     _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)
     starts = list(zip(turns, shifts, strict=True))
     if near is not None:
@@ -132,6 +128,8 @@ def _placed(lens: Lens, corners: Array, pixel: Array, turn: Array, shift: Array)
 
 
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
+EDGE, STEEPEST = 20.0, np.radians(55.0)
+"""[px] of a shown board from the edge of the picture, and most [rad] between line of sight and normal; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,18 +162,16 @@ class Rig:
         between = inverse(self.standing) @ tool @ self.mounted
         return between if self.carried == "board" else inverse(between)
 
-    def shows(self, tool: Array, margin: float = 20.0, steepest: float = np.radians(55.0)) -> Array:
-        """Whether the whole board is visible at ``tool`` (..., 4, 4).
-
-        ``margin`` [px] to the edge; ``steepest`` [rad] between line of sight and normal.
-        """
+    def shows(self, tool: Array) -> Array:
+        """Whether the whole board is visible at ``tool`` (..., 4, 4)."""
         pose = self.sight(tool)
         outline = np.einsum("...ij,cj->...ci", pose[..., :3, :3], self.board.outline) + pose[..., None, :3, 3]
         middle = outline.mean(axis=-2)
         facing = (pose[..., :3, 2] * middle).sum(axis=-1) / np.linalg.norm(middle, axis=-1)
         ahead = (outline[..., 2] > 0.05).all(axis=-1)
         pixel = self.lens.project(np.where(ahead[..., None, None], outline, [0.0, 0.0, 1.0]))
-        return ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1)
+        most = [self.lens.width - 1.0 - EDGE, self.lens.height - 1.0 - EDGE]
+        return ahead & (facing > np.cos(STEEPEST)) & ((pixel >= EDGE) & (pixel <= most)).all(axis=(-2, -1))
 
 
 def point_sigma(spread: Array) -> Array:
@@ -204,8 +200,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
-        poses = {name: finite(data[name], (4, 4)) for name in ("standing", "mounted")}
-        lens, board = msgspec.convert(data["lens"], Lens), msgspec.convert(data["board"], Board)
-        return Rig(lens=lens, board=board, carried=str(data["carried"]), **poses)
+        rig = msgspec.convert(data, Rig, dec_hook=array_of)
+        require_finite(rig.tool(np.eye(4)), (4, 4))
+        return rig
 
     return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")

@@ -87,7 +87,7 @@ class ToolTracker:
         self._detector = Detector(rig.board)
 
     def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
-        """Locate the tool in a grey or BGR picture; None without a good view."""
+        """Locate the tool in a picture; None without a good view."""
         found = self._detector.find("picture", picture)
         if isinstance(found, Unusable):
             self.why = found.why
@@ -97,7 +97,7 @@ class ToolTracker:
 
     def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
         """Return the same for a ``view`` with known corners."""
-        placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
+        placed = place(self.rig.lens, self.rig.board, view)
         if placed.rms > CROOKED:
             self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
             return None

@@ -132,21 +132,18 @@ class Modelled:
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
         # Of B arms from the first target on:
-        self._came, self._still = np.zeros(self.arm.joints), Stillness(STILL)  # [rad] where arms came from
+        self._still = Stillness(STILL)
         self._done: Mask = np.zeros(1, dtype=bool)  # whether the target was aimed at again
         self._turned = np.eye(3)  # wanted encoder orientations
 
-    def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Shifts (..., 3) [m] from encoder TCP to tool at ``position`` (..., n) [rad].
-
-        ``approach`` (..., n) [rad]: earlier position.
-        """
-        links = self.displacement.joints(self.arm, position, approach)
+    def shift(self, position: Array) -> Array:
+        """Shifts (..., 3) [m] from encoder TCP to tool at ``position`` (..., n) [rad]."""
+        links = self.displacement.joints(self.arm, position)
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
-    def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
+    def untwisted(self, turn: Orientation, position: Array) -> Orientation:
         """Return encoder orientations (...) of tools turned as in ``turn``."""
-        links = self.displacement.joints(self.arm, position, approach)
+        links = self.displacement.joints(self.arm, position)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
         return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
 
@@ -159,7 +156,6 @@ class Modelled:
         """
         self._done = self._done & ~where
         self._still.restart(where)
-        self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
@@ -168,9 +164,9 @@ class Modelled:
             wanted = own = None if turn is None else turn[aimed]
             for _ in range(ROUNDS):
                 posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
-                place = goal - self.shift(posture, start[aimed])
+                place = goal - self.shift(posture)
                 if wanted is not None:
-                    own = self.untwisted(wanted, posture, start[aimed])
+                    own = self.untwisted(wanted, posture)
             aims[aimed] = checked(goal, place)
             if turn is not None and own is not None:
                 fresh = turn.rotation.copy()
@@ -185,7 +181,7 @@ class Modelled:
             return None
         self._done = self._done | settled
         position = inputs.state.position
-        fresh = np.where(settled[:, None], target - self.shift(position, self._came), inputs.target)
+        fresh = np.where(settled[:, None], target - self.shift(position), inputs.target)
         changed = np.linalg.norm(fresh - inputs.target, axis=-1) > CHANGE
         if not changed.any():
             return None
@@ -223,10 +219,8 @@ class Apparent:
     """Maps postures of ``arm`` to those of a perfect arm with its tool at the same true place, and back."""
 
     arm: Arm
-    shift: Callable[[Array, Array], Array] | None = None
+    shift: Callable[[Array], Array] | None = None
     """(3,) [m] as `Modelled.shift`; None: no shift"""
-    came: Array | None = None
-    """(n,) [rad] approach; None: none"""
 
     def shown(self, position: Array) -> Array:
         """Posture (n,) [rad] shown at ``position`` (n,)."""
@@ -246,7 +240,7 @@ class Apparent:
     def _tool(self, position: Array) -> Array:
         """Return the true place (3,) [m] at ``position`` (n,) [rad]."""
         assert self.shift is not None  # noqa: S101 - for the type checker
-        return tcp_position(self.arm, position) + self.shift(position, position if self.came is None else self.came)
+        return tcp_position(self.arm, position) + self.shift(position)
 
     def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
         """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""

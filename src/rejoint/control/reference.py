@@ -82,7 +82,7 @@ def beginning_at(arm: Arm, way: JointTrajectory, position: Array) -> JointTrajec
     """Return the ``way``, or a new one from ``position`` (n,) [rad] if the arm is not at its start."""
     if np.abs(way.start - position).max() > LAGS[1]:
         with suppress(PlanningError):
-            return plan(arm, position, way.goal, motors=way.motors, speed=way.speed)
+            return plan(arm, position, way.goal, motors=way.motors)
     return way
 
 
@@ -123,11 +123,11 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     alone = goal.copy()  # where the others are without the worst joint, once they have caught up
     alone[worst] = position[worst]
     without = position + (ahead - goal) * (1.0 - np.vstack([0.0 * goal, np.eye(len(goal))]))  # each of the joints
-    clear = clearances(arm, np.vstack([goal, position, alone, ahead, without]), np.zeros(0))
+    clear = clearances(arm, np.vstack([goal, position, alone, ahead, without]))
     here = clear[:3].min(axis=0)
     if lag > LAGS[0]:
         rest = position + way.at(np.linspace(since, way.duration, _REST)) - goal
-        near = np.minimum(clearances(arm, rest, np.zeros(0)).min(axis=0), clear[5 + worst])
+        near = np.minimum(clearances(arm, rest).min(axis=0), clear[5 + worst])
         if (way.heavy and lag > LAGS[1]) or ((near < STOP) & (near < clear[1])).any():
             return 0.0
     room = max(float((here / _roomy(arm)).min(initial=1.0)), LEAST)

@@ -115,7 +115,6 @@ class ServedArm(Mover, Reference):
         self._position = position.copy()
         self._speed = np.zeros(arm.joints)
         self._state: JointState | None = None
-        self._apparent.came = position.copy()
         self._wanted = self._aim = Setpoint(position[None].copy())
         # when [s] the reference ended its way; inf while it moves
         self._since = np.inf
@@ -176,11 +175,10 @@ class ServedArm(Mover, Reference):
         if self._time - self._calm_since < lasts and after <= PATIENCE:
             return
         held_back = self.held_back if error > ARRIVED_LENGTH else ""
-        self._settled, self._apparent.came = True, posture.copy()
+        self._settled = True
         if self._stopped or held_back:  # what is ordered next begins where the arm is, not where it will never come
             self._stay()
-            self._apparent.came = here = self._position.copy()
-            self._wanted = self._aim = Setpoint(here[None].copy())
+            self._wanted = self._aim = Setpoint(self._position[None].copy())
         if not self._stopped:
             short = self._unloading.short(self._position)
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))

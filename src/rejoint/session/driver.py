@@ -334,7 +334,7 @@ class GoalStream(Reference):
 
     def __init__(self, apparent: Apparent, position: Array) -> None:
         """Begin at ``position`` (n,) [rad]."""
-        self.apparent = replace(apparent, came=position)
+        self.apparent = apparent
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
         self._mean, self._posture = np.full_like(position, np.nan), position
@@ -348,8 +348,6 @@ class GoalStream(Reference):
         if goal is None:
             return Setpoint(self._posture[None])
         if not np.abs(goal - self._mean).max() < JITTER:
-            if rested:
-                self.apparent.came = self._posture
             self._mean, self._changed, rested = goal, now, False
         # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
         self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)

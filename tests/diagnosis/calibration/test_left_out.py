@@ -22,7 +22,7 @@ def calibration(sigma=1e-9, arm=ARM, **values):
     return Calibration(
         arm=arm,
         displacement=found,
-        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).size),
+        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).body),
         frame=np.eye(4),
         frame_name="base",
         source="touch",
@@ -101,7 +101,6 @@ def points():
     worn = replace(Displacement.none(ARM), compliance=np.full(6, 0.02), play=np.full(6, 0.02))
     return Measurements(
         position=position,
-        approach=np.full((10, 6), np.nan),
         sigma=np.full(10, 5e-4),
         point=worn.tool(ARM, position) + np.random.default_rng(0).normal(0.0, 5e-4, (10, 3)),
         posture=np.arange(10),

@@ -11,18 +11,15 @@ from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.system.errors import FileError
 
 ARM = mycobot280()
-FIELDS = ("position", "approach", "point", "sigma", "posture")
+FIELDS = ("position", "point", "sigma", "posture")
 
 
 def measured(seed=0, rows=6, frame="base", source="touch"):
     rng = np.random.default_rng(seed)
     point = rng.normal(0.0, 0.2, (rows, 3))
     point[0, :2] = np.nan
-    approach = rng.normal(0.0, 1.0, (rows, ARM.joints))
-    approach[-1] = np.nan
     return Measurements(
         position=rng.normal(0.0, 1.0, (rows, ARM.joints)),
-        approach=approach,
         point=point,
         sigma=rng.uniform(1e-4, 1e-3, rows),
         posture=np.arange(rows) // 2,
@@ -52,7 +49,6 @@ def test_a_csv_by_hand_needs_joints_and_coordinates_alone(tmp_path):
     np.testing.assert_allclose(found.point[1], [np.nan, np.nan, 0.2515])
     np.testing.assert_array_equal(found.sigma, NOISE)
     np.testing.assert_array_equal(found.posture, [0, 1])
-    assert np.isnan(found.approach).all()
 
 
 GOOD = ",".join(f"position.{name}_deg" for name in ARM.joint_names) + ",x_mm,y_mm,z_mm"

@@ -24,7 +24,6 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.results import Readable
 
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
-_APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,9 +77,8 @@ def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None =
     places, wanted = aims, turns = guide.poses(time)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
-        came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
-        aims = checked(places, places - correction.shift(way, came))
-        turns = wanted and correction.untwisted(wanted, way, came)
+        aims = checked(places, places - correction.shift(way))
+        turns = wanted and correction.untwisted(wanted, way)
         postures.last = way[:1]
     return replace(guide, aim=Path(time=time, place=aims, turn=turns, name=guide.name))
 

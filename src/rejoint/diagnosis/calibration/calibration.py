@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -81,10 +81,6 @@ class Calibration(Readable):
     def tool(self, position: Array) -> Array:
         """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad]."""
         return self.displacement.tool(self.arm, position)
-
-    def shift(self, position: Array) -> Array:
-        """Displacement (..., 3) [m] of the tool from the encoders'."""
-        return self.tool(position) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`: draws of the parameters, play of floating joints, and the floor."""
@@ -211,8 +207,8 @@ covariance: of the parameters of the displacement in this order: mass less one, 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration, atomically."""
     own = calibration
-    told = {"format": FORMAT} | {one.name: getattr(own, one.name) for one in fields(own)} | {"arm": own.arm.name}
-    told |= {"geometry": geometry_of(own.arm), "order": own.layout.names()}
+    told = {"format": FORMAT, **vars(own), "arm": own.arm.name, "geometry": geometry_of(own.arm)}
+    told["order"] = own.layout.names()
     write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
 
 
@@ -224,16 +220,13 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
         kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name != "arm"}
         parts = {name: msgspec.convert(data[name], kind, dec_hook=array_of) for name, kind in kinds.items()}
         own = Calibration(arm=arm, **parts)
-        finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
+        require_finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
         return own
 
     return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
 
 
-def finite(value: object, shape: tuple[int, ...]) -> Array:
-    """Read finite numbers of a shape from a file; InputError."""
-    array = np.array(value, dtype=float)
-    array = array if array.size else array.reshape(shape)  # an empty list tells no columns
+def require_finite(array: Array, shape: tuple[int, ...]) -> None:
+    """Raise InputError unless an array that follows from a file has finite numbers and this ``shape``."""
     if array.shape != shape or not np.isfinite(array).all():
         raise InputError(f"expected finite numbers of shape {shape}, found {array.shape}")
-    return array

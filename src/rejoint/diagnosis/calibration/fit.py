@@ -1,31 +1,229 @@
-"""From measurements to a calibration: the likeliest prior, cross-validated."""
+"""From measurements to a calibration: parameters of an arm, and of whatever measures it, cross-validated.
+
+Maximum a posteriori by bounded least squares under each prior; the likeliest is taken. Noise of measuring, model and
+floating joints; Huber's loss (1964).
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtr
 
-from rejoint.arms import Arm, Array, Mask
+from rejoint.arms import Arm, Array, Displacement, Mask
+from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.diagnosis.calibration.parameters import (
     ANYWHERE,
     ASKEW,
+    LEVEL,
     Belief,
     DisplacementLayout,
     PriorCase,
     belief,
+    displacement_of,
     floor_of,
+    linearised,
+    scatter,
     vector_of,
 )
-from rejoint.diagnosis.calibration.solver import Fitted, ToolProblem, search, solve
 from rejoint.system.errors import InputError
+
+SLIP, MOST_SLIPS = 30.0, 0.25
+"""Residual [sigma] of an outlier, and their largest share; chosen"""
+TURNED = np.radians(0.15)
+"""[rad] unexplained turn of the tool; chosen"""
+ITERATIONS = 40
+_HUBER = 0.05  # share of normal residuals for which the loss is linear
+_ROUNDS = 12  # of a descent with the noise and the weights as they were, at most
+_SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
+_STEP = 1e-6  # [m] and [rad] of numerical derivatives
+_TILT = np.radians(6.0)
+_DIRECTIONS, _QUICK = 8, 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """A solution and its uncertainty."""
+
+    vector: Array
+    """(k,)"""
+    covariance: Array
+    """(k, k)"""
+    evidence: float
+    """log marginal likelihood up to a constant (Laplace's approximation)"""
+
+
+ROWS = ("seen", "by_lens", "known", "spread", "position", "posture")
+"""Fields of `ToolProblem` with a row each"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolProblem:
+    """What a device saw of the tool in R postures, and a prior.
+
+    Unknown outside the arm: `frame`, then `mounted` (6 each: shift, turn), then a lens.
+    """
+
+    arm: Arm
+    belief: Belief
+    seen: Array
+    """(R, 4, 4) what the tool carries, in the measuring frame; turned anyhow where only a point was measured"""
+    by_lens: Array
+    """(R, 6, lens) derivative of `seen` by the lens; of its inverse where ``inverted``"""
+    known: Mask
+    """(R, 6) which coordinates of shift and turn were measured"""
+    spread: Array
+    """(R, 6, 6) covariance of the tool's measured pose, base axes"""
+    position: Array
+    """(R, n) [rad] by encoders"""
+    posture: NDArray[np.int64]
+    """(R,) posture number of each"""
+    frame: Array
+    """(4, 4) pose of the measuring frame in the base, first estimate"""
+    mounted: Array
+    """(4, 4) pose of what the tool carries in the TCP frame, first estimate"""
+    joint: float = 0.0
+    """[rad] unexplained sigma of each joint"""
+    inverted: bool = False
+    """whether the tool carries the device: `seen` is the inverse of its picture"""
+
+    @property
+    def layout(self) -> DisplacementLayout:
+        """Places in the vector."""
+        return DisplacementLayout(joints=self.arm.joints)
+
+    def rows(self, where: Mask) -> ToolProblem:
+        """Problem of some rows."""
+        return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
+
+    def outside(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Poses (4, 4) of frame and mounting, and the lens's change, for the unknowns (k,)."""
+        frame, mounted, lens = np.split(np.pad(vector[self.layout.body :], (0, 12)), [6, 12])
+        return moved(self.frame, frame), moved(self.mounted, mounted), lens[: self.by_lens.shape[-1]]
+
+    def displacement(self, vector: Array) -> Displacement:
+        """Displacement for the unknowns (k,)."""
+        return displacement_of(self.layout, vector)
+
+    def tool(self, vector: Array) -> Array:
+        """Measured tool (R, 4, 4) in the measuring frame."""
+        _, mounted, lens = self.outside(vector)
+        seen = inverse(self.seen) if self.inverted else self.seen
+        seen = moved(seen, self.by_lens @ lens)
+        return (inverse(seen) if self.inverted else seen) @ inverse(mounted)
+
+    def misfit(self, vector: Array) -> Array:
+        """Predicted less measured shift [m] and turn [rad] (R, 6), axes of the measuring frame; 0: not measured."""
+        return self._misfit(vector, self.displacement(vector).tool_pose(self.arm, self.position))
+
+    def slope(self, vector: Array) -> Array:
+        """Return the derivative (R, 6, k) of `misfit`; by the turn as for small ones."""
+        body, back = self.layout.body, np.kron(np.eye(2), self.outside(vector)[0][:3, :3]).T
+        predicted, slope = linearised(self.arm, self.layout, vector, self.position)
+        by_arm = np.where(self.known[..., None], back @ slope, 0.0)
+
+        here, steps = self._misfit(vector, predicted), _STEP * np.eye(len(vector))[body:]
+        by_device = [(self._misfit(vector + step, predicted) - here)[..., None] / _STEP for step in steps]
+        return np.concatenate([by_arm, *by_device], axis=-1)
+
+    def _misfit(self, vector: Array, predicted: Array) -> Array:
+        off = difference(inverse(self.outside(vector)[0]) @ predicted, self.tool(vector))
+        return np.where(self.known, off, 0.0)
+
+    def noise(self, vector: Array) -> Array:
+        """Covariance (R, 6, 6) of `misfit` for known parameters; 1 where not measured."""
+        turn = np.kron(np.eye(2), self.outside(vector)[0][:3, :3])
+        rest = np.diag([floor_of(self.arm) ** 2] * 3 + [TURNED**2] * 3)
+        total = scatter(self.arm, self.displacement(vector), self.position, self.joint) + rest + self.spread
+        return np.where(self.known[:, :, None] & self.known[:, None, :], turn.T @ total @ turn, np.eye(6))
+
+    def weighed(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Matrices (R, 6, 6) that whiten residuals, white residuals (R, 6), and Huber's weights (R,)."""
+        whitener = np.linalg.inv(np.linalg.cholesky(self.noise(vector)))
+        white = (whitener @ self.misfit(vector)[..., None])[..., 0]
+        limit = np.sqrt(chdtri(np.maximum(self.known.sum(axis=1), 1), _HUBER))
+        return whitener, white, np.minimum(1.0, limit / np.maximum(np.linalg.norm(white, axis=1), 1e-12))
+
+    def uncorrected(self, out: Mask, start: Array) -> Array:
+        """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
+        body, own = slice(0, self.layout.body), self.belief
+        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
+        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
+        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
+        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
+
+
+def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+    """Iterate from ``start`` (k,), with the noise and the weights of the last iterate."""
+    belief, vector = problem.belief, np.array(start, dtype=float)
+    free, cost, root = belief.upper > belief.lower, np.inf, np.linalg.cholesky(belief.precision).T
+    vector[~free] = belief.lower[~free]
+    bounds = belief.lower[free], belief.upper[free]
+
+    def whole(x: Array) -> Array:
+        full = vector.copy()
+        full[free] = x
+        return full
+
+    curvature = belief.precision.copy()
+    for step in range(_ROUNDS if free.any() else 0):
+        whitener, white, weight = problem.weighed(vector)
+        slips = np.linalg.norm(white, axis=1) > SLIP
+        if step and slips.sum() <= MOST_SLIPS * len(slips):
+            weight = np.where(slips, 0.0, weight)
+        whitener = whitener * np.sqrt(weight)[:, None, None]
+
+        def residual(x: Array, whitener: Array = whitener) -> Array:
+            white = whitener @ problem.misfit(whole(x))[..., None]
+            return np.concatenate([white.ravel(), root @ (whole(x) - belief.mean)])
+
+        def derivative(x: Array, whitener: Array = whitener) -> Array:
+            slope = whitener @ problem.slope(whole(x))[..., free]
+            return np.concatenate([slope.reshape(-1, free.sum()), root[:, free]])
+
+        begin = np.clip(vector[free], *bounds)
+        found = least_squares(
+            residual, begin, derivative, bounds, x_scale="jac", max_nfev=iterations, ftol=_SMALL, xtol=_SMALL
+        )
+        vector, before, cost = whole(found.x), cost, found.cost
+        curvature[np.ix_(free, free)] = found.jac.T @ found.jac
+        if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
+            break
+    return _fitted(problem, vector, curvature)
+
+
+def _fitted(problem: ToolProblem, vector: Array, curvature: Array) -> Fitted:
+    whitener, white, weight = problem.weighed(vector)
+    own, off = problem.belief.precision, vector - problem.belief.mean
+    cost = 0.5 * float((weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off)
+    spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
+    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(own)[1] - np.linalg.slogdet(curvature)[1])
+    return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
+
+
+def search(problem: ToolProblem) -> Fitted:
+    """Solve; where the base may be tilted also from tilted bases: a slight tilt moves a floating joint."""
+    upright = solve(problem, problem.belief.mean)
+    tilt = problem.layout.at("tilt")
+    if problem.belief.precision[tilt.start, tilt.start] > LEVEL**-2.0 / 2:
+        return upright
+    turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
+    best = upright
+    for lean in _TILT * np.stack([np.cos(turns), np.sin(turns)], axis=-1):
+        start = upright.vector.copy()
+        start[tilt] = lean
+        quick = solve(problem, start, _QUICK)
+        best = quick if quick.evidence > best.evidence else best
+    return upright if best is upright else solve(problem, best.vector)
+
 
 FOLDS = 12
 """Groups for cross-validation; chosen for time"""
@@ -121,15 +319,15 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
         )
     if not np.isfinite(measurements.point).any():
         raise InputError("measurements: no coordinate was measured; expected at least one")
-    measurements, foreign, none = merge_repeats(measurements), measurements.frame != "base", np.zeros((6, 0))
+    measurements, foreign = merge_repeats(measurements), measurements.frame != "base"
     seen = np.tile(np.eye(4), (len(measurements), 1, 1))
     seen[:, :3, 3] = np.nan_to_num(measurements.point)
     beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
     problem = ToolProblem(
         arm=arm,
-        belief=beliefs[0][0],
+        belief=beliefs[0],
         seen=seen,
-        by_lens=np.tile(none, (len(seen), 1, 1)),
+        by_lens=np.zeros((len(seen), 6, 0)),
         known=np.isfinite(np.pad(measurements.point, ((0, 0), (0, 3)), constant_values=np.nan)),
         spread=measurements.sigma[:, None, None] ** 2 * np.eye(6),
         position=measurements.position,
@@ -140,34 +338,30 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     return judged(*likeliest(problem, beliefs), measurements, date)
 
 
-def beliefs_of(
-    arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array
-) -> list[tuple[Belief, float]]:
-    """Priors for rows of numbered postures (M,), with log odds; ``outside``: see `belief`."""
+def beliefs_of(arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array) -> list[Belief]:
+    """Priors for rows of numbered postures (M,); ``outside``: see `belief`."""
     if prior is not None:
         prior.require(arm)
-        return [(earlier(arm, prior, outside), 0.0)]
+        return [earlier(arm, prior, outside)]
     few = len(np.unique(posture)) < LINKS_FROM
-    return [(belief(arm, case, outside), case.odds) for case in CASES if not (case.twist and few)]
+    return [belief(arm, case, outside) for case in CASES if not (case.twist and few)]
 
 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
-    base, layout = belief(arm, PriorCase(), outside), DisplacementLayout(joints=arm.joints)
-    body, links = slice(0, layout.body), layout.at("twist")
-    mean, precision, lower, upper = (getattr(base, name).copy() for name in ("mean", "precision", "lower", "upper"))
-    mean[body] = vector_of(layout, prior.displacement)
-    if prior.displacement.twist.any():
-        lower[links], upper[links] = -np.inf, np.inf
-    precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(1.0 / np.diag(base.precision)[body]))
-    return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
+    layout = DisplacementLayout(joints=arm.joints)
+    body, fits_links = slice(0, layout.body), prior.displacement.twist.any()
+    found = belief(arm, PriorCase(twist=1.0 if fits_links else 0.0), outside)
+    usual = 1.0 / np.diag(belief(arm, PriorCase()).precision)
+    found.mean[body] = vector_of(layout, prior.displacement)
+    found.precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(usual))
+    return found
 
 
-def likeliest(problem: ToolProblem, beliefs: list[tuple[Belief, float]]) -> tuple[ToolProblem, Fitted]:
-    """Solve a problem under each prior with its log odds; return the likeliest."""
-    tried = [(replace(problem, belief=one), odds) for one, odds in beliefs]
-    solved = [(own, search(own), odds) for own, odds in tried]
-    return max(solved, key=lambda each: each[1].evidence + each[2])[:2]
+def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem, Fitted]:
+    """Solve a problem under each prior; return the likeliest."""
+    tried = [replace(problem, belief=one) for one in beliefs]
+    return max(zip(tried, map(search, tried), strict=True), key=lambda each: each[1].evidence + each[0].belief.odds)
 
 
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:

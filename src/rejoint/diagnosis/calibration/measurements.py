@@ -1,15 +1,15 @@
 """Measurements of the real tool at rest, and their files: JSON and CSV.
 
 Rows of one ``posture`` approach it from different sides, which shows play. Columns of a CSV: ``position.JOINT``;
-optional ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``. Each name ends with its unit
-(``position.joint1_deg``, ``X [mm]``).
+optional ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``. Each name ends with its unit (``position.joint1_deg``,
+``X [mm]``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ NOISE = 0.5e-3
 """[m] default sigma of a coordinate; chosen: a ruler read with care"""
 
 
-ROWS = ("position", "approach", "point", "sigma", "posture")
+ROWS = ("position", "point", "sigma", "posture")
 """Fields of `Measurements` with a row each"""
 
 
@@ -40,8 +40,6 @@ class Measurements(Readable):
 
     position: Array
     """(M, n) [rad] by encoders"""
-    approach: Array
-    """(M, n) [rad] before the last motion; NaN where unknown"""
     point: Array
     """(M, 3) [m] tool in ``frame``; NaN where not measured"""
     sigma: Array
@@ -57,8 +55,8 @@ class Measurements(Readable):
         for name in ROWS:
             kind = np.int64 if name == "posture" else np.float64
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=kind))
-        rows, joints = self.position.shape
-        shapes = {"approach": (rows, joints), "point": (rows, 3), "sigma": (rows,), "posture": (rows,)}
+        rows = len(self.position)
+        shapes = {"point": (rows, 3), "sigma": (rows,), "posture": (rows,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"measurements: {name} has shape {getattr(self, name).shape}, expected {shape}")
@@ -122,28 +120,19 @@ SHEET_MOST = 4 * MEGABYTE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ArmRecord:
-    """What a JSON file of one arm begins with."""
+class MeasurementFile:
+    """Content of a file of measurements."""
 
     arm: str
     joints: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeasurementFile(ArmRecord):
-    """Content of a file of measurements."""
-
     measured: Measurements
     session: MeasuringSession | None = None
     """None: it is complete"""
 
 
-T = TypeVar("T", bound=ArmRecord)
-
-
-def read_for(path: Path, arm: Arm, kind: type[T]) -> T:
+def _of(path: Path, arm: Arm) -> MeasurementFile:
     """Read a JSON file of ``arm``; FileError for another one's."""
-    found = read_json(path, kind)
+    found = read_json(path, MeasurementFile)
     if (found.arm, found.joints) != (arm.name, arm.joint_names):
         raise FileError(path, f"of arm {found.arm}, expected {arm.name}", "name the right arm")
     return found
@@ -156,14 +145,14 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
     """Read interrupted measurements and progress; None if complete."""
-    found = read_for(path, arm, MeasurementFile)
+    found = _of(path, arm)
     return None if found.session is None else (found.measured, found.session)
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base") -> Measurements:
     """Read JSON, or text with columns, measured in ``frame``; FileError if unusable."""
     if path.suffix.lower() == ".json":
-        return read_for(path, arm, MeasurementFile).measured
+        return _of(path, arm).measured
     return _from_csv(path, arm, frame)
 
 
@@ -171,10 +160,9 @@ BEYOND = np.radians(10.0)
 """[rad] tolerated beyond joint limits; chosen"""
 
 
-def joint_columns(arm: Arm) -> tuple[list[str], list[str]]:
-    """Names of the columns of positions, and of positions before the last motion."""
-    position, approach = ([f"{group}.{name}" for name in arm.joint_names] for group in ("position", "approach"))
-    return position, approach
+def joint_columns(arm: Arm) -> list[str]:
+    """Names of the columns of positions."""
+    return [f"position.{name}" for name in arm.joint_names]
 
 
 def require_degrees(path: Path, position: Array) -> None:
@@ -184,23 +172,21 @@ def require_degrees(path: Path, position: Array) -> None:
 
 
 def _from_csv(path: Path, arm: Arm, frame: str) -> Measurements:
-    joints, came = joint_columns(arm)
-    meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
+    joints = joint_columns(arm)
+    meanings = dict.fromkeys(joints, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
     found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"}, most=SHEET_MOST)
     if not len(lines):
         raise FileError(path, "no measurements below the header", "add one line for each")
-    empty = np.full(len(lines), np.nan)
-    columns = dict.fromkeys((*AXES, *came), empty) | found
+    columns = dict.fromkeys(AXES, np.full(len(lines), np.nan)) | found
     seen = np.isfinite([columns[axis] for axis in AXES]).any(axis=0)  # as an empty answer at the prompt leaves one out
     lines = lines[seen]
     if not len(lines):
         raise FileError(path, "no line has a coordinate of the tool", "measure at least one of x_mm, y_mm and z_mm")
     columns = {name: values[seen] for name, values in columns.items()}
-    position, approach, point = (np.stack([columns[one] for one in names], axis=-1) for names in (joints, came, AXES))
+    position, point = (np.stack([columns[one] for one in names], axis=-1) for names in (joints, AXES))
     try:
         measured = Measurements(
             position=position,
-            approach=approach,
             point=point,
             sigma=columns.get("sigma", np.full(len(lines), NOISE)),
             posture=columns.get("posture", np.arange(len(lines))),

@@ -42,8 +42,6 @@ class DisplacementLayout:
     """Indices of the parameters of an arm of n joints."""
 
     joints: int
-    outside: int = 0
-    """parameters of the measuring device, which come last"""
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -52,13 +50,8 @@ class DisplacementLayout:
 
     @property
     def body(self) -> int:
-        """Number of the arm's parameters."""
+        """Number of the arm's parameters, with which the vector begins."""
         return sum(self.sizes)
-
-    @property
-    def size(self) -> int:
-        """Length k of the vector."""
-        return self.body + self.outside
 
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`."""
@@ -82,6 +75,8 @@ class Belief:
     """(k,)"""
     upper: Array
     """(k,)"""
+    odds: float
+    """log odds against the others"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +103,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
     ``outside`` (o, o): precision of the parameters of the measuring device, zero and unbounded.
     """
     layout = DisplacementLayout(joints=arm.joints)
-    mean, sigma, lower, upper = np.zeros((4, layout.size))
+    mean, sigma, lower, upper = np.zeros((4, layout.body))
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     links = np.inf if case.twist else 0.0
@@ -130,6 +125,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
         precision=block_diag(np.diag(sigma**-2.0), more),
         lower=np.append(lower, -free),
         upper=np.append(upper, free),
+        odds=case.odds,
     )
 
 
@@ -148,11 +144,10 @@ def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
-    """Turn a displacement into the vector, with zeros outside the arm."""
+    """Turn a displacement into the arm's part of the vector."""
     own, down = displacement, [one / np.linalg.norm(one) for one in (GRAVITY, displacement.gravity)]
     parts = own.offset, own.compliance, own.play, own.mass - 1.0, between_directions(*down)[:2], own.twist.ravel()
-    each = [np.broadcast_to(part, size) for part, size in zip(parts, layout.sizes, strict=True)]
-    return np.append(np.concatenate(each), np.zeros(layout.outside))
+    return np.concatenate([np.broadcast_to(part, size) for part, size in zip(parts, layout.sizes, strict=True)])
 
 
 FLOOR = 0.5e-3

@@ -54,16 +54,18 @@ class Suggestion:
 
     postures: Array
     """(K, n) [rad]"""
-    approach: Array
-    """(K, n) [rad] start of each approach"""
     posture: NDArray[np.int64]
     """(K,) visits of one posture share a number"""
 
     @property
     def digest(self) -> str:
         """Digest of the postures, to a microradian."""
-        ways = np.round(1e6 * np.concatenate([self.postures, self.approach])).astype("<i8")
-        return hashlib.sha256(ways.tobytes()).hexdigest()[:16]
+        return hashlib.sha256(np.round(1e6 * self.postures).astype("<i8").tobytes()).hexdigest()[:16]
+
+
+def before(posture: Array, visit: int) -> Array:
+    """Where visit number ``visit`` comes to a ``posture`` (n,) [rad] from: from below and from above, in turn."""
+    return posture - BEFORE * (-1.0) ** visit
 
 
 def suggest(
@@ -97,12 +99,7 @@ def suggest(
         best = chosen[-1] if again else _most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
-    came = np.where(np.arange(count) % 2, -1.0, 1.0)[:, None]
-    return Suggestion(
-        postures=postures[chosen],
-        approach=postures[chosen] - BEFORE * came,
-        posture=np.unique(chosen, return_inverse=True)[1],
-    )
+    return Suggestion(postures=postures[chosen], posture=np.unique(chosen, return_inverse=True)[1])
 
 
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
-from rejoint.diagnosis.calibration.postures import Suggestion
+from rejoint.diagnosis.calibration.postures import Suggestion, before
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, reading, require_file
@@ -296,11 +296,12 @@ class StandingDrive:
         self.robot, self._limits, self._stance = robot, limits or GuardLimits.of(robot.arm), stance
         self._sent: Array | None = None
 
-    def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
-        """Go to ``before`` (n,) [rad], then ``posture`` (n,); return both readings."""
-        came, there = self._go(before, settle=0.3), self._go(posture, settle=SETTLE)
+    def stand(self, posture: Array, visit: int) -> Array:
+        """Go to ``posture`` (n,) [rad] from the side of this ``visit``; return its reading."""
+        self._go(before(posture, visit), settle=0.3)
+        there = self._go(posture, settle=SETTLE)
         rows = there.time[:, 0] > there.time[-1, 0] - WINDOW
-        return np.asarray(there.position[rows, 0].mean(axis=0)), came.position[-1, 0]
+        return np.asarray(there.position[rows, 0].mean(axis=0))
 
     def rest(self) -> None:
         """Go back to rest, if the arm has moved."""
@@ -329,7 +330,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:
-            position, approach = drive.stand(plan.postures[number], plan.approach[number])
+            position = drive.stand(plan.postures[number], number)
         except PlanningError as error:
             logging.getLogger("rejoint").warning("posture %d is left out: %s", number + 1, error)
             return None
@@ -342,7 +343,6 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
         if not again:
             return Measurements(
                 position=position[None],
-                approach=approach[None],
                 point=point[None],
                 sigma=np.array([gauge.sigma]),
                 posture=plan.posture[number : number + 1],

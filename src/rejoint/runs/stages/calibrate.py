@@ -218,7 +218,7 @@ def calibrate(
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
             with saving(result):
-                _write(about, measured, result)
+                _write(about, result)
         update(1.0, "fitted")
         return result
 
@@ -241,10 +241,10 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
     )
 
 
-def _write(run: Run, measured: Measurements | Film, result: Calibrated) -> None:
+def _write(run: Run, result: Calibrated) -> None:
     run.begin()
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
     write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
     if result.filmed is not None:
-        cast("Film", measured).write(run.folder, run.arm, result.filmed)
+        result.filmed.write(run.folder)

@@ -45,7 +45,7 @@ from rejoint.control.start import play
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.postures import Suggestion, suggest
+from rejoint.diagnosis.calibration.postures import Suggestion, before, suggest
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.system.errors import InputError
@@ -387,18 +387,15 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Mea
     """Bring all arms to the postures and measure their tools with noise; measurements of each arm."""
     rng = np.random.default_rng([seed, 3])
     sent, found = robot.read().position, []
-    for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
-        for goal in (start, place):
-            came, sent = robot.read().position, _go(robot, sent, goal)
+    for visit, place in enumerate(suggestion.postures):
+        for goal in (before(place, visit), place):
+            sent = _go(robot, sent, goal)
         last = [robot.step(sent).position for _ in range(8)]
         point = robot.true_tcp() + rng.normal(0.0, SIGMA, (robot.count, 3))
-        found.append((np.mean(last, axis=0), came, point))
+        found.append((np.mean(last, axis=0), point))
     sigma, posture = np.full(len(found), SIGMA), suggestion.posture
     each = zip(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)), strict=True)
-    return [
-        Measurements(position=position, approach=approach, point=point, sigma=sigma, posture=posture)
-        for position, approach, point in each
-    ]
+    return [Measurements(position=position, point=point, sigma=sigma, posture=posture) for position, point in each]
 
 
 def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
