@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.wire import MAX_PAYLOAD, ORDERS, QUESTIONS, Decoder, Frame, answer, encode, pack_angles
-from rejoint.robots.wireserver import Server
+from rejoint.robots.mycobot.wire import FORMAT, MAX_PAYLOAD, ORDERS, QUESTIONS, Frame, answer, encode, pack_angles
+from rejoint.robots.wireserver import Finder, Server
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
 from rejoint_lab.emulator.servers import Timing, WireSession, on_port
 
@@ -68,7 +68,7 @@ def _damaged(rng: np.random.Generator, frame: bytes) -> bytes:
 
 def fuzz(firmware: Firmware, count: int, seed: int = 0) -> Counter[str]:
     """Let the firmware answer ``count`` fuzzed frames; raises what it raises. Returns how many came to what end."""
-    rng, decoder, ends = np.random.default_rng(seed), Decoder(), Counter[str]()
+    rng, decoder, ends = np.random.default_rng(seed), Finder(FORMAT), Counter[str]()
     for number, stream in enumerate(streams(rng, count)):
         for request in decoder.feed(stream):
             reply = answer(firmware, request)

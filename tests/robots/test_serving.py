@@ -19,8 +19,9 @@ from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
 from rejoint.robots.mycobot.mover import COLLISION
-from rejoint.robots.mycobot.wire import Decoder, Frame, encode, pack_angles, pack_coords
+from rejoint.robots.mycobot.wire import FORMAT, Frame, encode, pack_angles, pack_coords
 from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, Relay, ServedArm
+from rejoint.robots.wireserver import Finder
 from rejoint.runs.run import Run
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
@@ -285,7 +286,7 @@ def test_any_bytes_are_borne(tmp_path):
     served = ServedArm(ARM, ARM.rest)
     log = OrderLog(tmp_path / "orders.jsonl")
     answers = Clients(served, log, Relay(None), lambda _: None)
-    rng, decoder = np.random.default_rng(0), Decoder()
+    rng, decoder = np.random.default_rng(0), Finder(FORMAT)
     commands = [*REFUSED, *range(0x10, 0x60), 0xD5, 0xE1, 0xE5]
     slow = {0x24, 0x25, 0x31, 0x32, 0x34}  # inverse kinematics
     for number in range(3000):

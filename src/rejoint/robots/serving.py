@@ -48,7 +48,7 @@ from rejoint.robots.mycobot.mover import (
     at_angles,
     at_place,
 )
-from rejoint.robots.mycobot.wire import COMMANDS, Decoder, Frame, answer, encode, flag
+from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Frame, answer, encode, flag
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError
 from rejoint.system.files import unwritable
@@ -400,6 +400,8 @@ _UNFINISHED = " Its last move was not at its end: a program waits for it with sy
 class Clients(Conversation[Frame]):
     """Answers the clients of ``served``, one at a time; ``say`` tells the terminal."""
 
+    wire_format = FORMAT
+
     def __init__(
         self,
         served: ServedArm,
@@ -489,9 +491,6 @@ class Clients(Conversation[Frame]):
         if now - self._said.get(about, -AGAIN) >= AGAIN:
             self._said[about] = now
             self._say(line)
-
-    def _finder(self) -> Decoder:
-        return Decoder()
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
         found = self.answer(request)

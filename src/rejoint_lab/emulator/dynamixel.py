@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from rejoint.arms import Arm
 from rejoint.robots.registers import COMPLEMENT
-from rejoint.robots.wireserver import Finder
+from rejoint.robots.wireserver import Format
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
@@ -24,7 +24,6 @@ from rejoint_lab.emulator.servobus import (
     TURN,
     WRITE,
     Answer,
-    Codec,
     EmulatedBus,
     MemoryField,
     Packet,
@@ -72,26 +71,19 @@ def encode(packet: Packet) -> bytes:
     return data + crc(data)
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the packet at the beginning; 0: none, None: incomplete."""
-    if len(data) < 7:
+def _size(head: bytes) -> int:
+    size = 7 + int.from_bytes(head[5:7], "little")
+    return size if head[3] == 0 and 10 <= size <= _MOST else 0
+
+
+def _read(data: bytes) -> Packet | None:
+    if crc(data[:-2]) != data[-2:]:
         return None
-    size = 7 + int.from_bytes(data[5:7], "little")
-    if data[3] or not 10 <= size <= _MOST:
-        return 0
-    return None if len(data) < size else size * (crc(data[: size - 2]) == data[size - 2 : size])
-
-
-def read_packet(data: bytes) -> Packet:
-    """Packet of its bytes."""
     body = data[7:-2].replace(HEADER + b"\xfd", HEADER)
     return Packet(data[4], body[0], body[1:])
 
 
-def finder() -> Finder[Packet]:
-    """Find packets in a stream of bytes."""
-    return Finder(HEADER, size_of, read_packet)
-
+FORMAT = Format(HEADER, 7, _size, _read, encode)
 
 SIZE = 662
 """[bytes] of registers"""
@@ -435,7 +427,7 @@ class XArm(ServoArm[XServo]):
 class XBus(EmulatedBus[XServo]):
     """Servos of X arms on their wire."""
 
-    scheme, codec, ping_bytes, ping_pause = "dynamixel", Codec(finder, encode), 14, TURN
+    scheme, wire_format, ping_bytes, ping_pause = "dynamixel", FORMAT, 14, TURN
     rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
     reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
     writes = frozenset({SYNC_WRITE, BULK_WRITE})

@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.robots.wireserver import Finder
+from rejoint.robots.wireserver import Format
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
     PING,
@@ -21,7 +21,6 @@ from rejoint_lab.emulator.servobus import (
     SYNC_WRITE,
     WRITE,
     Answer,
-    Codec,
     EmulatedBus,
     MemoryField,
     Packet,
@@ -69,21 +68,15 @@ def encode(packet: Packet) -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the packet at the beginning; 0: none, None: incomplete."""
-    if data[2:3] == b"\xff":
-        return 0
-    if len(data) < 4:
-        return None
-    size = data[3] + 4
-    if not 2 <= data[3] <= MOST_PARAMETERS + 2:
-        return 0
-    return None if len(data) < size else size * (checksum(data[2 : size - 1]) == data[size - 1])
+def _size(head: bytes) -> int:
+    return head[3] + 4 if head[2] != 0xFF and 2 <= head[3] <= MOST_PARAMETERS + 2 else 0
 
 
-def finder() -> Finder[Packet]:
-    """Find packets in a stream of bytes."""
-    return Finder(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
+def _read(data: bytes) -> Packet | None:
+    return Packet(data[2], data[4], data[5:-1]) if checksum(data[2:-1]) == data[-1] else None
+
+
+FORMAT = Format(HEADER, 4, _size, _read, encode)
 
 
 COUNTS = 4096
@@ -219,7 +212,7 @@ _WORD = 2
 class StsBus(EmulatedBus[Servo]):
     """Servos of an SO-101 on their wire."""
 
-    scheme, codec, ping_bytes = "feetech", Codec(finder, encode), _SLOT
+    scheme, wire_format, ping_bytes = "feetech", FORMAT, _SLOT
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
     def _parts(self, request: Packet) -> Iterator[Part]:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from rejoint.robots.mycobot.wire import COMMANDS, Decoder, Frame, answer, encode
+from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Frame, answer, encode
 from rejoint.robots.wireserver import (
     BACKLOG,
     ByteStream,
@@ -179,12 +179,11 @@ READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
 class WireSession(EmulatedConversation[Frame]):
     """One arm's ``firmware`` with the answer times ``timing``."""
 
+    wire_format = FORMAT
+
     def __init__(self, firmware: Firmware, *, seed: int = 0, **options: Any) -> None:  # noqa: ANN401
         super().__init__(firmware, seed=seed, **options)
         self._firmware, self._rng = firmware, np.random.default_rng(seed)
-
-    def _finder(self) -> Decoder:
-        return Decoder()
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
         self._catch_up()

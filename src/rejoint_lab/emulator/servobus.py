@@ -5,7 +5,7 @@ from __future__ import annotations
 import termios
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.registers import Register
-from rejoint.robots.wireserver import ByteStream, Finder, await_data
+from rejoint.robots.wireserver import ByteStream, Format, await_data
 from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
@@ -28,13 +28,6 @@ class Packet(NamedTuple):
     code: int
     """instruction or error bits"""
     parameters: bytes = b""
-
-
-class Codec(NamedTuple):
-    """Bytes of packets."""
-
-    finder: Callable[[], Finder[Packet]]
-    encode: Callable[[Packet], bytes]
 
 
 class MemoryField(NamedTuple):
@@ -267,7 +260,7 @@ class EmulatedBus(Generic[S]):
 
     scheme: ClassVar[str]
     """of its address"""
-    codec: ClassVar[Codec]
+    wire_format: ClassVar[Format[Packet]]
     rates: ClassVar[tuple[int, ...]]
     """[1/s] by register"""
     reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
@@ -348,7 +341,7 @@ class EmulatedBus(Generic[S]):
         return max(TURN, servo["Return_Delay_Time"] * DELAY_UNIT)
 
     def _answer(self, servo: S, slot: float, error: int, data: bytes) -> Answer:
-        frame = self.codec.encode(self._status(servo, error, data))
+        frame = self.wire_format.write(self._status(servo, error, data))
         return Answer(slot + self._delay(servo) + len(frame) * self.byte, frame)
 
 
@@ -401,12 +394,9 @@ class BusSession(EmulatedConversation[Packet]):
 
     def __init__(self, bus: EmulatedBus[Any], **options: Any) -> None:  # noqa: ANN401
         super().__init__(bus.arm, **{"await_data": await_promptly} | options)
-        self.bus, self.scheme = bus, bus.scheme
+        self.bus, self.scheme, self.wire_format = bus, bus.scheme, bus.wire_format
         # until when the wire is busy
         self._free = 0.0
-
-    def _finder(self) -> Finder[Packet]:
-        return self.bus.codec.finder()
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
@@ -415,7 +405,7 @@ class BusSession(EmulatedConversation[Packet]):
 
     def _answer(self, channel: ByteStream, request: Packet) -> None:
         self._catch_up()
-        self.bus.rate, sent = rate_of(channel), self.bus.codec.encode(request)
+        self.bus.rate, sent = rate_of(channel), self.wire_format.write(request)
         self._free = max(self._came, self._free) + len(sent) * self.bus.byte
         answers = overlaid(self.bus.execute(request))
         if not answers:

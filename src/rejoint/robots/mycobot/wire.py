@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
 from rejoint.robots.mycobot.mover import Mover, solve_pose
-from rejoint.robots.wireserver import Finder
+from rejoint.robots.wireserver import Format
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -99,21 +99,15 @@ def encode(frame: Frame) -> bytes:
     return HEADER + bytes((len(frame.payload) + _OVERHEAD, frame.command)) + frame.payload + bytes((FOOTER,))
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the frame at the beginning; 0: none, None: incomplete."""
-    if len(data) < 3:
-        return None
-    size = data[2] + 3
-    if not _OVERHEAD <= data[2] <= MAX_PAYLOAD + _OVERHEAD:
-        return 0
-    return None if len(data) < size else size * (data[size - 1] == FOOTER)
+def _size(head: bytes) -> int:
+    return head[2] + 3 if _OVERHEAD <= head[2] <= MAX_PAYLOAD + _OVERHEAD else 0
 
 
-class Decoder(Finder[Frame]):
-    """Finds a myCobot's frames."""
+def _read(data: bytes) -> Frame | None:
+    return Frame(data[3], data[4:-1]) if data[-1] == FOOTER else None
 
-    def __init__(self) -> None:
-        super().__init__(HEADER, size_of, lambda data: Frame(data[3], data[4:-1]))
+
+FORMAT = Format(HEADER, 3, _size, _read, encode)
 
 
 _JOG_LENGTH = 0.6
