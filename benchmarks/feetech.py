@@ -30,8 +30,8 @@ from rejoint.control.controllers.classical import DefaultController, IntegratorC
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import open_robot, place_of
+from rejoint.robots.feetech import KIND
 from rejoint.robots.feetech.bus import FRAME, MEASURED, FeetechBus
-from rejoint.robots.feetech.gains import KIND
 from rejoint.robots.wireserver import Finder
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError

@@ -13,9 +13,8 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots import dynamixel as xservos
-from rejoint.robots.feetech import gains as sts
-from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values
+from rejoint.robots import dynamixel, feetech
+from rejoint.robots.knobs import LIMIT, Gains, TunedServos, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
@@ -30,36 +29,30 @@ if TYPE_CHECKING:
 _UNITS = {"speed": VELOCITY_UNIT, "acceleration": ACCELERATION_UNIT}
 
 
-class EmulatedServos:
+class EmulatedServos(TunedServos):
     """Gains of the servos of arms that have equal ones."""
 
     def __init__(self, plant: StsPlant | XPlant, gains: Gains) -> None:
         """``gains`` are in force from the start."""
-        self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
-        self._sts = isinstance(plant, StsPlant)
-        kind = sts.KIND if self._sts else xservos.KIND
-        self.strides = {name: stride for name, stride in kind.strides.items() if name != "current"}
-        self.rungs = tuple(rung for rung in kind.ladder if rung.names[0] in self.strides)
-        for name, values in kind.for_all(gains, plant.arm.joints).items():
+        self._plant, self._sts = plant, isinstance(plant, StsPlant)
+        super().__init__(feetech.KIND if self._sts else dynamixel.KIND, plant.arm.joint_names, {})
+        for name, values in self.kind.for_all(gains, plant.arm.joints).items():
             self.write_gain(name, values)
-        self.tuning = Tuning(self, {})
-        self.tuning.look_up()
+        self.gains = self.read_gains()
 
     @property
     def load(self) -> Array:
-        """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
+        """(B, n) share of the largest torque."""
         if not self._sts:
             return self._plant.load
         status = self._plant.status
-        duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
-        laws = sts.duty_laws(self.tuning.values)
-        return np.array(
-            [[law.share(*seen) for law, *seen in zip(laws, *arm, strict=True)] for arm in zip(duty, error, strict=True)]
-        )
+        return feetech.torque_share(self.gains, status["output"], status["goal"] - status["position"])
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        rows = {name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.strides}
+        rows = {
+            name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.kind.strides if name != "current"
+        }
         return {name: tuple(np.rint(row).astype(int).tolist()) for name, row in rows.items()}
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
@@ -76,6 +69,10 @@ class EmulatedServos:
         goal = self._plant.goal.copy()
         goal[:, joint] = self._plant.encoder()[:, joint]
         self._plant.command(goal)
+
+    def wait(self, duration: float) -> None:
+        """Let virtual time pass [s]."""
+        self._plant.advance(duration)
 
     def _field(self, name: str) -> NDArray[Any]:
         """Return a setting (B, n, S) of joints with S servos."""
@@ -156,15 +153,15 @@ class EmulatedRobot:
 
     def servo_gains(self) -> ServoGains | None:
         """Return the servo gains, or None."""
-        return None if self._servos is None else dict(self._servos.tuning.values)
+        return None if self._servos is None else self._servos.servo_gains()
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
-        return () if self._servos is None else self._servos.rungs
+        return () if self._servos is None else self._servos.rungs()
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
-        self._with_gains().tuning.tune(gains)
+        self._with_gains().tune(gains)
         self._position = self.plant.encoder()
 
     def _with_gains(self) -> EmulatedServos:

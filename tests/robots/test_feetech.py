@@ -14,9 +14,9 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
+from rejoint.robots.feetech import KIND
 from rejoint.robots.feetech.bus import FeetechBus, FeetechWire, zeros_of
-from rejoint.robots.feetech.gains import KIND
-from rejoint.robots.knobs import LIMIT, Tuning
+from rejoint.robots.knobs import LIMIT, TunedServos
 from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
@@ -108,15 +108,15 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
 
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
-    class Memory:
-        names, load, gravity, strides = ("1", "2"), 0.0, 0.8, KIND.strides
-        gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
+    class Servos(TunedServos):
+        load, gravity = 0.0, 0.8
+        memory = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
 
         def read_gains(self):
-            return dict(self.gains)
+            return dict(self.memory)
 
         def write_gain(self, name, values):
-            self.gains[name] = tuple(values)
+            self.memory[name] = tuple(values)
 
         def strain(self, joint):
             return self.load * (joint == 0), 30
@@ -127,20 +127,19 @@ def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
         def wait(self, duration):
             pass
 
-    memory = Memory()
-    tuning = Tuning(memory, {})
-    tuning.prepare()
-    before = dict(tuning.values)
-    tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
-    memory.load = 0.9
+    servos = Servos(KIND, ("1", "2"), {})
+    servos.prepare_gains()
+    before = servos.servo_gains()
+    servos.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
+    servos.load = 0.9
     with pytest.raises(RobotError, match="1 does not bear p=52: load 80 %"):
-        tuning.tune({"p": (64, 32)})
-    assert memory.gains["p"][0] == 48
-    memory.load, memory.gravity = 0.9, 0.4  # by friction alone: where it stands it bears them
-    tuning.tune({"p": (64, 32)})
-    assert memory.gains["p"][0] == 64
-    tuning.tune(before)
-    assert tuning.values == before
+        servos.tune({"p": (64, 32)})
+    assert servos.memory["p"][0] == 48
+    servos.load, servos.gravity = 0.9, 0.4  # by friction alone: where it stands it bears them
+    servos.tune({"p": (64, 32)})
+    assert servos.memory["p"][0] == 64
+    servos.tune(before)
+    assert servos.gains == before
 
 
 def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():

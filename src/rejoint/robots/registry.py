@@ -16,7 +16,7 @@ from rejoint.robots.family import (
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FeetechAddress
+from rejoint.robots.feetech import FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 

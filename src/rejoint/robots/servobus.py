@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import Rung, ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
 from rejoint.robots.bus import Bus, connected, persist
-from rejoint.robots.knobs import Model, ServoAddress, Tuning, Values
+from rejoint.robots.knobs import Model, ServoAddress, TunedServos, Values
 from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import ConnectionLostError, InputError, NoReplyError, PowerLostError, RobotError
 
@@ -32,7 +31,7 @@ RETRY = 0.05
 """[s] between questions to a silent servo (chosen)"""
 
 
-class ServoBus(Bus):
+class ServoBus(TunedServos, Bus):
     """The servos of an arm by ID, without the gripper."""
 
     confirms: ClassVar[int] = 1
@@ -48,13 +47,12 @@ class ServoBus(Bus):
         """(m,) of each servo"""
         self.leads = np.searchsorted(self.joint, np.arange(arm.joints)).tolist()
         """(n,) places of the joints' first servos"""
-        self.kind, self.table, self.strides = kind, kind.registers, kind.strides
-        self.memory = kind.memory
-        """registers of gains"""
+        self.table, self.memory = kind.registers, kind.memory
+        """all registers, and those of gains"""
         self.found: dict[int, Model] = {}
         """models of the servos"""
-        self.names = [self.call(self.ids[lead]) for lead in self.leads]
-        self._tuning = Tuning(self, kind.for_all({**address.driven, **address.gains}, arm.joints))
+        wanted = kind.for_all({**address.driven, **address.gains}, arm.joints)
+        super().__init__(kind, [self.call(self.ids[lead]) for lead in self.leads], wanted)
         self.zeros: Zeros
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
@@ -98,7 +96,7 @@ class ServoBus(Bus):
             for servo in limp:
                 self.set(servo, "torque", 1)
             self.set_up()
-            self._tuning.prepare()
+            self.prepare_gains()
             self._was_ready = True
 
     def send(self, goal: Array) -> None:
@@ -138,18 +136,6 @@ class ServoBus(Bus):
         if self._wire is None:
             raise OSError("the port is not open")
         return self._wire
-
-    def servo_gains(self) -> ServoGains:
-        """Return the servo gains by name."""
-        return dict(self._tuning.values)
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the search order of gains."""
-        return tuple(rung for rung in self.kind.ladder if rung.names[0] in self._tuning.values)
-
-    def tune(self, gains: ServoGains) -> None:
-        """Set gains in small steps until power-off."""
-        self._tuning.tune(gains)
 
     # --- registers --------------------------------------------------------------------------
 

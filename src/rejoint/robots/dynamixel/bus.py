@@ -310,7 +310,7 @@ class DynamixelBus(ServoBus):
         """Put registers back and release the port; the servos hold."""
         if self._wire is not None and self._sound and self._before:
             with contextlib.suppress(RejointError, OSError), shielded(), self.by(self.clock.now() + LEAVE):
-                self._tuning.walk(self._before)
+                self.walk(self._before)
         self._sound = False
         super().close()
 

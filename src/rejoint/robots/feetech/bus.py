@@ -16,7 +16,7 @@ from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech.gains import KIND, FeetechAddress, duty_laws
+from rejoint.robots.feetech import KIND, FeetechAddress, torque_share
 from rejoint.robots.servobus import (
     STEP,
     VOLT,
@@ -121,11 +121,10 @@ class FeetechBus(ServoBus):
     def read(self) -> Reading:
         """Ask all servos."""
         places, duties, volts, heats, statuses, targets = self.ask_all(*MEASURED)
-        laws = zip(duty_laws(self._tuning.values), duties, targets - places, strict=True)
         words = [trouble(KIND.faults, *seen) for seen in zip(statuses, VOLT * volts, self.supply, strict=True)]
         return Reading(
             position=self.zeros.radians(places),
-            load=np.array([law.share(duty, error) for law, duty, error in laws]),
+            load=torque_share(self.gains, duties, targets - places),
             voltage=VOLT * volts,
             temperature=heats,
             fault=np.array([bool(word) for word in words]),
@@ -134,7 +133,7 @@ class FeetechBus(ServoBus):
 
     def keep(self, gains: ServoGains) -> None:
         """Save gains; each lock is open meanwhile."""
-        self._tuning.tune(gains)
+        self.tune(gains)
         for joint, servo in enumerate(self.ids):
             try:
                 self.set(servo, "lock", 0)
@@ -145,9 +144,9 @@ class FeetechBus(ServoBus):
                     self.set(servo, "lock", 1)
             if self.get(servo, "lock") != 1:
                 raise RobotError(f"the lock of {self.call(servo)} stays open; switch the arm's power off and on")
-        self._tuning.look_up()
-        if any(self._tuning.values[name] != tuple(values) for name, values in gains.items()):
-            raise RobotError(f"the servos have not taken the gains; they are {self._tuning.values}")
+        self.gains = self.read_gains()
+        if any(self.gains[name] != tuple(values) for name, values in gains.items()):
+            raise RobotError(f"the servos have not taken the gains; they are {self.gains}")
 
 
 TURNING = np.radians(300.0)
