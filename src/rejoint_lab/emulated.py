@@ -14,7 +14,7 @@ from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots import dynamixel, feetech
-from rejoint.robots.knobs import LIMIT, Gains, TunedServos, Values
+from rejoint.robots.knobs import Gains, TunedServos, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
@@ -76,8 +76,7 @@ class EmulatedServos(TunedServos):
 
     def _field(self, name: str) -> NDArray[Any]:
         """Return a setting (B, n, S) of joints with S servos."""
-        limit = "integral_limit" if self._sts else "pwm_limit"
-        found = self._plant.settings[limit if name == LIMIT else name]
+        found = self._plant.settings[name]
         return found[..., None] if self._sts else found
 
 

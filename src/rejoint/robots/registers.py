@@ -13,6 +13,11 @@ class Register(NamedTuple):
     sign: int | None = None
     """sign bit, `COMPLEMENT`, or None"""
 
+    @property
+    def cells(self) -> slice:
+        """Place of its bytes."""
+        return slice(self.address, self.address + self.size)
+
     def decode(self, data: bytes) -> int:
         """Read the value."""
         if self.sign == COMPLEMENT:

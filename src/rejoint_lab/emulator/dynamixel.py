@@ -12,7 +12,6 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from rejoint.arms import Arm
-from rejoint.robots.registers import COMPLEMENT
 from rejoint.robots.wireserver import Format
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
@@ -25,15 +24,15 @@ from rejoint_lab.emulator.servobus import (
     WRITE,
     Answer,
     EmulatedBus,
-    MemoryField,
     Packet,
     Part,
     Registers,
     ServoArm,
+    registers_of,
 )
 from rejoint_lab.plant import xseries
 from rejoint_lab.plant.plant import XPlant
-from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, ROWS, SHOCK
+from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, SHOCK
 
 HEADER = b"\xff\xff\xfd"
 REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 4, 5, 6, 8, 0x10, 0x55
@@ -100,29 +99,11 @@ _RESET_BY_MODE = (
 )  # fmt: skip
 
 
-def table_of(model: str) -> dict[str, MemoryField]:
-    """Return the registers of a model by name; a low limit below 0 means two's complement."""
-    return {
-        row["name"]: MemoryField(
-            int(row["address"]),
-            int(row["size"]),
-            row["name"],
-            row["access"],
-            int(row[model]),
-            COMPLEMENT if row["low"].startswith("-") else None,
-            row["low"],
-            row["high"],
-        )
-        for row in ROWS
-        if row["address"] and row[model]
-    }
-
-
 class XServo(Registers):
     """Registers of one servo, mounted ``mirrored`` with the count ``mount`` at the joint's zero."""
 
     def __init__(self, model: str, number: int, *, mirrored: bool = False, mount: int = COUNTS // 2) -> None:
-        super().__init__(table_of(model), SIZE, number)
+        super().__init__(registers_of(xseries.TABLE, model), SIZE, number)
         self.model, self.mount, self._turn = model, mount, -1 if mirrored else 1
         self.base = 0
         """[counts] of whole turns since the power came"""
@@ -257,27 +238,13 @@ FITTINGS = {
     "wx250s": Fitting("XC430-W150", reverse=(3, 5, 7)),
     "vx300s": Fitting("XM430-W350", reverse=(2, 4, 7)),
 }
-# Fields of `xseries.SETTING`: the register of each.
-_SETTINGS = {
-    "mode": "Operating_Mode",
-    "torque_on": "Torque_Enable",
-    "p": "Position_P_Gain",
-    "i": "Position_I_Gain",
-    "d": "Position_D_Gain",
-    "feed_1": "Feedforward_1st_Gain",
-    "feed_2": "Feedforward_2nd_Gain",
-    "velocity_p": "Velocity_P_Gain",
-    "velocity_i": "Velocity_I_Gain",
-    "shutdown": "Shutdown",
-    "heat_limit": "Temperature_Limit",
-}
 _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 
 class XArm(ServoArm[XServo]):
     """Servos of one arm, powered and holding."""
 
-    kind, jaw = XPlant, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
+    kind, table, jaw = XPlant, xseries.TABLE, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
     gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
 
     def __init__(self, plant: XPlant, gripper: XPlant, arm: Arm, *, resistance: float = 0.0) -> None:
@@ -348,22 +315,21 @@ class XArm(ServoArm[XServo]):
 
     def settle(self, servo: XServo) -> None:
         """Apply the registers of a servo."""
+        super().settle(servo)
         mode, sign, timed = servo["Operating_Mode"], servo.sign, servo["Drive_Mode"] >> 2 & 1
         unit = NEW[servo.model].get("current_unit")
         current = servo["Goal_Current"] * unit if unit else 0.0
         speed, acceleration = float(servo["Profile_Velocity"]), servo["Profile_Acceleration"]
         if not timed:
             speed = min(speed, servo["Velocity_Limit"]) * xseries.VELOCITY_UNIT
-        applied = {field: servo[name] for field, name in _SETTINGS.items()} | {
+        applied = {
             "timed": timed,
-            "pwm_limit": servo["PWM_Limit"] if mode == PWM else abs(servo["Goal_PWM"]),
+            "limit": servo["PWM_Limit"] if mode == PWM else abs(servo["Goal_PWM"]),
             "pwm_goal": sign * servo["Goal_PWM"],
             "current_goal": sign * current if mode == CURRENT else abs(current),
             "velocity_goal": sign * servo["Goal_Velocity"] * xseries.VELOCITY_UNIT,
             "speed": speed,
             "acceleration": acceleration if timed else acceleration * xseries.ACCELERATION_UNIT,
-            "low_voltage": servo["Min_Voltage_Limit"] / 10,
-            "high_voltage": servo["Max_Voltage_Limit"] / 10,
         }
         for name, value in applied.items():
             servo.setting[name] = value

@@ -1,14 +1,12 @@
 """An SO-101 behind the bus of its servos: packets, registers and timing.
 
-Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: factory defaults, LeRobot's
-names), and recorded LeRobot packets.
+Sources: Feetech's protocol manual and memory table of the STS/SMS series (in
+``plant/sts3215.csv`` with LeRobot's names), and recorded LeRobot packets.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
-from importlib.resources import files
 
 import numpy as np
 
@@ -22,34 +20,18 @@ from rejoint_lab.emulator.servobus import (
     WRITE,
     Answer,
     EmulatedBus,
-    MemoryField,
     Packet,
     Part,
     Registers,
     ServoArm,
+    registers_of,
 )
+from rejoint_lab.plant import sts3215
 from rejoint_lab.plant.plant import StsPlant
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
-
-
-with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
-    _ROWS = tuple(csv.DictReader(_file))
-TABLE = tuple(
-    MemoryField(
-        int(row["address"]),
-        int(row["size"]),
-        row["name"],
-        row["access"],
-        int(row["default"]),
-        int(row["sign"]) if row["sign"] else None,
-    )
-    for row in _ROWS
-)
-BY_NAME: dict[str, MemoryField] = {register.name: register for register in TABLE}
-_SETTINGS = {row["setting"]: (row["name"], float(row["factor"])) for row in _ROWS if row["setting"]}
-"""Register and unit by field of `sts3215.SETTING`"""
+TABLE = registers_of(sts3215.TABLE, "STS3215")
 
 
 HEADER = b"\xff\xff"
@@ -89,7 +71,7 @@ class Servo(Registers):
     """Registers of one servo; its arm updates measured ones."""
 
     def __init__(self, number: int) -> None:
-        super().__init__(BY_NAME, SIZE, number)
+        super().__init__(TABLE, SIZE, number)
 
     def read(self, address: int, size: int) -> bytes:
         """Read ``size`` registers; zeros beyond the last."""
@@ -131,7 +113,7 @@ CURRENT_UNIT = 0.0065
 class StsArm(ServoArm[Servo]):
     """Six servos of one arm, powered and holding."""
 
-    kind, jaw = StsPlant, (-0.17, 1.75)  # so101_new_calib.xml
+    kind, table, jaw = StsPlant, sts3215.TABLE, (-0.17, 1.75)  # so101_new_calib.xml
     gripper_model = staticmethod(lambda arm: arm.servos[-1])
 
     def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
@@ -160,9 +142,8 @@ class StsArm(ServoArm[Servo]):
 
     def settle(self, servo: Servo) -> None:
         """Apply the registers of a servo."""
+        super().settle(servo)
         setting = servo.setting
-        for field, (name, unit) in _SETTINGS.items():
-            setting[field] = servo[name] * unit
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
         shift = _shift(servo) if low != high else 0
         acceleration = servo["Acceleration"] or servo["Maximum_Acceleration"] * servo["Acceleration_Multiplier"]

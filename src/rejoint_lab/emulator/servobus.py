@@ -18,6 +18,7 @@ from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
 from rejoint_lab.plant.servo import STEP
+from rejoint_lab.plant.servotable import ServoTable
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
 
@@ -33,27 +34,26 @@ class Packet(NamedTuple):
 class MemoryField(NamedTuple):
     """A value in the registers."""
 
-    address: int
-    size: int
     name: str
+    register: Register
     access: str
     """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept"""
     default: int
-    sign: int | None = None
-    """as of a `Register`"""
-    low: str = ""
-    high: str = ""
-    """limits: numbers or names of registers"""
+    low: str
+    high: str
+    """limits: numbers or names of registers; empty: none"""
 
-    @property
-    def register(self) -> Register:
-        """Its bytes."""
-        return Register(self.address, self.size, self.sign)
 
-    @property
-    def cells(self) -> slice:
-        """Its place."""
-        return slice(self.address, self.address + self.size)
+def registers_of(table: ServoTable, model: str) -> dict[str, MemoryField]:
+    """Return the registers of a model by name."""
+    found = {}
+    for row in table.rows:
+        if row["address"] and row[model]:
+            register = Register(int(row["address"]), int(row["size"]), int(row["sign"]) if row["sign"] else None)
+            found[row["name"]] = MemoryField(
+                row["name"], register, row["access"], int(row[model]), row["low"], row["high"]
+            )
+    return found
 
 
 class Registers:
@@ -67,7 +67,7 @@ class Registers:
 
     def __init__(self, fields: Mapping[str, MemoryField], size: int, number: int) -> None:
         self.fields, self.cells = fields, bytearray(size)
-        self.at = {cell: one for one in fields.values() for cell in range(one.address, one.address + one.size)}
+        self.at = {cell: field for field in fields.values() for cell in range(size)[field.register.cells]}
         """by cell"""
         for name, field in fields.items():
             self[name] = field.default
@@ -78,13 +78,13 @@ class Registers:
 
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
-        field = self.fields[name]
-        return field.register.decode(bytes(self.cells[field.cells]))
+        register = self.fields[name].register
+        return register.decode(bytes(self.cells[register.cells]))
 
     def __setitem__(self, name: str, value: int) -> None:
         """Set a register."""
-        field = self.fields[name]
-        self.cells[field.cells] = field.register.encode(value)
+        register = self.fields[name].register
+        self.cells[register.cells] = register.encode(value)
 
     @property
     def number(self) -> int:
@@ -126,6 +126,7 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     kind: ClassVar[Any]
     """of its plant"""
+    table: ClassVar[ServoTable]
     jaw: ClassVar[tuple[float, float]]
     """[rad] range of the gripper"""
     gripper_model: ClassVar[Any]
@@ -194,6 +195,12 @@ class ServoArm(EmulatedArm, Generic[S]):
     @abstractmethod
     def restart(self, servo: S) -> None:
         """Cycle the power of a servo."""
+
+    def settle(self, servo: S) -> None:
+        """Apply the registers of a servo."""
+        for field, (name, factor) in self.table.settings.items():
+            if name in servo.fields:
+                servo.setting[field] = servo[name] * factor
 
     def alarms_of(self, servo: S) -> int:
         """Error bits of a servo."""

@@ -239,9 +239,8 @@ class Plant:
         self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed [rad/s], above 0: (B,), (B, n) or a number."""
-        speed = np.asarray(speed, dtype=float)
-        self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+        """Limit the reference's speed [rad/s], above 0: (B, n) or a number."""
+        self.servos["speed_limit"] = speed
 
     def _hold(self, ids: Ids, position: Array) -> None:
         self._due[ids] = servo.NEVER
@@ -329,11 +328,6 @@ class ServoPlant(Plant, ABC):
     settings: NDArray[np.void]
     status: NDArray[np.void]
 
-    def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
-        super().set_speed_limit(speed)
-        self.settings["speed"].T[:] = (self.servos["speed_limit"] / self.arm.encoder_step).T
-
     def halt(self) -> None:
         """Stop the reference and drop pending commands."""
         reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
@@ -363,7 +357,7 @@ class StsPlant(ServoPlant):
     def _equip(self) -> None:
         arm, no_load = self.arm, self.joints["no_load_speed"]
         shape = self.count, arm.joints
-        self.settings = sts3215.as_sold(shape)
+        self.settings = np.full(shape, sts3215.TABLE.as_sold("STS3215", sts3215.SETTING))
         stall = self.joints["position_gain"] / (sts3215.GAIN_PER_P * RECORDED_P)
         self.settings["stall"], self.settings["bias"] = stall, self.joints["position_gain"] * self.joints["offset"]
         if np.isfinite(arm.servo_acceleration):

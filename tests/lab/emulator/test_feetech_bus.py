@@ -34,10 +34,10 @@ def value(bus, number, address, size=2):
 
 
 def test_registers_do_not_overlap_and_fit():
-    cells = [cell for register in TABLE for cell in range(register.address, register.address + register.size)]
+    cells = [cell for field in TABLE.values() for cell in range(SIZE)[field.register.cells]]
     assert len(cells) == len(set(cells))
     assert max(cells) < SIZE
-    assert all(register.default < 256**register.size for register in TABLE)
+    assert all(field.default < 256**field.register.size for field in TABLE.values())
 
 
 def test_every_servo_answers_its_ping_and_tells_its_model(bus):
