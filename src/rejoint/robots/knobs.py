@@ -244,6 +244,8 @@ class ServoAddress:
     """LeRobot's; None: none"""
     zero: tuple[float, ...] = ()
     """[deg] of each joint in mid-range; empty: unsaid"""
+    ids: tuple[tuple[int, ...], ...] = ()
+    """servos of each joint; empty: in the calibration, or counted from the arm's first"""
     gains: Gains = field(default_factory=dict)
     """empty: unchanged"""
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,18 @@ class ServoBus(TunedServos, Bus):
     """least value of the register, from which a servo confirms what it is told"""
     last: ClassVar[int] = 12
     """ID in a search (chosen)"""
+    turned: ClassVar[bool] = False
+    """whether a calibration may have motors that turn the other way"""
+    wire_type: ClassVar[Any]
+    """`ServoWire` of an address"""
 
-    def __init__(self, address: ServoAddress, arm: Arm, ids: Sequence[Sequence[int]]) -> None:
-        """``ids`` of each joint's servos."""
-        self.address, self.place, self._arm, kind = address, address.wire, arm, address.kind
+    def __init__(self, address: ServoAddress, arm: Arm) -> None:
+        """InputError."""
+        self.address, self.place, self._arm, kind, path = address, address.wire, arm, address.kind, address.calibration
+        self.file = None if path is None else read_calibration(path, arm, turned=self.turned)
+        ids = address.ids or (counted(arm) if self.file is None else self.file.ids)
+        if len(ids) != arm.joints:
+            raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
         self.ids = tuple(servo for one in ids for servo in one)
         self.joint = np.repeat(np.arange(arm.joints), [len(one) for one in ids])
         """(m,) of each servo"""
@@ -57,9 +65,13 @@ class ServoBus(TunedServos, Bus):
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
         self._until: float | None = None  # [s] deadline of `prepare`
-        self._goal: list[int] | None = None
-        self._limp: set[int] = set()
+        self._goal: list[int] = []
+        self._limp: list[int] = []
         self._was_ready = False
+
+    def open(self) -> None:
+        """Open the port."""
+        self._wire = self.wire_type(self.place)
 
     @abstractmethod
     def check(self, servo: int) -> None:
@@ -90,7 +102,7 @@ class ServoBus(TunedServos, Bus):
             self.zeros = self.find_zeros()
             if self._was_ready:
                 self._require_torque()
-            limp = [servo for servo in self.ids if self.get(servo, "torque") != 1]
+            limp = self._find_limp()
             for servo in limp:
                 self.set(servo, "goal", self.get(servo, "position"))
             for servo in limp:
@@ -102,12 +114,17 @@ class ServoBus(TunedServos, Bus):
     def send(self, goal: Array) -> None:
         """Send goals, clipped to the servos' limits; no answers."""
         self._goal = self.zeros.counts(goal[self.joint])
-        self._send(self._goal)
+        self._send()
 
     def stop(self) -> None:
         """Send the last goals again: at the measured position the arm would sink."""
-        if self._goal is not None:
-            self._send(self._goal)
+        self._send()
+
+    def _send(self) -> None:
+        register, sent = self.table["goal"], zip(self.ids, self._goal, strict=False)  # none before the first
+        goals = {servo: register.encode(count) for servo, count in sent if servo not in self._limp}
+        if goals:
+            self.wire.write_all(list(goals), register.address, list(goals.values()))
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers and wait for silent servos.
@@ -215,12 +232,6 @@ class ServoBus(TunedServos, Bus):
             return False
         return True
 
-    def _send(self, goal: Sequence[int]) -> None:
-        register = self.table["goal"]
-        goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}
-        if goals:
-            self.wire.write_all(list(goals), register.address, [register.encode(count) for count in goals.values()])
-
     def _find_servos(self) -> None:
         missing = []
         for servo in self.ids:
@@ -238,11 +249,14 @@ class ServoBus(TunedServos, Bus):
         for servo in self.ids:
             self.check(servo)
 
+    def _find_limp(self) -> list[int]:
+        return [servo for servo in self.ids if self.get(servo, "torque") != 1]
+
     def _require_torque(self) -> None:
-        self._limp = {servo for servo in self.ids if self.get(servo, "torque") != 1}
+        self._limp = self._find_limp()
         if self._limp:
             raise PowerLostError(
-                f"{self.place}: {listed(map(self.call, sorted(self._limp)))} has lost its torque, by a loss of "
+                f"{self.place}: {listed(map(self.call, self._limp))} has lost its torque, by a loss of "
                 "power or its own protection; support the arm, then start again"
             )
 
@@ -276,6 +290,20 @@ class ServoBus(TunedServos, Bus):
     def wait(self, duration: float) -> None:
         """Wait [s]."""
         self.clock.wait(duration)
+
+
+FIRST = {"omx": 11}
+"""ID of an arm's first servo; others count from 1"""
+
+
+def counted(arm: Arm) -> list[tuple[int, ...]]:
+    """IDs of each joint's servos, without gaps; a description calls two of them ``2 XM430-W350``."""
+    found, servo = [], FIRST.get(arm.name, 1)
+    for kind in arm.servos or ("",) * arm.joints:
+        count = 2 if kind.startswith("2 ") else 1
+        found.append(tuple(range(servo, servo + count)))
+        servo += count
+    return found
 
 
 def listed(names: Iterable[object]) -> str:

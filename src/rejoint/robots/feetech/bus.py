@@ -16,7 +16,7 @@ from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech import KIND, FeetechAddress, torque_share
+from rejoint.robots.feetech import KIND, torque_share
 from rejoint.robots.servobus import (
     STEP,
     VOLT,
@@ -25,7 +25,6 @@ from rejoint.robots.servobus import (
     ServoBus,
     Zeros,
     listed,
-    read_calibration,
     trouble,
 )
 from rejoint.robots.servowire import BlockingPort, ServoWire
@@ -79,17 +78,9 @@ class FeetechBus(ServoBus):
 
     name = "SO-101"
     advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
-
-    def __init__(self, address: FeetechAddress, arm: Arm) -> None:
-        self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
-        ids = [(servo,) for servo in range(1, arm.joints + 1)] if self._file is None else self._file.ids
-        super().__init__(address, arm, ids)
-        self.supply: tuple[float, ...] = ()
-        """(n,) [V] at the start"""
-
-    def open(self) -> None:
-        """Open the port."""
-        self._wire = FeetechWire(self.place)
+    wire_type = FeetechWire
+    supply: tuple[float, ...] = ()
+    """(n,) [V] at the start"""
 
     def check(self, servo: int) -> None:
         """Require position mode."""
@@ -103,7 +94,7 @@ class FeetechBus(ServoBus):
         """Read zeros from servos and file."""
         homing, low, high = map(self.get_all, ("homing", "low", "high"))
         unsaid = not self.address.zero
-        return zeros_of(self._arm, self._file, homing, low, high, None if unsaid else self.address.middle(self._arm))
+        return zeros_of(self._arm, self.file, homing, low, high, None if unsaid else self.address.middle(self._arm))
 
     def set_up(self) -> None:
         """Lock the memory, and let the servos be prompt."""
