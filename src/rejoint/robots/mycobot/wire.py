@@ -220,7 +220,7 @@ def _coords(computer: Mover, angles: Array) -> bytes:
 
 
 Act = Callable[..., Any] | str | bytes
-"""On the computer; its method's name; or the answer"""
+"""On the computer; the name of a method or property; or the answer"""
 Table = dict[tuple[int, int], tuple[str, Act]]
 
 
@@ -271,24 +271,24 @@ COMMANDS = frozenset(command for command, _ in ORDERS)
 QUESTIONS = _table(
     (0x01, "", bytes((MODIFY_VERSION,))),
     *((command, "", bytes((SYSTEM_VERSION,))) for command in (0x02, 0xC1)),
-    (0x07, "", lambda computer: bytes((computer.error,))),
-    (0x12, "", lambda computer: flag(computer.powered)),
+    (0x07, "", "error"),
+    (0x12, "", "powered"),
     *((command, "", b"\x01") for command in (0x06, 0x14)),
     (0x15, "", bytes(7)),
-    (0x17, "", lambda computer: flag(computer.fresh)),
-    (0x1B, "", lambda computer: flag(computer.powered and not computer.enabled.any())),
+    (0x17, "", "fresh"),
+    (0x1B, "", lambda computer: computer.powered and not computer.enabled.any()),
     (0x20, "", lambda computer: pack_angles(computer.angles)),
     (0x23, "", lambda computer: pack_coords(computer.pose)),
     (0x23, "A", _coords),
-    (0x27, "", lambda computer: flag(computer.paused)),
-    (0x2A, "xb", lambda *given: flag(_is_there(*given))),
-    (0x2B, "", lambda computer: flag(computer.moving)),
+    (0x27, "", "paused"),
+    (0x2A, "xb", _is_there),
+    (0x2B, "", "moving"),
     (0x3B, "j", _encoder),
     (0x3D, "", lambda computer: pack_encoders(computer.angles, computer.arm.encoder_step)),
     (0x4A, "j", lambda computer, joint: _limit(computer.lower, joint)),
     (0x4B, "j", lambda computer, joint: _limit(computer.upper, joint)),
     (0x50, "b", lambda arm, servo: bytes((servo,)) + flag(0 < servo <= arm.arm.joints and arm.enabled[servo - 1])),
-    (0x51, "", lambda computer: flag(computer.enabled.all())),
+    (0x51, "", lambda computer: computer.enabled.all()),
     *((command, "", bytes(12)) for command in (0x82, 0x84)),  # frames of tool and base: the arm's own
     *((command, "", b"\x00") for command in (0x86, 0x88, 0x8A)),  # which counts, and lines as a rule
     (0x8D, "PA", _inverse_kinematics),
@@ -315,12 +315,14 @@ def answer(computer: Mover, request: Frame) -> Frame | None:
     for size, read in (FIELDS[part] for part in layout):
         given.append(read(computer, request.payload[start : start + size]))
         start += size
-    if isinstance(act, bytes):
-        found: bytes | None = act
+    if isinstance(act, str):
+        found: Any = getattr(computer, act)
     else:
-        call = getattr(computer, act) if isinstance(act, str) else partial(act, computer)
-        if is_order:
-            found = flag(all(part is not None for part in given) and call(*given) is not False)
-        else:
-            found = call(*given)
+        found = partial(act, computer) if callable(act) else act
+    if is_order:
+        found = all(part is not None for part in given) and found(*given) is not False
+    elif callable(found):
+        found = found(*given)
+    if isinstance(found, bool | np.bool_ | int):
+        found = bytes((int(found),))
     return None if found is None else Frame(request.command, found)
