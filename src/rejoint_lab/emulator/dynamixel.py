@@ -41,7 +41,6 @@ FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
-_WORDS = struct.Struct("<HH")  # address and size
 _CLEAR = b"\x01DXL\x22"
 
 
@@ -393,10 +392,11 @@ class XArm(ServoArm[XServo]):
 class XBus(EmulatedBus[XServo]):
     """Servos of X arms on their wire."""
 
-    scheme, wire_format, ping_bytes, ping_pause = "dynamixel", FORMAT, 14, TURN
+    scheme, wire_format, words, ping_bytes, ping_pause = "dynamixel", FORMAT, struct.Struct("<HH"), 14, TURN
     rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
     reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
     writes = frozenset({SYNC_WRITE, BULK_WRITE})
+    bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
     arm: XArm
 
     def hearing(self) -> list[XServo]:
@@ -421,7 +421,7 @@ class XBus(EmulatedBus[XServo]):
                 return None
             if len(data) != 4:
                 return LENGTH, b""
-            return self._read(servo, *_WORDS.unpack(data))
+            return self._read(servo, *self.words.unpack(data))
         error = self._do(servo, request, shadow)
         answers = servo["Status_Return_Level"] == 2 and request.id != BROADCAST
         return (error, b"") if answers else None
@@ -480,19 +480,6 @@ class XBus(EmulatedBus[XServo]):
             answers += mine
             begun = mine[0].after if mine else begun + (part.size + 11) * self.byte
         return answers
-
-    def _parts(self, request: Packet) -> Iterator[Part]:
-        """Yield the parts of a sync or bulk packet; one of bulk packets has an address and a size of its own."""
-        code, data = request.code, request.parameters
-        head = b"" if code in (BULK_READ, BULK_WRITE, FAST_BULK_READ) else data[:4]
-        place = len(head)
-        while place + 5 - len(head) <= len(data):
-            start = place + 5 - len(head)
-            address, size = _WORDS.unpack(head or data[place + 1 : start])
-            end = start + size * (code in self.writes)
-            if end <= len(data):
-                yield Part(data[place], address, size, data[start:end])
-            place = end
 
     def _chain(self, asked: list[tuple[list[XServo], Part]]) -> list[Answer]:
         """Return the one answer of a fast read, which breaks off before a silent servo; not stuffed."""

@@ -6,7 +6,7 @@ Sources: Feetech's protocol manual and memory table of the STS/SMS series (in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import struct
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from rejoint_lab.emulator.servobus import (
     BROADCAST,
     PING,
     READ,
-    SYNC_WRITE,
     WRITE,
     Answer,
     EmulatedBus,
@@ -187,23 +186,13 @@ MOST_DATA = 128
 """[bytes] buffer of a servo"""
 # [bytes] of an answer without data, with those between it and the next (the firmware's own sum)
 _SLOT = 9
-_WORD = 2
 
 
 class StsBus(EmulatedBus[Servo]):
     """Servos of an SO-101 on their wire."""
 
-    scheme, wire_format, ping_bytes = "feetech", FORMAT, _SLOT
+    scheme, wire_format, words, ping_bytes = "feetech", FORMAT, struct.Struct("<BB"), _SLOT
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
-
-    def _parts(self, request: Packet) -> Iterator[Part]:
-        if len(request.parameters) < _WORD:
-            return
-        address, size, *rest = request.parameters
-        width = 1 + size * (request.code == SYNC_WRITE)
-        for start in range(0, len(rest) - width + 1, width):
-            number, *data = rest[start : start + width]
-            yield Part(number, address, size, bytes(data))
 
     def _row(self, code: int, asked: list[tuple[list[Servo], Part]]) -> list[Answer]:  # noqa: ARG002 - there is one
         return [
@@ -220,9 +209,9 @@ class StsBus(EmulatedBus[Servo]):
         data = request.parameters
         if request.code == PING:
             return 0, b""
-        if request.code == READ and len(data) == _WORD and request.id != BROADCAST:
+        if request.code == READ and len(data) == self.words.size and request.id != BROADCAST:
             return self._read(servo, *data)
-        if request.code != WRITE or len(data) < _WORD:
+        if request.code != WRITE or len(data) < self.words.size:
             return None
         answers = servo["Response_Status_Level"] != 0 and request.id != BROADCAST
         error = self._write(servo, servo.number, data[0], data[1:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import termios
 import time
 from abc import abstractmethod
@@ -273,6 +274,10 @@ class EmulatedBus(Generic[S]):
     reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
     """instructions that read several servos"""
     writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
+    bulk: ClassVar[frozenset[int]] = frozenset()
+    """those of `reads` and `writes` that have an address and a size for each servo"""
+    words: ClassVar[struct.Struct]
+    """an address and a size"""
     ping_bytes: ClassVar[int]
     ping_pause: ClassVar[float] = 0.0
     """for the answer of each ID to a ping of all; [s]"""
@@ -320,9 +325,17 @@ class EmulatedBus(Generic[S]):
                     answers.append(self._answer(servo, slot, *found))
         return answers
 
-    @abstractmethod
     def _parts(self, request: Packet) -> Iterator[Part]:
-        """Parts of a packet to several servos."""
+        """Yield the parts of a packet to several servos."""
+        data = request.parameters
+        head = b"" if request.code in self.bulk else data[: self.words.size]
+        place = len(head)
+        while (start := place + 1 + self.words.size - len(head)) <= len(data):
+            address, size = self.words.unpack(head or data[place + 1 : start])
+            end = start + size * (request.code in self.writes)
+            if end <= len(data):
+                yield Part(data[place], address, size, data[start:end])
+            place = end
 
     @abstractmethod
     def _obey(self, servo: S, request: Packet) -> tuple[int, bytes] | None:

@@ -341,11 +341,13 @@ class ServoPlant(Plant, ABC):
             for angle in (position, self.servos["measured"])
         )
         self.status[ids] = 0
-        self._stand(ids, goal, here)
+        known = {"goal": goal, "reference": goal, "position": here}
+        for name, value in (known | self._begin(ids, goal, here)).items():
+            self.status[name].T[..., ids] = value.T
 
     @abstractmethod
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        """Let servos that stand ``here`` [counts] hold ``goal``."""
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
+        """Return more of the status of servos that stand ``here`` (k, n) [counts] and hold ``goal``."""
 
 
 class StsPlant(ServoPlant):
@@ -377,12 +379,11 @@ class StsPlant(ServoPlant):
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        for name, value in {"goal": goal, "reference": goal, "filtered": here, "position": here}.items():
-            self.status[name][ids] = value
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
         raw = goal - here
         error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"][ids], 0)
         self._rings[ids] = np.stack([error, here], axis=-1)[..., None]
+        return {"filtered": here}
 
 
 class XPlant(ServoPlant):
@@ -419,15 +420,8 @@ class XPlant(ServoPlant):
         lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        for name, value in {
-            "goal": goal,
-            "aimed": goal,
-            "reference": goal,
-            "position": here,
-            "error": goal - here,
-        }.items():
-            self.status[name][ids] = value[..., None]
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:  # noqa: ARG002 - of all arms alike
+        return {"aimed": goal, "error": goal - here}
 
 
 def plant_of(arm: Arm) -> type[Plant]:
