@@ -139,8 +139,8 @@ V = TypeVar("V", bound=Vitals)
 class Health:
     """Last state of one arm's servos."""
 
-    def __init__(self, link: Link, bus: Bus) -> None:
-        self._link, self._clock, self._questions = link, bus.clock, list(bus.vitals())
+    def __init__(self, link: Link, bus: Bus, joints: int) -> None:
+        self._link, self._clock, self._questions, self._joints = link, bus.clock, list(bus.vitals()), joints
         self.known = Vitals()
         self._due = self._cost = 0.0
 
@@ -159,28 +159,32 @@ class Health:
 
     def take(self, found: Vitals) -> None:
         """Store an answer."""
-        if found.temperature is not None:
-            self.known = replace(self.known, temperature=np.array(found.temperature, float))
-        if found.fault is not None:
-            self.known = replace(self.known, fault=np.array(found.fault, bool), trouble=found.trouble)
+        named = {name: getattr(found, name) for name in ("temperature", "fault", "trouble")}
+        self.known = replace(self.known, **{name: value for name, value in named.items() if value is not None})
 
     def _ask(self) -> None:
         began, question = self._clock.now(), self._questions.pop(0)
         self._questions.append(question)
-        self.take(believed(lambda: self._link.ask(question)))
+        self.take(self._link.ask(lambda: believed(question, self._joints)))
         now = self._clock.now()
         self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
         self._due = now + INTERVAL
 
 
-def believed(ask: Callable[[], V]) -> V:
-    """Ask again after an alarm until two answers agree."""
+def believed(ask: Callable[[], V], joints: int) -> V:
+    """Ask again after an alarm until two answers agree; arrays (n,) of its own for n ``joints``."""
     before, found = None, ask()
     for _ in range(DOUBTS):
         if not found.alarming or (before is not None and found.agrees(before)):
             break
         before, found = found, ask()
-    return found
+    arrays: dict[str, Any] = {}
+    for name, value in vars(found).items():
+        if value is not None and name != "trouble":
+            arrays[name] = np.array(value, bool if name == "fault" else float)
+            if name != "position" and arrays[name].shape != (joints,):
+                raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
+    return replace(found, **arrays)
 
 
 T = TypeVar("T")
@@ -197,7 +201,7 @@ class BusRobot:
         self._link = Link(bus, address)
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
-        self._health = Health(self._link, bus)
+        self._health = Health(self._link, bus, arm.joints)
         self._command: Array | None = None
         self._state: JointState | None = None
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
@@ -296,7 +300,7 @@ class BusRobot:
     def _read_once(self) -> tuple[float, Reading]:
         """Read and check; also returns the arrival [s]."""
         began = self._clock.now()
-        reading = _own(believed(self.bus.read), self.arm.joints)
+        reading = believed(self.bus.read, self.arm.joints)
         now = self._clock.now()
         judge(reading.position, self.arm)
         self._continuity.check(now, reading.position)
@@ -307,16 +311,6 @@ class BusRobot:
 
 def _batch(values: NDArray[Any] | None) -> NDArray[Any] | None:
     return None if values is None else values[None]
-
-
-def _own(reading: Reading, joints: int) -> Reading:
-    arrays: dict[str, Any] = {}
-    for name in ("position", "load", "temperature", "fault", "voltage"):
-        if (value := getattr(reading, name)) is not None:
-            arrays[name] = np.array(value, float)
-            if name != "position" and arrays[name].shape != (joints,):
-                raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
-    return replace(reading, **arrays)
 
 
 def bus_family(

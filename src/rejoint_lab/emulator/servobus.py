@@ -298,7 +298,7 @@ class EmulatedBus(Generic[S]):
         return [
             servo
             for index, servo in enumerate(self.arm.servos)
-            if index not in silent and self.rate in (None, self.rates[servo["Baud_Rate"]])
+            if index not in silent and self.rate in (None, *self.rates[servo["Baud_Rate"] :][:1])
         ]
 
     def execute(self, request: Packet) -> list[Answer]:

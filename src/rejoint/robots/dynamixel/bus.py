@@ -257,7 +257,7 @@ class DynamixelBus(ServoBus):
             load=self._sign * shares,
             voltage=self._volts[self.leads],
             fault=np.array([bool(word) for word in words]),
-            trouble=tuple(words) if any(words) else None,
+            trouble=tuple(words),
         )
 
     def read_gains(self) -> Values:

@@ -119,7 +119,7 @@ class FeetechBus(ServoBus):
             voltage=VOLT * volts,
             temperature=heats,
             fault=np.array([bool(word) for word in words]),
-            trouble=tuple(words) if any(words) else None,
+            trouble=tuple(words),
         )
 
     def keep(self, gains: ServoGains) -> None:
