@@ -43,12 +43,11 @@ from rejoint.robots.mycobot.mover import (
     COLLISION,
     NO_LINE,
     NO_SOLUTION,
-    Mover,
     Sensed,
     at_angles,
     at_place,
 )
-from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Frame, answer, encode, flag
+from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Computer, Frame, answer, encode, flag
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError
 from rejoint.system.files import unwritable
@@ -85,7 +84,7 @@ class MoveEnd(NamedTuple):
     """which joint stands off its goal, in words, or empty"""
 
 
-class ServedArm(Mover, Reference):
+class ServedArm(Computer, Reference):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
     def __init__(
@@ -200,8 +199,9 @@ class ServedArm(Mover, Reference):
         """(n,) [rad] shown joint angles."""
         return self._apparent.shown(self._position)
 
+    @property
     def sensed(self) -> Sensed:
-        """Return what the robot tells, else zeros."""
+        """What the robot tells, else zeros."""
         none, state = np.zeros(self.arm.joints), self._state
         heat, fault = (None, None) if state is None else (state.temperature, state.fault)
         return Sensed(

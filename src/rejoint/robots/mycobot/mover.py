@@ -78,9 +78,10 @@ class Mover(ABC):
     def moving(self) -> bool:
         """Whether a move is under way."""
 
+    @property
     @abstractmethod
     def sensed(self) -> Sensed:
-        """Return what else is measured."""
+        """What else is measured."""
 
     @abstractmethod
     def stop(self, joint: int | None = None) -> None:
