@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask
 from rejoint.control.robot import JointState, Robot
@@ -50,14 +49,16 @@ class EmulatedServos(TunedServos):
 
     def read_gains(self) -> Values:
         """Gains in force."""
-        rows = {
-            name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.kind.strides if name != "current"
-        }
-        return {name: tuple(np.rint(row).astype(int).tolist()) for name, row in rows.items()}
+        settings, joints, found = self._plant.settings[0], len(self.names), {}
+        for name in self.kind.strides:
+            if name in settings.dtype.names:
+                values = settings[name].reshape(joints, -1)[:, 0] / _UNITS.get(name, 1)
+                found[name] = tuple(np.rint(values).astype(int).tolist())
+        return found
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        self._field(name)[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
+        self._plant.settings[name].T[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Largest share of the torque, and temperature [deg C]."""
@@ -73,11 +74,6 @@ class EmulatedServos(TunedServos):
     def wait(self, duration: float) -> None:
         """Let virtual time pass [s]."""
         self._plant.advance(duration)
-
-    def _field(self, name: str) -> NDArray[Any]:
-        """Return a setting (B, n, S) of joints with S servos."""
-        found = self._plant.settings[name]
-        return found[..., None] if self._sts else found
 
 
 _CHANNEL_PURPOSE = 1

@@ -180,13 +180,11 @@ class XServo(Registers):
         """Restore what it was sold with, but for the registers ``keep``."""
         kept = {name: self[name] for name in keep}
         self._reset(self.fields)
-        for name, value in kept.items():
-            self[name] = value
+        self.update(kept)
         self.save()
 
     def _reset(self, names: Iterable[str]) -> None:
-        for name in names:
-            self[name] = self.fields[name].default
+        self.update({name: self.fields[name].default for name in names})
         self["Goal_PWM"] = self["PWM_Limit"]
         if "Current_Limit" in self.fields:
             self["Goal_Current"] = self["Current_Limit"]
@@ -266,12 +264,10 @@ class XArm(ServoArm[XServo]):
         number = fitting.first + len(self.servos)
         homing = fitting.homing[len(self.servos)] if fitting.homing else 0
         servo = XServo(model, number, mirrored=number in fitting.reverse, mount=_MIDDLE - homing)
-        known = {"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": int(number in fitting.reverse)}
-        known |= {"Operating_Mode": fitting.mode, "Homing_Offset": homing}
+        servo.update({"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": number in fitting.reverse})
+        servo.update({"Operating_Mode": fitting.mode, "Homing_Offset": homing})
         if k:
-            known["Secondary_ID"] = number - k
-        for name, value in known.items():
-            servo[name] = value
+            servo["Secondary_ID"] = number - k
         return servo
 
     def _prepare(self, servo: XServo, gains: dict[str, int]) -> None:
@@ -284,8 +280,7 @@ class XArm(ServoArm[XServo]):
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
         servo.save()
         servo["Torque_Enable"] = 1
-        for name, value in gains.items():
-            servo[f"Position_{name.upper()}_Gain"] = value
+        servo.update({f"Position_{name.upper()}_Gain": value for name, value in gains.items()})
         servo.wrap(self.count(servo))
         servo["Goal_Position"] = servo.position(int(servo.status["goal"]))
         self.settle(servo)
@@ -361,24 +356,24 @@ class XArm(ServoArm[XServo]):
         speed, unit = round(sign * status["speed"] / xseries.VELOCITY_UNIT), NEW[servo.model].get("current_unit")
         load = self._current(servo) / unit if unit else 1000.0 * float(status["output"]) / xseries.FULL  # or [0.1 %]
         arrived = bool(abs(status["goal"] - status["position"]) <= threshold)
-        measured = {
-            "Present_Position": servo.position(self.count(servo)),
-            "Present_Velocity": speed,
-            "Present_PWM": round(sign * status["output"]),
-            "Present_Current": round(sign * load),
-            "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
-            "Present_Temperature": self._heat(servo),
-            "Position_Trajectory": servo.position(round(float(status["reference"]))),
-            "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
-            "Realtime_Tick": int(self.clock * 1e3) % 32768,
-            "Hardware_Error_Status": self.alarms_of(servo),
-            "Torque_Enable": servo.setting["torque_on"],
-            "Registered_Instruction": servo.registered is not None,
-            "Moving": moving or abs(speed) > threshold,
-            "Moving_Status": arrived | moving << 1,
-        }
-        for name, value in measured.items():
-            servo[name] = int(value)
+        servo.update(
+            {
+                "Present_Position": servo.position(self.count(servo)),
+                "Present_Velocity": speed,
+                "Present_PWM": round(sign * status["output"]),
+                "Present_Current": round(sign * load),
+                "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
+                "Present_Temperature": self._heat(servo),
+                "Position_Trajectory": servo.position(round(float(status["reference"]))),
+                "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
+                "Realtime_Tick": int(self.clock * 1e3) % 32768,
+                "Hardware_Error_Status": self.alarms_of(servo),
+                "Torque_Enable": servo.setting["torque_on"],
+                "Registered_Instruction": servo.registered is not None,
+                "Moving": moving or abs(speed) > threshold,
+                "Moving_Status": arrived | moving << 1,
+            }
+        )
 
     def _alarm(self, servo: XServo) -> None:
         """Let an error trip the servo, which stays without torque."""

@@ -153,20 +153,20 @@ class StsArm(ServoArm[Servo]):
     def measure(self, servo: Servo) -> None:
         """Write a servo's measurements to its registers."""
         status, setting, shift = servo.status, servo.setting, _shift(servo)
-        measured = {
-            "Present_Position": (self.count(servo) - shift) % COUNTS,
-            "Present_Velocity": np.clip(status["speed"], -32767, 32767),
-            "Present_Load": np.clip(status["output"], -1023, 1023),
-            "Present_Voltage": round(float(setting["voltage"]) * 10),
-            "Present_Temperature": self._heat(servo),
-            "Status": self.alarms_of(servo),
-            "Moving": status["moving"],
-            "Goal_In_Force": status["goal"] - shift,
-            "Present_Current": round(self._current(servo) / CURRENT_UNIT),
-            "Torque_Enable": setting["torque_on"],  # over-current switches it off
-        }
-        for name, value in measured.items():
-            servo[name] = int(value)
+        servo.update(
+            {
+                "Present_Position": (self.count(servo) - shift) % COUNTS,
+                "Present_Velocity": np.clip(status["speed"], -32767, 32767),
+                "Present_Load": np.clip(status["output"], -1023, 1023),
+                "Present_Voltage": round(float(setting["voltage"]) * 10),
+                "Present_Temperature": self._heat(servo),
+                "Status": self.alarms_of(servo),
+                "Moving": status["moving"],
+                "Goal_In_Force": status["goal"] - shift,
+                "Present_Current": round(self._current(servo) / CURRENT_UNIT),
+                "Torque_Enable": setting["torque_on"],  # over-current switches it off
+            }
+        )
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Limits [counts] of LeRobot's calibration: a full turn for the wrist."""

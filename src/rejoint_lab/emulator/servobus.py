@@ -70,8 +70,7 @@ class Registers:
         self.fields, self.cells = fields, bytearray(size)
         self.at = {cell: field for field in fields.values() for cell in range(size)[field.register.cells]}
         """by cell"""
-        for name, field in fields.items():
-            self[name] = field.default
+        self.update({name: field.default for name, field in fields.items()})
         self["ID"] = number
         self._kept = bytearray(self.cells)
         self.writes: list[tuple[int, bytes]] = []
@@ -86,6 +85,11 @@ class Registers:
         """Set a register."""
         register = self.fields[name].register
         self.cells[register.cells] = register.encode(value)
+
+    def update(self, values: Mapping[str, float]) -> None:
+        """Set registers to whole numbers."""
+        for name, value in values.items():
+            self[name] = int(value)
 
     @property
     def number(self) -> int:
