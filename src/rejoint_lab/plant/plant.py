@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_pose
@@ -115,7 +114,8 @@ class Plant:
         self._key = stream_keys(seed, self.count, first=first)
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
         self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
-        self._firmware: tuple[NDArray[Any], ...] | None = None
+        self._sts: tuple[NDArray[Any], ...] | None = None
+        self._x: tuple[NDArray[Any], ...] | None = None
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
         worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
         self.batch = Batch(build_model(arm, self._pull), self.count, worth)
@@ -254,7 +254,7 @@ class Plant:
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
             arms, commands = (self.joints, self.servos), (self._due, self._queue)
-            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._firmware)
+            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._sts, self._x)
             self.batch.step(stepped)
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
@@ -369,7 +369,7 @@ class StsPlant(ServoPlant):
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
         self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
-        self._firmware = self.settings[..., None], self.status[..., None], self._rings
+        self._sts = self.settings[..., None], self.status[..., None], self._rings
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -406,7 +406,7 @@ class XPlant(ServoPlant):
             self.settings["viscous"][:, j] = xseries.NEW[model]["viscous"] * count
         bias = self.joints["position_gain"] * self.joints["offset"]
         self.settings["bias"] = bias[..., None]
-        self._firmware = self.settings, self.status, np.zeros(shape[:2])
+        self._x = self.settings, self.status
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
         """Put the arms at rest at encoder ``position`` (B, n) [rad], restarted."""
@@ -432,52 +432,47 @@ def plant_of(arm: Arm) -> type[Plant]:
 
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201, ANN202, ARG001
-
-
-def tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    """Let a joint's servos work for a millisecond; returns their torque [N m] on the output."""
-
-
-@overload(tick_servos)
-def _tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    def sts(settings, status, rings, joint, state, tick, count, speed):
-        return sts3215.tick_servo(settings[0], status[0], rings, joint, state, tick, count, speed)
-
-    def x(settings, status, rings, joint, state, tick, count, speed):
-        return xseries.tick_servos(settings, status, state, count, speed)
-
-    return x if "aimed" in status.dtype.fields else sts
+# ruff: noqa: ANN001, ANN202
 
 
 @njit(cache=True)
-def _drive(ids, tick, key, arms, commands, bodies, firmware):
+def _aim(joints, servos, status):
+    """Give the goals of one arm to its servos (n, S), in counts."""
+    for j in range(len(joints)):
+        for k in range(status.shape[1]):
+            status[j, k].goal = int(np.rint(servos[j].goal / joints[j].encoder_step))
+
+
+@njit(cache=True)
+def _drive(ids, tick, key, arms, commands, bodies, sts, x):
     """Write the next torques of the arms ``ids``.
 
     ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
-    velocities, torques (B, 2n); ``firmware``: None, or SETTING and STATUS (B, n, S), and rings
-    (B, n, ...), of joints with S servos.
+    velocities, torques (B, 2n); ``sts``, ``x``: None, or SETTING and STATUS (B, n, S) of joints with S such servos, and
+    rings (B, n, ...) of an STS3215.
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
     for i in ids:
         if due[i].min() <= tick[i]:
             servo.receive(tick[i], due[i], queue[i], servos[i])
-            if firmware is not None:
-                for j in range(n):
-                    goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
-                    for k in range(firmware[1].shape[2]):
-                        firmware[1][i, j, k].goal = goal
+            if sts is not None:
+                _aim(joints[i], servos[i], sts[1][i])
+            if x is not None:
+                _aim(joints[i], servos[i], x[1][i])
         for j in range(n):
             joint, state = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
             gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
             seen = state.measured if state.blind else servo.read_encoder(joint, angle, gear_angle)
-            if firmware is not None:
-                settings, status, rings = firmware
+            count = int(np.rint(seen / joint.encoder_step))
+            if sts is not None:
                 state.measured = seen
-                at, count = (tick[i], int(np.rint(seen / joint.encoder_step)))
-                push = tick_servos(settings[i, j], status[i, j], rings[i, j], joint, state, at, count, speed)
+                setting, status = sts[0][i, j, 0], sts[1][i, j, 0]
+                push = sts3215.tick_servo(setting, status, sts[2][i, j], joint, state, tick[i], count, speed)
+            elif x is not None:
+                state.measured = seen
+                push = xseries.tick_servos(x[0][i, j], x[1][i, j], state, count, speed)
             else:
                 push = state.torque = servo.motor_torque(joint, state, seen, speed)
                 state.load += servo.LOAD_FILTER * (push / joint.torque_limit - state.load)
