@@ -6,18 +6,20 @@ import errno
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from select import select
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 import serial
 from serial.tools.list_ports import comports
 
 from rejoint.robots.family import Place, SerialAddress, TcpAddress
 from rejoint.system.errors import AddressError
+from rejoint.system.files import read_toml
 
 Wire = SerialAddress | TcpAddress
 
@@ -25,43 +27,22 @@ HEARD = 0.15
 """[s] in which an arm answers (chosen: ten times its usual time)"""
 
 
-class Kind(NamedTuple):
+class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How arms of a kind are asked for a sign of life, without motion."""
 
     name: str
-    scheme: Callable[[Wire], str]
-    """of its address"""
-    hello: tuple[bytes, ...]
-    """questions"""
-    begins: bytes
-    """of an answer"""
+    tcp: str
+    serial: str
+    hello: tuple[str, ...]
+    begins: str
     bauds: tuple[int, ...]
-    """[1/s], the usual one first"""
+
+    def scheme(self, wire: Wire) -> str:
+        """Scheme of its address."""
+        return self.tcp if isinstance(wire, TcpAddress) else self.serial
 
 
-KINDS = (
-    Kind(
-        "a myCobot 280",
-        lambda wire: "tcp" if isinstance(wire, TcpAddress) else "serial",
-        (b"\xfe\xfe\x02\x12\xfa",),  # is it powered on?
-        b"\xfe\xfe",
-        (1_000_000, 115_200),
-    ),
-    Kind(
-        "an arm with Dynamixel servos, such as a Koch,",
-        lambda _: "dynamixel",
-        (b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42",),  # a ping of all
-        b"\xff\xff\xfd\x00",
-        (1_000_000, 57_600),
-    ),
-    Kind(
-        "an arm with Feetech servos, such as an SO-101,",
-        lambda _: "feetech",
-        tuple(bytes((0xFF, 0xFF, servo, 2, 1, 0xFF & ~(servo + 3))) for servo in range(1, 4)),  # pings
-        b"\xff\xff",
-        (1_000_000, 500_000, 115_200),
-    ),
-)
+KINDS = read_toml(Path(__file__).with_name("kinds.toml"), dict[str, Kind], "install rejoint again").values()
 
 
 def ports() -> dict[str, str]:
@@ -93,7 +74,7 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
             with _port(wire, baud) as port:
                 for kind in KINDS:
                     asked = kind.hello if not baud or baud in kind.bauds else ()
-                    if any(kind.begins in _answer(port, one) for one in asked):
+                    if any(bytes.fromhex(kind.begins) in _answer(port, bytes.fromhex(one)) for one in asked):
                         return kind, baud
     return None
 

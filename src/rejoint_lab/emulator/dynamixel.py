@@ -9,10 +9,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
-from typing import NamedTuple
+from pathlib import Path
+
+import msgspec
 
 from rejoint.arms import Arm
 from rejoint.robots.wireserver import Format
+from rejoint.system.files import read_toml
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
@@ -216,25 +219,17 @@ class XServo(Registers):
         return min(cell, SIZE - 1)
 
 
-class Fitting(NamedTuple):
+class Fitting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the servos of an arm are built in, and what its usual software leaves in them."""
 
     gripper: str
     first: int = 1
-    """lowest ID; the others follow along the arm, the gripper's last"""
     reverse: tuple[int, ...] = ()
-    """IDs with reverse drive mode"""
     homing: tuple[int, ...] = ()
-    """[counts] by servo; none: 0"""
     mode: int = POSITION
 
 
-FITTINGS = {
-    "koch": Fitting("XL330-M288", homing=(-170, 236, -91, 340, -52, 128), mode=EXTENDED),  # LeRobot; offsets chosen
-    "omx": Fitting("XM430-W350", first=11),
-    "wx250s": Fitting("XC430-W150", reverse=(3, 5, 7)),
-    "vx300s": Fitting("XM430-W350", reverse=(2, 4, 7)),
-}
+FITTINGS = read_toml(Path(__file__).with_name("fittings.toml"), dict[str, Fitting], "install rejoint again")
 _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 
