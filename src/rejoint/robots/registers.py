@@ -20,10 +20,8 @@ class Register(NamedTuple):
 
     def decode(self, data: bytes) -> int:
         """Read the value."""
-        if self.sign == COMPLEMENT:
-            return int.from_bytes(data, "little", signed=True)
-        word = int.from_bytes(data, "little")
-        return word if self.sign is None else signed(word, self.sign)
+        word = int.from_bytes(data, "little", signed=self.sign == COMPLEMENT)
+        return word if self.sign in (None, COMPLEMENT) else signed(word, self.sign)
 
     def encode(self, value: int) -> bytes:
         """Write a value, without a sign bit as two's complement."""

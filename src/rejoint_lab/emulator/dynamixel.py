@@ -10,10 +10,10 @@ import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from rejoint.arms import Arm
 from rejoint.robots.wireserver import Format
 from rejoint.system.files import read_toml
 from rejoint_lab.emulator.faults import BITS
@@ -238,19 +238,15 @@ class XArm(ServoArm[XServo]):
 
     kind, table, jaw = XPlant, xseries.TABLE, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
     gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
+    heard = 0.0
+    """[s] of the clock at the last packet"""
 
-    def __init__(self, plant: XPlant, gripper: XPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance=resistance)
-        self.heard = 0.0
-        """[s] of the clock at the last packet"""
-        self.servos = []
-        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
-        for joint, described in enumerate((*arm.servos, self.gripper_model(arm))):
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        for joint, described in enumerate((*self.arm.servos, self.gripper_model(self.arm))):
             model, count, gains = xseries.drive_of(described)
             for k in range(count):
-                servo = self._fitted(model, FITTINGS[arm.name], k)
-                servo.joint, servo.setting, servo.status = joint, settings[joint][k], status[joint][k]
+                servo = self._fitted(model, FITTINGS[self.arm.name], k)
+                servo.joint, (servo.setting, servo.status) = joint, (record[k] for record in records[joint])
                 self.servos.append(servo)
                 self._prepare(servo, gains)
 

@@ -7,10 +7,10 @@ Sources: Feetech's protocol manual and memory table of the STS/SMS series (in
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Arm
 from rejoint.robots.wireserver import Format
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
@@ -115,14 +115,11 @@ class StsArm(ServoArm[Servo]):
     kind, table, jaw = StsPlant, sts3215.TABLE, (-0.17, 1.75)  # so101_new_calib.xml
     gripper_model = staticmethod(lambda arm: arm.servos[-1])
 
-    def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance=resistance)
-        self.servos = [Servo(joint + 1) for joint in range(arm.joints + 1)]
-        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
-        rows = zip(self.servos, HOMING, self._ranges(), strict=True)
-        for joint, (servo, homing, limits) in enumerate(rows):
-            servo.joint, servo.setting, servo.status = joint, settings[joint], status[joint]
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        for joint, (record, homing, limits) in enumerate(zip(records, HOMING, self._ranges(), strict=True)):
+            servo = Servo(joint + 1)
+            self.servos.append(servo)
+            servo.joint, (servo.setting, servo.status) = joint, record
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
             servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits

@@ -150,6 +150,13 @@ class ServoArm(EmulatedArm, Generic[S]):
         self.clock = 0.0
         """[s]"""
         self._nominal = [one.settings["voltage"][0].copy() for one in (self.plant, self.gripper)]
+        self.servos = []
+        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
+        self._fit(list(zip(settings, status, strict=True)))
+
+    @abstractmethod
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        """Build the servos in, with the settings and status of each joint and the gripper."""
 
     def advance(self, duration: float) -> None:
         """Advance by [s], in whole milliseconds."""

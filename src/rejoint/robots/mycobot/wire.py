@@ -7,7 +7,7 @@ A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -238,33 +238,56 @@ def joint_index(computer: Mover, identity: int) -> int | None:
     return identity - 1 if 1 <= identity <= computer.arm.joints else None
 
 
-PARTS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
-    "b": (1, lambda _, data: data[0]),
-    "s": (1, lambda _, data: min(max(data[0], 1), 100) / 100.0),
-    "j": (1, lambda computer, data: joint_index(computer, data[0])),
-    "w": (2, lambda _, data: unpack_int16(data)[0]),
-    "a": (2, lambda _, data: unpack_angles(data)[0]),
-    "e": (2, lambda computer, data: encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)),
-    "x": (12, lambda _, data: data),
-    "y": (1, lambda _, data: data),
-    "A": (12, lambda _, data: unpack_angles(data)),
-    "E": (12, lambda computer, data: encoder_angle(unpack_int16(data), computer.arm.encoder_step)),
-    "P": (12, lambda _, data: to_pose(unpack_coords(data))),
-}
-"""Parts of a payload: length [bytes], and how it is read"""
+SIZES = {**dict.fromkeys("bsjy", 1), **dict.fromkeys("wae", 2), **dict.fromkeys("xAEP", 12)}
+"""[bytes] of the parts of a payload"""
 
-ANSWERS: dict[str, Callable[[Mover, Any], bytes]] = {
-    "b": lambda _, value: bytes((int(value),)),
-    "x": lambda _, value: value,
-    "A": lambda _, value: pack_angles(value),
-    "P": lambda _, value: pack_coords(value),
-    "E": lambda computer, value: pack_encoders(value, computer.arm.encoder_step),
-    "v": lambda computer, value: pack_int16(value / computer.arm.encoder_step),
-    "m": lambda _, value: pack_int16(value * 1e3),
-    "d": lambda _, value: pack_bytes(value * 10.0),
-    "B": lambda _, value: pack_bytes(value),
-}
-"""How answers are written"""
+
+def read_part(computer: Mover, part: str, data: bytes) -> Any:  # noqa: ANN401
+    """Read a part of a payload."""
+    match part:
+        case "b":
+            return data[0]
+        case "s":
+            return min(max(data[0], 1), 100) / 100.0
+        case "j":
+            return joint_index(computer, data[0])
+        case "w":
+            return unpack_int16(data)[0]
+        case "a":
+            return unpack_angles(data)[0]
+        case "A":
+            return unpack_angles(data)
+        case "e":
+            return encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)
+        case "E":
+            return encoder_angle(unpack_int16(data), computer.arm.encoder_step)
+        case "P":
+            return to_pose(unpack_coords(data))
+    return data
+
+
+def write_answer(computer: Mover, kind: str, value: Any) -> bytes:  # noqa: ANN401
+    """Write an answer of a kind."""
+    match kind:
+        case "b":
+            return bytes((int(value),))
+        case "A":
+            return pack_angles(value)
+        case "P":
+            return pack_coords(value)
+        case "E":
+            return pack_encoders(value, computer.arm.encoder_step)
+        case "v":
+            return pack_int16(value / computer.arm.encoder_step)
+        case "m":
+            return pack_int16(value * 1e3)
+        case "d":
+            return pack_bytes(value * 10.0)
+        case "B":
+            return pack_bytes(value)
+    return bytes(value)
+
+
 ORDER = "!"
 
 
@@ -283,7 +306,7 @@ class _Commands(Table):
 
 
 ROWS = {
-    (row.command, sum(PARTS[part][0] for part in row.parts)): row
+    (row.command, sum(SIZES[part] for part in row.parts)): row
     for row in read_toml(Path(__file__).with_name("commands.toml"), _Commands, "install rejoint again").rows
 }
 """By command and length of the payload [bytes]"""
@@ -299,11 +322,11 @@ def answer(computer: Computer, request: Frame) -> Frame | None:
     if not row.call:
         return Frame(request.command, bytes.fromhex(row.answer))
     given, start = [] if row.argument is None else [row.argument], 0
-    for size, read in (PARTS[part] for part in row.parts):
-        given.append(read(computer, request.payload[start : start + size]))
-        start += size
+    for part in row.parts:
+        given.append(read_part(computer, part, request.payload[start : start + SIZES[part]]))
+        start += SIZES[part]
     found: Any = attrgetter(row.call)(computer)
     if row.answer == ORDER:
         return Frame(request.command, flag(all(part is not None for part in given) and found(*given) is not False))
     found = found(*given) if callable(found) else found
-    return None if found is None else Frame(request.command, ANSWERS[row.answer](computer, found))
+    return None if found is None else Frame(request.command, write_answer(computer, row.answer, found))
