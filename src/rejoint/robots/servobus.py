@@ -158,7 +158,8 @@ class ServoBus(TunedServos, Bus):
 
     def get(self, servo: int, name: str) -> int:
         """Read a register, again where the answer is lost."""
-        return int(self._decoded((name,), [self.read_block(servo, (name,))])[0, 0])
+        register = self.table[name]
+        return register.decode(self.sure(partial(self.wire.read, servo, register.address, register.size)))
 
     def get_all(self, name: str) -> Counts:
         """Read a register of every servo, (m,)."""
@@ -181,10 +182,6 @@ class ServoBus(TunedServos, Bus):
         """First address and size of neighbouring registers."""
         first = min(self.table[name].address for name in names)
         return first, max(self.table[name].address + self.table[name].size for name in names) - first
-
-    def read_block(self, servo: int, names: Sequence[str]) -> bytes:
-        """Read neighbouring registers, again where the answer is lost."""
-        return self.sure(partial(self.wire.read, servo, *self.span(names)))
 
     def ask_all(self, *names: str) -> Counts:
         """Read neighbouring registers of all servos at once, a row (m,) each; TimeoutError names those missing."""
@@ -278,7 +275,8 @@ class ServoBus(TunedServos, Bus):
 
     def read_gains(self) -> Values:
         """Ask each joint's first servo for all its gains at once."""
-        blocks = [self.read_block(self.ids[lead], self.memory) for lead in self.leads]
+        span = self.span(self.memory)
+        blocks = [self.sure(partial(self.wire.read, self.ids[lead], *span)) for lead in self.leads]
         values = self._decoded(self.memory, blocks).tolist()
         return {name: tuple(row) for name, row in zip(self.memory, values, strict=True)}
 
