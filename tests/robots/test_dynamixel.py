@@ -53,7 +53,7 @@ def opened(server, options="", arm=KOCH):
 def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
     ids = range(1, 7)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        address = tcp_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}", port=1)
+        address = tcp_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}")
         with closing(DynamixelWire(address)) as wire, server.accept()[0] as other:
             assert wire.read_all(ids, 126, 10) == {}
             wire.write_all(ids, GOAL, [(2048).to_bytes(4, "little")] * 6)

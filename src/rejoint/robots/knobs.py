@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
-from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.robots.family import BAUD, SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_toml
@@ -228,9 +228,6 @@ class ServoAddress:
     """A bus of servos, and what is known of its arm."""
 
     kind: ClassVar[ServoKind]
-    port: ClassVar[int] = 9000
-    """of TCP addresses"""
-    baud: ClassVar[int] = 1_000_000
     driven: ClassVar[Gains] = {}
     """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
@@ -271,11 +268,11 @@ class ServoAddress:
         given = {name: values[0] for name, values in options.items()}
         wire: TcpAddress | SerialAddress
         if not urlsplit(plain).netloc:
-            wire = serial_address(f"{plain}?baud={given.get('baud', cls.baud)}", baud=cls.baud)
+            wire = serial_address(f"{plain}?baud={given.get('baud', BAUD)}")
         elif "baud" in given:
             raise ValueError("the baud rate is that of the other machine; leave it out")
         else:
-            wire = tcp_address(plain, port=cls.port)
+            wire = tcp_address(plain)
         return cls(
             wire=replace(wire, text=text),
             gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),

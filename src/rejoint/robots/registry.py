@@ -26,7 +26,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="tcp",
         form="tcp://HOST:PORT",
-        parse=lambda text: tcp_address(text, port=9000),
+        parse=tcp_address,
         only=True,
     ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -34,7 +34,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="serial",
         form="serial:///dev/DEVICE",
-        parse=lambda text: serial_address(text, baud=1_000_000),
+        parse=serial_address,
         only=True,
     ),
     # 50 Hz (chosen)
@@ -76,7 +76,7 @@ _MEANT = {
 }
 """What is often written for an address, and what was perhaps meant"""
 
-_OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
+_OWN = {family.scheme: family for family in FAMILIES}
 _LOADED: dict[str, Family[Any]] = {}  # of other packages; to look for one takes 50 ms
 
 
