@@ -29,7 +29,7 @@ from rejoint.system.errors import (
     RobotError,
 )
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import HOMING, NAMES, StsArm, StsBus
+from rejoint_lab.emulator.feetech import HOMING, StsArm, StsBus
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 
@@ -75,7 +75,7 @@ def calibration(path, **changes):
     spans = [(930, 3166), (910, 3186), (946, 3150), (967, 3129), (0, 4095), (1937, 3189)]
     motors = {
         name: {"id": i + 1, "drive_mode": 0, "homing_offset": HOMING[i], "range_min": low, "range_max": high}
-        for i, (name, (low, high)) in enumerate(zip(NAMES, spans, strict=True))
+        for i, (name, (low, high)) in enumerate(zip((*ARM.joint_names, "gripper"), spans, strict=True))
     }
     for name, change in changes.items():
         motors[name] |= change

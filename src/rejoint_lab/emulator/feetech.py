@@ -99,8 +99,6 @@ class Servo(Registers):
         self["Torque_Limit"] = self["Max_Torque_Limit"]
 
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-"""Motors of an SO-101 by ID, 1 to 6 (LeRobot)"""
 HOMING = (-1470, 63, 911, -388, 85, -1021)
 """[counts] (chosen: like real arms)"""
 PROMPT = 254
