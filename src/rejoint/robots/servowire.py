@@ -6,7 +6,7 @@ import os
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
@@ -99,21 +99,19 @@ class ServoWire(ABC):
     places: ClassVar[tuple[int, int]]
     """of ID and error in a status packet"""
 
-    def __init__(
-        self,
-        port: BlockingPort,
-        ask: Callable[[int, int, int], int],
-        receive: Callable[[], tuple[list[int], int]],
-        write: Callable[..., tuple[int, int]],
-        write_all: Callable[..., int],
-    ) -> None:
-        """Speak by the client's ``readTx``, ``rxPacket``, ``writeTxRx`` and ``syncWriteTxOnly``."""
+    def __init__(self, client: Any, port: BlockingPort, *first: BlockingPort) -> None:  # noqa: ANN401 - the maker's
+        """Speak by a maker's ``client``, whose methods take ``first`` before all else."""
         self.quieten, self.close = port.quieten, port.closePort  # type: ignore[attr-defined]  # the maker's
-        self._port, self._ask, self._receive, self._write, self._write_all = port, ask, receive, write, write_all
+        self._client, self._port, self._first = client, port, first
 
     @abstractmethod
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
+
+    def _receive(self) -> tuple[list[int], int]:
+        """Wait for a status packet; it, and the client's result."""
+        packet, result = self._client.rxPacket(*self._first)
+        return packet, result
 
     @abstractmethod
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
@@ -126,7 +124,7 @@ class ServoWire(ABC):
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers."""
         (number, error), packet = self.places, list[int]()
-        result = self._ask(servo, address, size)
+        result = self._client.readTx(*self._first, servo, address, size)
         while result == OK and (not packet or packet[number] != servo):
             packet, result = self._receive()
         self._take(result, servo, packet[error] if result == OK else 0)
@@ -137,7 +135,7 @@ class ServoWire(ABC):
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> int:
         """Write registers, which the servo confirms; its error byte."""
-        result, error = self._write(servo, address, len(data), list(data))
+        result, error = self._client.writeTxRx(*self._first, servo, address, len(data), list(data))
         self._take(result, servo, error)
         return error
 
@@ -156,7 +154,7 @@ class ServoWire(ABC):
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        judge(self._write_all(address, len(data[0]), words, len(words)), servos[0])
+        judge(self._client.syncWriteTxOnly(*self._first, address, len(data[0]), words, len(words)), servos[0])
 
     def _answers(self, count: int, _size: int) -> Iterable[tuple[int, int, bytes]]:
         """IDs, errors and data of ``count`` answers."""

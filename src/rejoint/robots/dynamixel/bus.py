@@ -54,15 +54,8 @@ class DynamixelWire(ServoWire):
     places = 4, 8
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        port, client = DynamixelPort(address).connect(), Protocol2PacketHandler()
-        super().__init__(
-            port,
-            partial(client.readTx, port),
-            partial(client.rxPacket, port, False),
-            partial(client.writeTxRx, port),
-            partial(client.syncWriteTxOnly, port),
-        )
-        self._client = client
+        port = DynamixelPort(address).connect()
+        super().__init__(Protocol2PacketHandler(), port, port)
         self.fast = False
         """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
@@ -87,6 +80,10 @@ class DynamixelWire(ServoWire):
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
         judge(self._client.reboot(self._port, servo)[0], servo)
+
+    def _receive(self) -> tuple[list[int], int]:
+        packet, result = self._client.rxPacket(self._port, False)
+        return packet, result
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
         found: int = self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast)

@@ -47,8 +47,8 @@ class FeetechWire(ServoWire):
     places = PKT_ID, PKT_ERROR
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        client = self._client = sms_sts(FeetechPort(address).connect())
-        super().__init__(client.portHandler, client.readTx, client.rxPacket, client.writeTxRx, client.syncWriteTxOnly)
+        port = FeetechPort(address).connect()
+        super().__init__(sms_sts(port), port)
 
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
