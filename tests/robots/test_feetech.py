@@ -104,7 +104,7 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
     for servo in slow.servos[:5]:
         servo.cycle_power()
         assert servo["Maximum_Acceleration"] == left.get("Maximum_Acceleration", 100)
-    assert slow.servos[5].writes == []
+    assert not slow.servos[5].writes
 
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
@@ -170,7 +170,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
         gripper = Gripper.find(robot.bus)
         assert gripper.opened == pytest.approx(100 * (servo["Present_Position"] - low) / (high - low))
         gripper.serve()
-        assert servo.writes == []
+        assert not servo.writes
         gripper.goal = 150.0
         for _ in range(60):
             robot.step(ARM.rest[None])
@@ -245,7 +245,7 @@ def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
         fresh["Min_Position_Limit"], fresh["Max_Position_Limit"] = 0, 4095
         with pytest.raises(AddressError, match=r":\d+: elbow_flex may turn by a whole turn"):
             open_robot(server.address)
-        assert fresh.writes == []
+        assert not fresh.writes
 
 
 @pytest.mark.parametrize("pty", [False, True])
@@ -295,7 +295,7 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
         assert order.index(GOAL) < order.index(TORQUE)
         assert abs(goals[0] - servo["Present_Position"]) < 30
         assert servo["Lock"] == servo["Torque_Enable"] == 1
-    assert arm.servos[5].writes == []  # the gripper is left as it is
+    assert not arm.servos[5].writes  # the gripper is left as it is
     assert arm.servos[5]["Torque_Enable"] == 0
 
 

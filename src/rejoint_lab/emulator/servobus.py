@@ -6,6 +6,7 @@ import struct
 import termios
 import time
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
@@ -73,8 +74,8 @@ class Registers:
         self.update({name: field.default for name, field in fields.items()})
         self["ID"] = number
         self._kept = bytearray(self.cells)
-        self.writes: list[tuple[int, bytes]] = []
-        """executed: address and data"""
+        self.writes: deque[tuple[int, bytes]] = deque(maxlen=100_000)
+        """the last executed: address and data"""
 
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
