@@ -6,8 +6,7 @@ import errno
 import os
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from select import select
 from typing import Any
@@ -71,23 +70,21 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
     bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
     with suppress(OSError, ValueError):
         for baud in bauds:
-            with _port(wire, baud) as port:
+            with opened(wire, baud, 1.0) as port:
                 for kind in KINDS:
                     asked = kind.hello if not baud or baud in kind.bauds else ()
-                    if any(bytes.fromhex(kind.begins) in _answer(port, bytes.fromhex(one)) for one in asked):
+                    if any(bytes.fromhex(kind.begins) in _answer(port.fileno(), bytes.fromhex(one)) for one in asked):
                         return kind, baud
     return None
 
 
-@contextmanager
-def _port(wire: Wire, baud: int) -> Iterator[int]:
-    """Open a port, at ``baud`` [1/s] where it is a serial one; its descriptor."""
-    if isinstance(wire, TcpAddress):
-        with socket.create_connection((wire.host, wire.port), 1.0) as connection:
-            yield connection.fileno()
-    else:
-        with serial.Serial(wire.device, baud, exclusive=True) as line:
-            yield line.fileno()
+def opened(wire: Wire, baud: int, timeout: float) -> Any:  # noqa: ANN401 - a socket, or a serial line
+    """Open a port for this program alone, a serial one at ``baud`` [1/s], another within ``timeout`` [s]; OSError."""
+    if isinstance(wire, SerialAddress):
+        return serial.Serial(wire.device, baud, exclusive=True)
+    connection = socket.create_connection((wire.host, wire.port), timeout)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
+    return connection
 
 
 def _answer(port: int, question: bytes) -> bytes:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
-import serial
-
 from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.ports import opened
 
 CONNECT = 5.0
 """[s] (chosen, as pyserial does)"""
@@ -34,13 +32,7 @@ class BlockingPort:
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
-        place = self.port_name
-        self.ser: Any
-        if isinstance(place, TcpAddress):
-            self.ser = socket.create_connection((place.host, place.port), CONNECT)
-            self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
-        else:
-            self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
+        self.ser = opened(self.port_name, self.baudrate, CONNECT)
         self._descriptor: int = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
