@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.control.loop import elsewhere
 from rejoint.control.recording import GAP
 from rejoint.control.robot import JointState, Robot
-from rejoint.control.servogains import Rung, ServoGains
+from rejoint.control.servogains import ServoGains
 from rejoint.robots.bus import Bus, Link, Reading, Vitals
 from rejoint.robots.family import Family, Opening, Place
 from rejoint.system.errors import AddressError, ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
@@ -199,6 +199,8 @@ class BusRobot:
         self.arm, self.address, self.count = arm, address, 1
         self.bus, self._period, self._clock = bus, period, bus.clock
         self._link = Link(bus, address)
+        self.open, self.close = self._link.open, self._link.close
+        self.servo_gains, self.rungs = bus.servo_gains, bus.rungs
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
         self._health = Health(self._link, bus, arm.joints)
@@ -207,10 +209,6 @@ class BusRobot:
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
         self._left: tuple[float, Array, Array] | None = None
         self._read_cost: float | None = None
-
-    def open(self) -> None:
-        """Connect and prepare the arm without motion; AddressError."""
-        self._link.open()
 
     def read(self) -> JointState:
         """Ask for the joint positions; RobotError."""
@@ -266,14 +264,6 @@ class BusRobot:
         self._link.ask(self.bus.stop)
         self._command = None
 
-    def servo_gains(self) -> ServoGains | None:
-        """Return the servo gains; None: unknown."""
-        return self.bus.servo_gains()
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the search order of gains."""
-        return self.bus.rungs()
-
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps, see `Bus.tune`."""
         self._left = None  # under other gains it sags elsewhere
@@ -287,10 +277,6 @@ class BusRobot:
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask another device, see `Bus.relay`."""
         return self._link.ask(lambda: self.bus.relay(command, payload))
-
-    def close(self) -> None:
-        """Close the connection; the arm holds."""
-        self._link.close()
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
         if self._left is None or now - self._left[0] <= GAP:
