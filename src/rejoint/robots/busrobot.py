@@ -172,7 +172,7 @@ class Health:
 
 
 def believed(ask: Callable[[], V], joints: int) -> V:
-    """Ask again after an alarm until two answers agree; arrays (n,) of its own for n ``joints``."""
+    """Ask again after an alarm until two answers agree; copies arrays (n,)."""
     before, found = None, ask()
     for _ in range(DOUBTS):
         if not found.alarming or (before is not None and found.agrees(before)):

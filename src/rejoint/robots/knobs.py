@@ -22,7 +22,7 @@ from rejoint.system.files import read_toml
 from rejoint.system.stopping import ending
 
 LIMIT = "limit"
-"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+"""Name of the gain that limits a servo's output or its I part"""
 
 Gains = Mapping[str, int]
 Values = dict[str, tuple[int, ...]]

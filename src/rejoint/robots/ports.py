@@ -27,7 +27,7 @@ HEARD = 0.15
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How arms of a kind are asked for a sign of life, without motion."""
+    """How arms of a kind are asked for a sign of life."""
 
     name: str
     tcp: str
@@ -66,7 +66,7 @@ def why_closed(error: BaseException, device: str) -> str | None:
 
 
 def answering(wire: Wire) -> tuple[Kind, int] | None:
-    """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None where all is silent."""
+    """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None."""
     bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
     with suppress(OSError, ValueError):
         for baud in bauds:
@@ -117,7 +117,7 @@ def address_at(wire: Wire, kind: Kind, baud: int) -> str:
 
 
 def why_not(place: Place[Any], error: AddressError) -> str | None:
-    """Say why the arm at a ``place`` could not be opened, where more can be found out than the ``error`` says."""
+    """Say why the arm at a ``place`` could not be opened, if more than the ``error`` is known."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and (why := why_closed(cause, urlsplit(place.text).path)):

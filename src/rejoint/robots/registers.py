@@ -1,4 +1,4 @@
-"""Values in the memory of servos, for their drivers and their emulators, which know nothing else of one another."""
+"""Values in the memory of servos: all that drivers and emulators share."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def place_of(text: str) -> Place[Any]:
 
 
 def is_virtual(text: str) -> bool:
-    """Whether time passes in the steps of the robot at this address alone; not in those of a robot of the caller's."""
+    """Whether time at this address passes in the steps of its robot alone."""
     try:
         return place_of(text).virtual
     except AddressError:

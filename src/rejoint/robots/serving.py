@@ -157,7 +157,7 @@ class ServedArm(Computer, Reference):
         return Setpoint(posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
-        """End the move where the tool stays in place, or a stopped arm stands, or it came no nearer for long."""
+        """End a move whose tool stays in place, that was stopped and stands, or that came no nearer for long."""
         if not self._wanted.arrived[0]:
             self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return

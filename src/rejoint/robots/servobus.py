@@ -1,4 +1,4 @@
-"""One arm on the bus of its servos: found by ID, held, driven, waited for; by whatever client of their maker.
+"""One arm on the bus of its servos, by a client of their maker.
 
 Torque is never switched off. A joint may have several servos; the first of them says where it is.
 """
@@ -39,7 +39,7 @@ class ServoBus(TunedServos, Bus):
     last: ClassVar[int] = 12
     """ID in a search (chosen)"""
     turned: ClassVar[bool] = False
-    """whether a calibration may have motors that turn the other way"""
+    """whether motors of a calibration may be reversed"""
     wire_type: ClassVar[Any]
     """`ServoWire` of an address"""
 

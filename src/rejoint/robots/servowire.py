@@ -21,10 +21,7 @@ OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
 
 
 class BlockingPort:
-    """A port for the makers' clients, which waits in the system instead of asking all the time.
-
-    Put it before their ``PortHandler`` among the bases.
-    """
+    """A port for the makers' clients that waits in the system; a base before their ``PortHandler``."""
 
     is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
     port_name: TcpAddress | SerialAddress

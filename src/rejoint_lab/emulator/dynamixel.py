@@ -220,7 +220,7 @@ class XServo(Registers):
 
 
 class Fitting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the servos of an arm are built in, and what its usual software leaves in them."""
+    """How an arm's servos are built in, and left by its usual software."""
 
     gripper: str
     first: int = 1

@@ -44,7 +44,7 @@ class TruthLog:
         self._titles = ["time", "x", "y", "z", *names]
 
     def write(self, now: float, arm: EmulatedArm) -> None:
-        """Add a row: [s], [m], [rad]; the first one replaces what the file held, as the arm is served by then."""
+        """Add a row: [s], [m], [rad]; the first one replaces what the file held."""
         if self._titles:
             self._stream.truncate(0)
             self._put(self._titles)

@@ -287,7 +287,7 @@ class EmulatedBus(Generic[S]):
     """instructions that read several servos"""
     writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
     bulk: ClassVar[frozenset[int]] = frozenset()
-    """those of `reads` and `writes` that have an address and a size for each servo"""
+    """those with an address and a size for each servo"""
     words: ClassVar[struct.Struct]
     """an address and a size"""
     ping_bytes: ClassVar[int]

@@ -347,7 +347,7 @@ class ServoPlant(Plant, ABC):
 
     @abstractmethod
     def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
-        """Return more of the status of servos that stand ``here`` (k, n) [counts] and hold ``goal``."""
+        """Return more of the status of servos that hold ``goal`` from ``here`` (k, n) [counts]."""
 
 
 class StsPlant(ServoPlant):

@@ -1,4 +1,4 @@
-"""Tables of servos: their registers, what each sets in a simulated servo, and what a new servo is."""
+"""Tables of servos: registers, settings, and what a new one is."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The control loops of ROBOTIS' X series in counts and 1/885 of PWM, per millisecond; two servos may turn one joint.
 
 Sources: ROBOTIS' e-manual (PID, profiles, protection); Rhoban/bam (the XL330's divisor of 256, its motor and friction;
-those of MX-64 and MX-106, scaled, for XM430 and XM540). ``xseries.csv`` is the table of the servos.
+those of MX-64 and MX-106, scaled, for XM430 and XM540).
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """An arm of Dynamixel X servos: one synchronous read of all, in one packet where they can, and one write per cycle.
 
 Registers that outlast the power are never written. What the driver changes in the others is put back when it closes,
-but for the bus watchdog: one left armed would trip as soon as the bus is quiet, and what a position servo does then its
-maker does not say. With it off, a servo whose computer is gone holds its last goal.
+but for the bus watchdog, which would trip as soon as the bus is quiet. With it off, a servo holds its last goal.
 """
 
 from __future__ import annotations

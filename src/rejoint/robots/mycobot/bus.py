@@ -90,7 +90,7 @@ QUIET_RELAY = 3.0
 POWER_UP = 3.0
 """[s] after power_on (chosen)"""
 FAULTS = {0: "voltage", 1: "encoder", 2: "heat", 3: "over-current", 5: "overload"}
-"""by the bits of a servo's status that are set, which the client lists"""
+"""by bit of a servo's status"""
 _JOINTS = len(LOWEST_DEG)
 
 

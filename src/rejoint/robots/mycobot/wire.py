@@ -149,7 +149,7 @@ class Computer(Mover):
         return self.move_joints(angles, rate)
 
     def move_axis(self, relative: bool, number: int, value: float, rate: float) -> bool:
-        """Move the tool along or about an axis, 1 to 6."""
+        """Move the tool along or about an axis."""
         axis = number - 1
         if not 0 <= axis < 6:
             return False
@@ -162,7 +162,7 @@ class Computer(Mover):
         return self.move_tool(pose, rate, straight=mode == 1)
 
     def jog_axis(self, first: int, number: int, forwards: int, rate: float) -> bool:
-        """Run the tool along or about an axis, of which ``first`` is the number of x."""
+        """Run the tool along or about an axis; x has the number ``first``."""
         axis = number - first
         if not 0 <= axis < 6:
             return False
@@ -180,14 +180,14 @@ class Computer(Mover):
         return True
 
     def is_own(self, frame: bytes) -> bool:
-        """Whether a frame is the arm's own, the only one that is taken."""
+        """Whether a frame is the arm's own."""
         return not any(frame)
 
     def colour(self, *_: int) -> None:
         """Do nothing."""
 
     def is_limp(self) -> bool:
-        """Whether no joint is held although the power is on."""
+        """Whether all joints are free under power."""
         return self.powered and not self.enabled.any()
 
     def servo_enabled(self, servo: int) -> bytes:
@@ -199,7 +199,7 @@ class Computer(Mover):
         return self.at_pose(to_pose(unpack_coords(place))) if is_pose else self.in_position(unpack_angles(place))
 
     def encoder(self, joint: int | None) -> bytes:
-        """Return the encoder count of a joint; -1: the gripper's, as none is fitted."""
+        """Return the encoder count of a joint; -1: no gripper."""
         if joint is None:
             return pack_int16([-1])
         return pack_encoders(self.angles[joint : joint + 1], self.arm.encoder_step)
