@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class ServoTable:
-    """Servos of a CSV file: a row for each register, and without an address for other properties, in SI units.
+    """A CSV file of servos: rows of registers, and without an address of other properties [SI].
 
     ``setting`` names the field of a simulated servo that holds the value times ``factor``.
     """

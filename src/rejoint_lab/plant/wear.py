@@ -219,7 +219,6 @@ PARAMETERS = tuple(
     field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient")
 )
 """Per-joint parameters of every profile"""
-_POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
@@ -253,7 +252,7 @@ def wear_arm(name: str) -> str | None:
 
 
 def new_wear(arm: Arm) -> Wear:
-    """Wear of new servos of `xseries.NEW`, in links as stiff as a healthy arm's; of others a healthy arm's."""
+    """Wear of new X servos in links as stiff as a healthy arm's; else a healthy arm's."""
     healthy = scale_wear(_profile("healthy").wear("healthy", mycobot280().joints), arm)
     if not xseries.drives(arm.servos):
         return healthy
@@ -352,22 +351,29 @@ def lifting_torque(wear: Wear, arm: Arm) -> Array:
 
 
 _Size = Annotated[float, msgspec.Meta(ge=0.0, le=1e300)]
-_Joints = msgspec.defstruct(
-    "_Joints",
-    [
-        *(
-            ("play_deg" if name == "play" else name, kind | list[kind])  # type: ignore[valid-type]
-            for name in PARAMETERS
-            for kind in [Positive if name in _POSITIVE else _Size]
-        ),
-        ("offset_deg", Number | list[Number], 0.0),
-    ],
-    forbid_unknown_fields=True,
-)
+_Sizes = _Size | list[_Size]
+_Positives = Positive | list[Positive]
+
+
+class _Joints(Table):
+    """One number for all joints, or one per joint."""
+
+    position_gain: _Positives
+    damping_gain: _Sizes
+    torque_limit: _Positives
+    coulomb: _Sizes
+    stiction: _Sizes
+    load_friction: _Sizes
+    play_deg: _Sizes
+    link_stiffness: _Positives
+    reflected_inertia: _Positives
+    ripple: _Sizes
+    torque_noise: _Sizes
+    offset_deg: Number | list[Number] = 0.0
 
 
 class _WearFile(Table):
-    joints: _Joints  # type: ignore[valid-type]  # one number for all joints, or one per joint
+    joints: _Joints
     arm: str | None = None
     """the only arm"""
     scales: bool = False
