@@ -150,9 +150,9 @@ class TunedServos(ABC):
     def wait(self, duration: float) -> None:
         """Wait [s]."""
 
-    def servo_gains(self) -> ServoGains:
-        """Return the servo gains by name."""
-        return dict(self.gains)
+    def servo_gains(self) -> ServoGains | None:
+        """Return the servo gains by name; None: unknown."""
+        return dict(self.gains) or None
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
