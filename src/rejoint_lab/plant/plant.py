@@ -308,11 +308,9 @@ def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int,
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     """`servo.JOINT` (n,) of an arm of some wear."""
     records = np.zeros(arm.joints, servo.JOINT)
-    for name in (*PARAMETERS, "offset"):
+    for name in (*PARAMETERS, "offset", "play_in_loop", "ambient"):
         records[name] = getattr(wear, name)
-    records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
-    records["lower"], records["upper"] = arm.lower, arm.upper
-    records["ambient"] = wear.ambient
+    records["encoder_step"], records["lower"], records["upper"] = arm.encoder_step, arm.lower, arm.upper
     scale = scale_of(arm)
     servo.fill_constants(records, arm.max_speed, scale.torque, scale.time)
     return records

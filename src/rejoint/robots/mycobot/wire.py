@@ -120,6 +120,10 @@ _JOG_TURN = np.radians(175.0)
 class Computer(Mover):
     """A computer that understands the parts of payloads; False: an order is refused."""
 
+    def joint_index(self, identity: int) -> int | None:
+        """Index of joint 1..n on the wire; None: another servo."""
+        return identity - 1 if 1 <= identity <= self.arm.joints else None
+
     def clear_error(self) -> None:
         """Forget the last error."""
         self.error = 0
@@ -134,7 +138,7 @@ class Computer(Mover):
 
     def switch(self, on: bool, identity: int, _: int = 0) -> bool:
         """Switch one servo, or by 0 all."""
-        joint = joint_index(self, identity)
+        joint = self.joint_index(identity)
         if (joint is None and identity != 0) or (on and not self.powered):
             return False
         wanted = self.enabled.copy()
@@ -233,16 +237,11 @@ def flag(value: object) -> bytes:
     return b"\x01" if value else b"\x00"
 
 
-def joint_index(computer: Mover, identity: int) -> int | None:
-    """Index of joint 1..n on the wire; None: another servo."""
-    return identity - 1 if 1 <= identity <= computer.arm.joints else None
-
-
 SIZES = {**dict.fromkeys("bsjy", 1), **dict.fromkeys("wae", 2), **dict.fromkeys("xAEP", 12)}
 """[bytes] of the parts of a payload"""
 
 
-def read_part(computer: Mover, part: str, data: bytes) -> Any:  # noqa: ANN401
+def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN401
     """Read a part of a payload."""
     match part:
         case "b":
@@ -250,7 +249,7 @@ def read_part(computer: Mover, part: str, data: bytes) -> Any:  # noqa: ANN401
         case "s":
             return min(max(data[0], 1), 100) / 100.0
         case "j":
-            return joint_index(computer, data[0])
+            return computer.joint_index(data[0])
         case "w":
             return unpack_int16(data)[0]
         case "a":
