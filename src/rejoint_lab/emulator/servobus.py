@@ -19,8 +19,7 @@ from rejoint.robots.wireserver import ByteStream, Format, await_data
 from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
-from rejoint_lab.plant.servo import STEP
-from rejoint_lab.plant.servotable import ServoTable
+from rejoint_lab.plant.servo import STEP, ServoTable
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint_lab.plant.servo import STEP, record_of, trapezoid
-from rejoint_lab.plant.servotable import ServoTable
+from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
