@@ -149,10 +149,10 @@ class ServoArm(EmulatedArm, Generic[S]):
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
-        self._nominal = [one.settings["voltage"][0].copy() for one in (self.plant, self.gripper)]
         self.servos = []
         settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
         self._fit(list(zip(settings, status, strict=True)))
+        self._nominal = [float(servo.setting["voltage"]) for servo in self.servos]
 
     @abstractmethod
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
@@ -165,11 +165,11 @@ class ServoArm(EmulatedArm, Generic[S]):
         self._owed -= steps * STEP
         self.clock += steps * STEP
         drop = self.resistance * sum(abs(float(servo.status["current"])) for servo in self.servos)
-        supplies = (self.plant, self.voltage), (self.gripper, np.full(1, SUPPLY_VOLTAGE))
-        for (driven, volts), nominal in zip(supplies, self._nominal, strict=True):
-            driven.settings["voltage"][0] = (nominal.T * np.maximum(volts - drop, 0.0) / SUPPLY_VOLTAGE).T
-        warmth = self.temperature - self.plant.temperature[0]
-        self.plant.settings["warmth"][0] = (np.ones_like(self._nominal[0]).T * warmth).T
+        supply, warmth = self.voltage, self.temperature - self.plant.temperature[0]
+        for servo, nominal in zip(self.servos, self._nominal, strict=True):
+            volts = max(self._of_joint(servo, supply, SUPPLY_VOLTAGE) - drop, 0.0)
+            servo.setting["voltage"] = nominal * volts / SUPPLY_VOLTAGE
+            servo.setting["warmth"] = self._of_joint(servo, warmth, 0.0)
         self.plant.advance(steps * STEP)
         self.gripper.advance(steps * STEP)
 
