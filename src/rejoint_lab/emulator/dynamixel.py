@@ -109,8 +109,6 @@ class XServo(Registers):
         self.model, self.mount, self._turn = model, mount, -1 if mirrored else 1
         self.base = 0
         """[counts] of whole turns since the power came"""
-        self.awake = 0.0
-        """[s] of the arm's clock from which it hears"""
         self.registered: tuple[int, bytes] | None = None
         """write that waits for an Action"""
         blocks = ((168, 208, 20),) if model.startswith("XL330") else ((168, 224, 28), (578, 634, 28))
@@ -238,8 +236,6 @@ class XArm(ServoArm[XServo]):
 
     kind, table, jaw = XPlant, xseries.TABLE, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
     gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
-    heard = 0.0
-    """[s] of the clock at the last packet"""
 
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
         for joint, described in enumerate((*self.arm.servos, self.gripper_model(self.arm))):
@@ -384,15 +380,6 @@ class XBus(EmulatedBus[XServo]):
     writes = frozenset({SYNC_WRITE, BULK_WRITE})
     bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
     arm: XArm
-
-    def hearing(self) -> list[XServo]:
-        """Servos that hear the client and are awake."""
-        return [servo for servo in super().hearing() if servo.awake <= self.arm.clock]
-
-    def execute(self, request: Packet) -> list[Answer]:
-        """Execute a packet; returns the answers in order of time."""
-        self.arm.heard = self.arm.clock
-        return super().execute(request)
 
     def _numbers(self, servo: XServo) -> tuple[int, ...]:
         return servo.number, servo["Secondary_ID"]

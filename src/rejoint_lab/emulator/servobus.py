@@ -65,6 +65,8 @@ class Registers:
     setting: Any
     status: Any
     """records of its plant"""
+    awake = 0.0
+    """[s] of the arm's clock from which it hears"""
 
     def __init__(self, fields: Mapping[str, MemoryField], size: int, number: int) -> None:
         self.fields, self.cells = fields, bytearray(size)
@@ -137,6 +139,8 @@ class ServoArm(EmulatedArm, Generic[S]):
     gripper_model: ClassVar[Any]
     """of its servo"""
     servos: list[S]
+    heard = 0.0
+    """[s] of the clock at the last packet"""
 
     def __init__(
         self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, *, resistance: float = 0.0
@@ -309,12 +313,14 @@ class EmulatedBus(Generic[S]):
         return [
             servo
             for index, servo in enumerate(self.arm.servos)
-            if index not in silent and self.rate in (None, *self.rates[servo["Baud_Rate"] :][:1])
+            if index not in silent
+            and servo.awake <= self.arm.clock
+            and self.rate in (None, *self.rates[servo["Baud_Rate"] :][:1])
         ]
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
-        hearing = self.hearing()
+        hearing, self.arm.heard = self.hearing(), self.arm.clock
         if request.code in self.writes:
             for part in self._parts(request):
                 for servo in hearing:
