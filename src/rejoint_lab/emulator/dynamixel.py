@@ -408,7 +408,7 @@ class XBus(EmulatedBus[XServo]):
             if code == REG_WRITE:
                 servo.registered = address, data[2:]
                 return 0
-            return self._write(servo, servo["Secondary_ID"] if shadow else servo.number, address, data[2:])
+            return self._write(servo, shadow, address, data[2:])
         if code == ACTION:
             waiting, servo.registered = servo.registered, None
             return self.arm.apply(servo, *waiting) if waiting else 0
@@ -426,8 +426,8 @@ class XBus(EmulatedBus[XServo]):
             return UNKNOWN
         return 0
 
-    def _write(self, servo: XServo, number: int, address: int, data: bytes) -> int:
-        if number != servo.number and address < RAM:
+    def _write(self, servo: XServo, shadow: bool, address: int, data: bytes) -> int:
+        if shadow and address < RAM:
             return ACCESS  # a shadow's own area is its own
         return self.arm.apply(servo, address, data)
 

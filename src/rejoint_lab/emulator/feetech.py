@@ -209,10 +209,10 @@ class StsBus(EmulatedBus[Servo]):
         if request.code != WRITE or len(data) < self.words.size:
             return None
         answers = servo["Response_Status_Level"] != 0 and request.id != BROADCAST
-        error = self._write(servo, servo.number, data[0], data[1:])
+        error = self._write(servo, False, data[0], data[1:])
         return (error, b"") if answers else None
 
-    def _write(self, servo: Servo, number: int, address: int, data: bytes) -> int:  # noqa: ARG002 - it has one
+    def _write(self, servo: Servo, shadow: bool, address: int, data: bytes) -> int:  # noqa: ARG002 - there are none
         touched = servo.write(address, data)
         if touched - {"Goal_Position"}:
             self.arm.settle(servo)

@@ -325,7 +325,7 @@ class EmulatedBus(Generic[S]):
             for part in self._parts(request):
                 for servo in hearing:
                     if part.number in self._numbers(servo):
-                        self._write(servo, part.number, part.address, part.data)
+                        self._write(servo, part.number != servo.number, part.address, part.data)
             return []
         if request.code in self.reads:
             asked = [
@@ -359,8 +359,8 @@ class EmulatedBus(Generic[S]):
         """Error and data of the answer; None: none."""
 
     @abstractmethod
-    def _write(self, servo: S, number: int, address: int, data: bytes) -> int:
-        """Write registers of a servo, spoken to as ``number``; returns the error."""
+    def _write(self, servo: S, shadow: bool, address: int, data: bytes) -> int:
+        """Write registers of a servo, perhaps as a ``shadow`` of another; returns the error."""
 
     @abstractmethod
     def _row(self, code: int, asked: list[tuple[list[S], Part]]) -> list[Answer]:
