@@ -253,7 +253,7 @@ def wear_arm(name: str) -> str | None:
 
 def new_wear(arm: Arm) -> Wear:
     """Wear of new X servos in links as stiff as a healthy arm's; else a healthy arm's."""
-    healthy = scale_wear(_profile("healthy").wear("healthy", mycobot280().joints), arm)
+    healthy = scale_wear("healthy", arm)
     if not xseries.drives(arm.servos):
         return healthy
     rows = [(xseries.NEW[model], count) for model, count, _ in map(xseries.drive_of, arm.servos)]
@@ -281,7 +281,7 @@ def _fitted(base: str, arm: Arm) -> Wear:
         return new_wear(arm)
     found = _profile(base)
     if found.scales:
-        scaled = scale_wear(found.wear(base, mycobot280().joints), arm)
+        scaled = scale_wear(base, arm)
         if not xseries.drives(arm.servos):
             return scaled
         new = new_wear(arm)  # servos keep their inertia, and at least half their torque
@@ -318,9 +318,9 @@ def _options(name: str) -> tuple[str, _Options]:
         raise ProfileError(f"wear {name!r}: {first_line(error)}; options: {known}") from error
 
 
-def scale_wear(wear: Wear, arm: Arm) -> Wear:
+def scale_wear(base: str, arm: Arm) -> Wear:
     """Scale a myCobot 280's profile to ``arm``."""
-    scale = scale_of(arm)
+    wear, scale = _profile(base).wear(base, mycobot280().joints), scale_of(arm)
     values = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
         values[name] = values[name] * scale.torque
