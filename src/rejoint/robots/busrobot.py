@@ -136,41 +136,6 @@ _SMOOTHING = 0.2  # share of the newest cost in its running mean
 V = TypeVar("V", bound=Vitals)
 
 
-class Health:
-    """Last state of one arm's servos."""
-
-    def __init__(self, link: Link, bus: Bus, joints: int) -> None:
-        self._link, self._clock, self._questions, self._joints = link, bus.clock, list(bus.vitals()), joints
-        self.known = Vitals()
-        self._due = self._cost = 0.0
-
-    def find(self) -> None:
-        """Find the questions that this firmware answers."""
-        try:
-            for _ in range(len(self._questions)):
-                self._ask()
-        except NoReplyError:
-            self.known, self._questions = Vitals(), []
-
-    def poll(self, spare: float) -> None:
-        """Ask the next question if ``spare`` [s] is enough or one is due."""
-        if self._questions and (spare > _SPARE * self._cost or self._clock.now() >= self._due):
-            self._ask()
-
-    def take(self, found: Vitals) -> None:
-        """Store an answer."""
-        named = {name: getattr(found, name) for name in ("temperature", "fault", "trouble")}
-        self.known = replace(self.known, **{name: value for name, value in named.items() if value is not None})
-
-    def _ask(self) -> None:
-        began, question = self._clock.now(), self._questions.pop(0)
-        self._questions.append(question)
-        self.take(self._link.ask(lambda: believed(question, self._joints)))
-        now = self._clock.now()
-        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
-        self._due = now + INTERVAL
-
-
 def believed(ask: Callable[[], V], joints: int) -> V:
     """Ask again after an alarm until two answers agree; copies arrays (n,)."""
     before, found = None, ask()
@@ -203,7 +168,9 @@ class BusRobot:
         self.servo_gains, self.rungs = bus.servo_gains, bus.rungs
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
-        self._health = Health(self._link, bus, arm.joints)
+        self._questions, self._known = list(bus.vitals()), Vitals()
+        # when [s] the next of the questions is due, and what one costs [s]
+        self._due = self._cost = 0.0
         self._command: Array | None = None
         self._state: JointState | None = None
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
@@ -213,10 +180,10 @@ class BusRobot:
     def read(self) -> JointState:
         """Ask for the joint positions; RobotError."""
         if self._state is None:
-            self._health.find()
+            self._find_questions()
         now, reading = self._link.ask(self._read_once)
-        self._health.take(reading)
-        servos = self._health.known
+        self._take(reading)
+        servos = self._known
         self._state = JointState(
             time=np.array([now]),
             position=reading.position[None],
@@ -251,7 +218,8 @@ class BusRobot:
 
         self._link.ask(send)
         ask_at = due - (self._read_cost or 0.0)
-        self._health.poll(ask_at - self._clock.now())
+        if self._questions and (ask_at - self._clock.now() > _SPARE * self._cost or self._clock.now() >= self._due):
+            self._ask_next()
         self._clock.wait(ask_at - self._clock.now())
         return self.read()
 
@@ -277,6 +245,26 @@ class BusRobot:
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask another device, see `Bus.relay`."""
         return self._link.ask(lambda: self.bus.relay(command, payload))
+
+    def _find_questions(self) -> None:
+        """Keep the questions for vitals that this firmware answers."""
+        try:
+            for _ in range(len(self._questions)):
+                self._ask_next()
+        except NoReplyError:
+            self._known, self._questions = Vitals(), []
+
+    def _ask_next(self) -> None:
+        began, question = self._clock.now(), self._questions.pop(0)
+        self._questions.append(question)
+        self._take(self._link.ask(lambda: believed(question, self.arm.joints)))
+        now = self._clock.now()
+        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
+        self._due = now + INTERVAL
+
+    def _take(self, found: Vitals) -> None:
+        named = {name: getattr(found, name) for name in ("temperature", "fault", "trouble")}
+        self._known = replace(self._known, **{name: value for name, value in named.items() if value is not None})
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
         if self._left is None or now - self._left[0] <= GAP:
