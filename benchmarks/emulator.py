@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.wire import MAX_PAYLOAD, ORDERS, QUESTIONS, Decoder, Frame, answer, encode, pack_angles
-from rejoint.robots.wireserver import Server
+from rejoint.robots.mycobot.wire import FORMAT, MAX_PAYLOAD, ROWS, Frame, answer, encode, pack_angles
+from rejoint.robots.wireserver import Finder, Server
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
 from rejoint_lab.emulator.servers import Timing, WireSession, on_port
 
@@ -25,7 +25,7 @@ FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""
 
 GET_ANGLES = encode(Frame(0x20))
-KNOWN = [*QUESTIONS, *ORDERS]
+KNOWN = [*ROWS]
 _SEARCHING = (0x24, 0x25, 0x31, 0x32, 0x34, 0x8D)
 """Requests that need inverse kinematics, tens of milliseconds each: drawn in one of `_SELDOM` cases only."""
 _SELDOM = 1000
@@ -68,7 +68,7 @@ def _damaged(rng: np.random.Generator, frame: bytes) -> bytes:
 
 def fuzz(firmware: Firmware, count: int, seed: int = 0) -> Counter[str]:
     """Let the firmware answer ``count`` fuzzed frames; raises what it raises. Returns how many came to what end."""
-    rng, decoder, ends = np.random.default_rng(seed), Decoder(), Counter[str]()
+    rng, decoder, ends = np.random.default_rng(seed), Finder(FORMAT), Counter[str]()
     for number, stream in enumerate(streams(rng, count)):
         for request in decoder.feed(stream):
             reply = answer(firmware, request)

@@ -37,7 +37,7 @@ def robot(names, gains=None, seed=5, **options):
     found = EmulatedRobot(ARM, [load_wear(name, ARM) for name in names], seed=seed, **options)
     for arm, own in enumerate(gains or ()):
         for name, values in own.items():
-            found.plant.settings["integral_limit" if name == "limit" else name][arm] = values
+            found.plant.settings[name][arm] = values
     found.restart(ARM.rest)
     return found
 

@@ -75,7 +75,7 @@ def damaged(bench):
 
 
 def old_firmware(bench):
-    bench.patch.setitem(wire.QUESTIONS, (0x02, 0), (wire.QUESTIONS[0x02, 0][0], b"\x2d"))
+    bench.patch.setitem(wire.ROWS, (0x02, 0), wire.ROWS[0x02, 0]._replace(answer="2d"))
     return [bench.mycobot()]
 
 

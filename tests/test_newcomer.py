@@ -75,7 +75,7 @@ def test_an_arm_of_another_kind_is_named_with_its_address(scheme, answer, hello,
     with answering(answer, hello) as place:
         assert ports.other_arm(place_of(f"{scheme}://{place}")).endswith(f"give {right}://{place}")
         host, port = place.split(":")
-        assert ports.answering(TcpAddress(text="", host=host, port=int(port)))[0].begins == hello
+        assert ports.answering(TcpAddress(text="", host=host, port=int(port)))[0].begins == hello.hex()
 
 
 def test_the_baud_rate_at_which_an_arm_answers_is_named():

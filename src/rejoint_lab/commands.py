@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,7 @@ def emulate(
     require("rejoint emulate", SIMULATOR)
     from rejoint_lab.emulator import dynamixel, feetech, firmware, servers
     from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
-    from rejoint_lab.emulator.servobus import BusSession, EmulatedBus
+    from rejoint_lab.emulator.servobus import BusSession
 
     chosen = load_arm(arm)
     if chosen.name not in CATALOGUE:
@@ -51,21 +51,20 @@ def emulate(
         if one in faults:
             raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
     with suppress(KeyboardInterrupt), ExitStack() as stack:
-        truth = None if log is None else servers.TruthLog(log, chosen.joints)
-        if truth is not None:
-            stack.callback(truth.close)
-        session: servers.EmulatedConversation[Any]
+        truth = None if log is None else stack.enter_context(closing(servers.TruthLog(log, chosen.joints)))
         known: dict[str, Any] = {"seed": seed, "faults": faults, "log": truth}
-        if on_bus:
-            built: dict[str, Any] = {"seed": seed, "resistance": size_of(faults, "sag")}
-            if chosen.name in dynamixel.FITTINGS:
-                bus: EmulatedBus[Any] = dynamixel.XBus(dynamixel.XArm.build(chosen, wear, **built))
-            else:
-                bus = feetech.StsBus(feetech.StsArm.build(chosen, wear, **built))
-            session = BusSession(bus, **known)
+        resistance = size_of(faults, "sag")
+        session: servers.EmulatedConversation[Any]
+        if not on_bus:
+            session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
+        elif chosen.name in dynamixel.FITTINGS:
+            session = BusSession(
+                dynamixel.XBus(dynamixel.XArm.build(chosen, wear, seed=seed, resistance=resistance)), **known
+            )
         else:
-            computer = firmware.build_firmware(chosen, wear, seed=seed)
-            session = servers.WireSession(computer, **known)
+            session = BusSession(
+                feetech.StsBus(feetech.StsArm.build(chosen, wear, seed=seed, resistance=resistance)), **known
+            )
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)

@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.seeing import Sighting
-from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots import dynamixel as xservos
-from rejoint.robots.feetech import gains as sts
-from rejoint.robots.knobs import LIMIT, Gains, Tuning, Values
+from rejoint.control.servogains import ServoGains
+from rejoint.robots import dynamixel, feetech
+from rejoint.robots.knobs import Gains, TunedServos, Values
 from rejoint.system.errors import InputError
-from rejoint_lab.plant.plant import StsPlant, Truth, XPlant, plant_of
+from rejoint_lab.plant.plant import ServoPlant, StsPlant, Truth, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import ACCELERATION_UNIT, VELOCITY_UNIT
@@ -30,65 +28,11 @@ if TYPE_CHECKING:
 _UNITS = {"speed": VELOCITY_UNIT, "acceleration": ACCELERATION_UNIT}
 
 
-class EmulatedServos:
-    """Gains of the servos of arms that have equal ones."""
-
-    def __init__(self, plant: StsPlant | XPlant, gains: Gains) -> None:
-        """``gains`` are in force from the start."""
-        self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
-        self._sts = isinstance(plant, StsPlant)
-        kind = sts.KIND if self._sts else xservos.KIND
-        self.strides = {name: stride for name, stride in kind.strides.items() if name != "current"}
-        self.rungs = tuple(rung for rung in kind.ladder if rung.names[0] in self.strides)
-        for name, values in kind.for_all(gains, plant.arm.joints).items():
-            self.write_gain(name, values)
-        self.tuning = Tuning(self, {})
-        self.tuning.look_up()
-
-    @property
-    def load(self) -> Array:
-        """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
-        if not self._sts:
-            return self._plant.load
-        status = self._plant.status
-        duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
-        laws = sts.duty_laws(self.tuning.values)
-        return np.array(
-            [[law.share(*seen) for law, *seen in zip(laws, *arm, strict=True)] for arm in zip(duty, error, strict=True)]
-        )
-
-    def read_gains(self) -> Values:
-        """Gains in force."""
-        rows = {name: self._field(name)[0, :, 0] / _UNITS.get(name, 1) for name in self.strides}
-        return {name: tuple(np.rint(row).astype(int).tolist()) for name, row in rows.items()}
-
-    def write_gain(self, name: str, values: Sequence[int]) -> None:
-        """Set one gain of all servos."""
-        self._field(name)[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
-
-    def strain(self, joint: int) -> tuple[float, float]:
-        """Largest share of the torque, and temperature [deg C]."""
-        plant = self._plant
-        return float(np.abs(plant.load[:, joint]).max()), float(plant.temperature[:, joint].max())
-
-    def relieve(self, joint: int) -> None:
-        """Let a joint hold where it stands."""
-        goal = self._plant.goal.copy()
-        goal[:, joint] = self._plant.encoder()[:, joint]
-        self._plant.command(goal)
-
-    def _field(self, name: str) -> NDArray[Any]:
-        """Return a setting (B, n, S) of joints with S servos."""
-        limit = "integral_limit" if self._sts else "pwm_limit"
-        found = self._plant.settings[limit if name == LIMIT else name]
-        return found[..., None] if self._sts else found
-
-
 _CHANNEL_PURPOSE = 1
 
 
-class EmulatedRobot:
-    """B emulated arms; time passes only in `step`, noise is as in `Plant`."""
+class EmulatedRobot(TunedServos):
+    """B emulated arms, whose servos have equal gains, if any; time passes only in `step`, noise is as in `Plant`."""
 
     def __init__(
         self,
@@ -115,9 +59,12 @@ class EmulatedRobot:
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
         self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
-        self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant | XPlant) else None
-        if gains:
-            self._with_gains()
+        super().__init__(dynamixel.KIND if isinstance(self.plant, XPlant) else feetech.KIND, arm.joint_names, {})
+        if gains and not isinstance(self.plant, ServoPlant):
+            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        for name, values in self.kind.for_all(gains or {}, arm.joints).items():
+            self.write_gain(name, values)
+        self.gains = self.read_gains()
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self.restart(arm.rest if start is None else start)
@@ -134,7 +81,7 @@ class EmulatedRobot:
             position=self._position.copy(),
             age=np.zeros(self.count),
             temperature=self.plant.temperature,
-            load=(self._servos or self.plant).load if self._tells_load else None,
+            load=self._load() if self._tells_load else None,
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
@@ -154,23 +101,40 @@ class EmulatedRobot:
         """Hold: the reference stops."""
         self.plant.halt()
 
-    def servo_gains(self) -> ServoGains | None:
-        """Return the servo gains, or None."""
-        return None if self._servos is None else dict(self._servos.tuning.values)
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the search order of gains."""
-        return () if self._servos is None else self._servos.rungs
-
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
-        self._with_gains().tuning.tune(gains)
+        super().tune(gains)
         self._position = self.plant.encoder()
 
-    def _with_gains(self) -> EmulatedServos:
-        if self._servos is None:
-            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has: give --arm so101")
-        return self._servos
+    def read_gains(self) -> Values:
+        """Gains in force."""
+        found: Values = {}
+        if isinstance(self.plant, ServoPlant):
+            settings = self.plant.settings[0].reshape(self.arm.joints, -1)[:, 0]
+            for name in self.kind.strides:
+                if name in settings.dtype.names:
+                    found[name] = tuple(np.rint(settings[name] / _UNITS.get(name, 1)).astype(int).tolist())
+        return found
+
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all servos."""
+        if isinstance(self.plant, ServoPlant):
+            self.plant.settings[name].T[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
+
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Largest share of the torque, and temperature [deg C]."""
+        plant = self.plant
+        return float(np.abs(plant.load[:, joint]).max()), float(plant.temperature[:, joint].max())
+
+    def relieve(self, joint: int) -> None:
+        """Let a joint hold where it stands."""
+        goal = self.plant.goal.copy()
+        goal[:, joint] = self.plant.encoder()[:, joint]
+        self.plant.command(goal)
+
+    def wait(self, duration: float) -> None:
+        """Let virtual time pass [s]."""
+        self.plant.advance(duration)
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
         """Raise InputError: emulated arms do not last."""
@@ -192,6 +156,13 @@ class EmulatedRobot:
 
     def close(self) -> None:
         """Do nothing."""
+
+    def _load(self) -> Array:
+        """Return shares (B, n) of the largest torque."""
+        if not isinstance(self.plant, StsPlant):
+            return self.plant.load
+        status = self.plant.status
+        return feetech.torque_share(self.gains, status["output"], status["goal"] - status["position"])
 
     def _merge(self, position: Array, where: Mask | None) -> Array:
         return position if where is None else np.where(where[:, None], position, self._position)

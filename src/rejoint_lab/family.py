@@ -10,7 +10,7 @@ from rejoint.arms.inertia import bare
 from rejoint.control.robot import Robot
 from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.dynamixel import KIND as X_SERIES
-from rejoint.robots.feetech.gains import KIND as STS
+from rejoint.robots.feetech import KIND as STS
 from rejoint.robots.knobs import Gains
 from rejoint_lab.plant.xseries import drives
 

@@ -19,7 +19,7 @@ from rejoint.control.servogains import (
     stiffness_under,
     under_gains,
 )
-from rejoint.robots.feetech.gains import KIND
+from rejoint.robots.feetech import KIND
 from rejoint.robots.knobs import LIMIT, steps
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot

@@ -53,7 +53,7 @@ def opened(server, options="", arm=KOCH):
 def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
     ids = range(1, 7)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        address = tcp_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}", port=1)
+        address = tcp_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}")
         with closing(DynamixelWire(address)) as wire, server.accept()[0] as other:
             assert wire.read_all(ids, 126, 10) == {}
             wire.write_all(ids, GOAL, [(2048).to_bytes(4, "little")] * 6)
@@ -104,7 +104,7 @@ def test_torque_comes_on_where_the_arm_is_in_whatever_turn_a_servo_counts():
     for servo in arm.servos[:5]:
         order = [at for at, _ in servo.writes if at in (TORQUE, GOAL)]
         assert order.index(GOAL) < order.index(TORQUE)
-    assert arm.servos[5].writes == []
+    assert not arm.servos[5].writes
 
 
 def limp(servo):
@@ -200,7 +200,7 @@ def test_a_gripper_opens_beside_the_joints():
     with serving(arm) as server, opened(server) as robot:
         gripper = Gripper.find(robot.bus)
         gripper.serve()
-        assert arm.servos[5].writes == []
+        assert not arm.servos[5].writes
         gripper.goal = 50.0
         gripper.serve()
         assert arm.servos[5]["Goal_Position"] == 1770

@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots import open_robot
-from rejoint.robots.feetech.gains import KIND
+from rejoint.robots.feetech import KIND
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import HOMING, MIDDLE, StsArm
 from rejoint_lab.plant.sts3215 import SETTING

@@ -14,9 +14,9 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
+from rejoint.robots.feetech import KIND
 from rejoint.robots.feetech.bus import FeetechBus, FeetechWire, zeros_of
-from rejoint.robots.feetech.gains import KIND
-from rejoint.robots.knobs import LIMIT, Tuning
+from rejoint.robots.knobs import LIMIT, TunedServos
 from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
@@ -29,7 +29,7 @@ from rejoint.system.errors import (
     RobotError,
 )
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import HOMING, NAMES, StsArm, StsBus
+from rejoint_lab.emulator.feetech import HOMING, StsArm, StsBus
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 
@@ -75,7 +75,7 @@ def calibration(path, **changes):
     spans = [(930, 3166), (910, 3186), (946, 3150), (967, 3129), (0, 4095), (1937, 3189)]
     motors = {
         name: {"id": i + 1, "drive_mode": 0, "homing_offset": HOMING[i], "range_min": low, "range_max": high}
-        for i, (name, (low, high)) in enumerate(zip(NAMES, spans, strict=True))
+        for i, (name, (low, high)) in enumerate(zip((*ARM.joint_names, "gripper"), spans, strict=True))
     }
     for name, change in changes.items():
         motors[name] |= change
@@ -104,19 +104,19 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
     for servo in slow.servos[:5]:
         servo.cycle_power()
         assert servo["Maximum_Acceleration"] == left.get("Maximum_Acceleration", 100)
-    assert slow.servos[5].writes == []
+    assert not slow.servos[5].writes
 
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
-    class Memory:
-        names, load, gravity, strides = ("1", "2"), 0.0, 0.8, KIND.strides
-        gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
+    class Servos(TunedServos):
+        load, gravity = 0.0, 0.8
+        memory = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
 
         def read_gains(self):
-            return dict(self.gains)
+            return dict(self.memory)
 
         def write_gain(self, name, values):
-            self.gains[name] = tuple(values)
+            self.memory[name] = tuple(values)
 
         def strain(self, joint):
             return self.load * (joint == 0), 30
@@ -127,20 +127,19 @@ def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
         def wait(self, duration):
             pass
 
-    memory = Memory()
-    tuning = Tuning(memory, {})
-    tuning.prepare()
-    before = dict(tuning.values)
-    tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
-    memory.load = 0.9
+    servos = Servos(KIND, ("1", "2"), {})
+    servos.prepare_gains()
+    before = servos.servo_gains()
+    servos.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
+    servos.load = 0.9
     with pytest.raises(RobotError, match="1 does not bear p=52: load 80 %"):
-        tuning.tune({"p": (64, 32)})
-    assert memory.gains["p"][0] == 48
-    memory.load, memory.gravity = 0.9, 0.4  # by friction alone: where it stands it bears them
-    tuning.tune({"p": (64, 32)})
-    assert memory.gains["p"][0] == 64
-    tuning.tune(before)
-    assert tuning.values == before
+        servos.tune({"p": (64, 32)})
+    assert servos.memory["p"][0] == 48
+    servos.load, servos.gravity = 0.9, 0.4  # by friction alone: where it stands it bears them
+    servos.tune({"p": (64, 32)})
+    assert servos.memory["p"][0] == 64
+    servos.tune(before)
+    assert servos.gains == before
 
 
 def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():
@@ -171,7 +170,7 @@ def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goa
         gripper = Gripper.find(robot.bus)
         assert gripper.opened == pytest.approx(100 * (servo["Present_Position"] - low) / (high - low))
         gripper.serve()
-        assert servo.writes == []
+        assert not servo.writes
         gripper.goal = 150.0
         for _ in range(60):
             robot.step(ARM.rest[None])
@@ -246,7 +245,7 @@ def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
         fresh["Min_Position_Limit"], fresh["Max_Position_Limit"] = 0, 4095
         with pytest.raises(AddressError, match=r":\d+: elbow_flex may turn by a whole turn"):
             open_robot(server.address)
-        assert fresh.writes == []
+        assert not fresh.writes
 
 
 @pytest.mark.parametrize("pty", [False, True])
@@ -296,7 +295,7 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
         assert order.index(GOAL) < order.index(TORQUE)
         assert abs(goals[0] - servo["Present_Position"]) < 30
         assert servo["Lock"] == servo["Torque_Enable"] == 1
-    assert arm.servos[5].writes == []  # the gripper is left as it is
+    assert not arm.servos[5].writes  # the gripper is left as it is
     assert arm.servos[5]["Torque_Enable"] == 0
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loneservo import lone_servo
-from rejoint.robots.feetech.gains import KIND, DutyLaw
+from rejoint.robots.feetech import KIND, torque_share
 from rejoint.robots.knobs import steps
 
 
@@ -17,13 +17,14 @@ def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, start
     servo.settings["dead_cw"] = servo.settings["dead_ccw"] = dead
     servo.status["goal"] = error
     servo.advance(0.4)
-    law = DutyLaw(p=p, startup=startup, above=dead, below=dead)
-    assert law.share(int(servo.status["output"][0, 0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
+    gains = {"p": (p,), "startup": (startup,), "dead_cw": (dead,), "dead_ccw": (dead,)}
+    load = torque_share(gains, servo.status["output"], error)
+    assert load.item() == pytest.approx(error * p / 4 / 1000, abs=0.0011)
 
 
 @given(duty=st.integers(-1023, 1023))
 def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
-    load = DutyLaw(p=32, startup=16, above=1, below=1).share(duty)
+    load = torque_share({"p": (32,), "startup": (16,), "dead_cw": (1,), "dead_ccw": (1,)}, duty, 0).item()
     assert abs(load) <= 1.0
     assert abs(load - duty / 1000) <= 0.024
     assert load * duty >= 0.0

@@ -16,6 +16,7 @@ from rejoint_lab.emulator.servobus import BusSession, alone
 from rejoint_lab.plant.plant import Truth, XPlant
 from rejoint_lab.plant.wear import load_wear
 
+NAMES = (*load_arm("so101").joint_names, "gripper")
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 
 pytestmark = [
@@ -46,7 +47,7 @@ def test_lerobot_connects_calibrates_moves_and_disconnects():
     arm = feetech.StsArm.build(load_arm("so101"), "so101")
     seen = judged(BusSession(feetech.StsBus(arm)))
     assert seen["models"] == [777]
-    assert [seen["held"][name][0] for name in feetech.NAMES] == list(feetech.HOMING)
+    assert [seen["held"][name][0] for name in NAMES] == list(feetech.HOMING)
     for servo in arm.servos:  # as LeRobot leaves an arm: limp, its calibration kept
         assert (servo["Torque_Enable"], servo["Lock"], servo["P_Coefficient"]) == (0, 0, 16)
         servo.cycle_power()
@@ -60,7 +61,7 @@ def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
     arm = dynamixel.XArm(XPlant(koch, [wear], seed=0, truth=floating), gripper, koch)
     seen = judged(BusSession(dynamixel.XBus(arm)))
     assert seen["models"] == [1060, 1200]
-    assert [seen["held"][name][0] for name in feetech.NAMES] == list(dynamixel.FITTINGS["koch"].homing)
+    assert [seen["held"][name][0] for name in NAMES] == list(dynamixel.FITTINGS["koch"].homing)
     for servo in arm.servos:
         assert (servo["Torque_Enable"], servo["Position_P_Gain"], servo["Return_Delay_Time"]) == (0, 1600, 0)
         servo.cycle_power()

@@ -19,8 +19,9 @@ from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
 from rejoint.robots.mycobot.mover import COLLISION
-from rejoint.robots.mycobot.wire import Decoder, Frame, encode, pack_angles, pack_coords
-from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, Relay, ServedArm
+from rejoint.robots.mycobot.wire import FORMAT, Frame, encode, pack_angles, pack_coords
+from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, ServedArm
+from rejoint.robots.wireserver import Finder
 from rejoint.runs.run import Run
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
@@ -99,11 +100,11 @@ def advance(served, clock, position):
     return served.advance(reading, reading.time)
 
 
-def answering(served, relay=None, listener=None):
+def answering(served, passes=None, listener=None):
     said: list[str] = []
     log = OrderLog(Path(os.devnull))
     log.close()
-    return Clients(served, log, relay or Relay(None), said.append, listener), said
+    return Clients(served, log, passes, said.append, listener), said
 
 
 def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
@@ -263,13 +264,12 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):
             raise NoReplyError("silent")
         return b"\x01"
 
-    relay = Relay(gripper)
-    answers, _ = answering(ServedArm(ARM, ARM.rest), relay)
+    answers, _ = answering(ServedArm(ARM, ARM.rest), gripper)
     over = threading.Event()
 
     def loop():
         while not over.wait(0.005):
-            relay.serve()
+            answers.relay()
 
     thread = threading.Thread(target=loop)
     thread.start()
@@ -284,8 +284,8 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):
 def test_any_bytes_are_borne(tmp_path):
     served = ServedArm(ARM, ARM.rest)
     log = OrderLog(tmp_path / "orders.jsonl")
-    answers = Clients(served, log, Relay(None), lambda _: None)
-    rng, decoder = np.random.default_rng(0), Decoder()
+    answers = Clients(served, log, None, lambda _: None)
+    rng, decoder = np.random.default_rng(0), Finder(FORMAT)
     commands = [*REFUSED, *range(0x10, 0x60), 0xD5, 0xE1, 0xE5]
     slow = {0x24, 0x25, 0x31, 0x32, 0x34}  # inverse kinematics
     for number in range(3000):

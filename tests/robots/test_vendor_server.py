@@ -20,7 +20,8 @@ from emulatedservers import serve_pty
 from rejoint.arms import mycobot280
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
-from rejoint.robots.mycobot.wire import Decoder, encode
+from rejoint.robots.mycobot.wire import FORMAT, encode
+from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.firmware import build_firmware
 
 pytestmark = pytest.mark.realtime
@@ -51,7 +52,7 @@ class Relay:
 
     def relay(self, connection, command):
         os.write(self.port, command)
-        decoder, deadline = Decoder(), time.monotonic() + TIMEOUT
+        decoder, deadline = Finder(FORMAT), time.monotonic() + TIMEOUT
         while (left := deadline - time.monotonic()) > 0:
             if select.select([self.port], [], [], left)[0]:
                 for frame in decoder.feed(os.read(self.port, 100)):

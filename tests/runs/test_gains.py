@@ -14,7 +14,7 @@ from rejoint.control.controllers.policy import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, OverloadedError, Round
 from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
-from rejoint.robots.feetech.gains import KIND
+from rejoint.robots.feetech import KIND
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.session import context

@@ -44,8 +44,6 @@ COBOT = ("tcp", "serial")
 """Addresses of a myCobot"""
 TRIED = 7.3
 """Firmware version of a myCobot with which the driver was tried"""
-STATES = ("voltage", "encoder", "heat", "over-current", "", "overload")
-"""Bits of a servo's status"""
 
 
 @dataclass(kw_only=True)
@@ -224,13 +222,11 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         return
     arm, state = case.opened.arm, case.opened.read()
     if case.place is not None and case.place.family.scheme in COBOT:
-        methods = ("get_system_version", "get_servo_voltages", "get_servo_status")
-        version, power, states = (_reply_of(case.opened, method) for method in methods)
+        version, power = (_reply_of(case.opened, method) for method in ("get_system_version", "get_servo_voltages"))
         expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
-        status = [", ".join(word for bit, word in enumerate(STATES) if bit in (one or ())) for one in states or ()]
         told = power and len(power) == arm.joints
-        state = replace(state, voltage=np.array(power, float)[None] if told else None, trouble=tuple(status))
+        state = replace(state, voltage=np.array(power, float)[None] if told else None)
     yield from look_at_servos(arm, state)
 
 

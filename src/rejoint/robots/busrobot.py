@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.control.loop import elsewhere
 from rejoint.control.recording import GAP
 from rejoint.control.robot import JointState, Robot
-from rejoint.control.servogains import Rung, ServoGains
+from rejoint.control.servogains import ServoGains
 from rejoint.robots.bus import Bus, Link, Reading, Vitals
 from rejoint.robots.family import Family, Opening, Place
 from rejoint.system.errors import AddressError, ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
@@ -136,51 +136,20 @@ _SMOOTHING = 0.2  # share of the newest cost in its running mean
 V = TypeVar("V", bound=Vitals)
 
 
-class Health:
-    """Last state of one arm's servos."""
-
-    def __init__(self, link: Link, bus: Bus) -> None:
-        self._link, self._clock, self._questions = link, bus.clock, list(bus.vitals())
-        self.known = Vitals()
-        self._due = self._cost = 0.0
-
-    def find(self) -> None:
-        """Find the questions that this firmware answers."""
-        try:
-            for _ in range(len(self._questions)):
-                self._ask()
-        except NoReplyError:
-            self.known, self._questions = Vitals(), []
-
-    def poll(self, spare: float) -> None:
-        """Ask the next question if ``spare`` [s] is enough or one is due."""
-        if self._questions and (spare > _SPARE * self._cost or self._clock.now() >= self._due):
-            self._ask()
-
-    def take(self, found: Vitals) -> None:
-        """Store an answer."""
-        if found.temperature is not None:
-            self.known = replace(self.known, temperature=np.array(found.temperature, float))
-        if found.fault is not None:
-            self.known = replace(self.known, fault=np.array(found.fault, bool), trouble=found.trouble)
-
-    def _ask(self) -> None:
-        began, question = self._clock.now(), self._questions.pop(0)
-        self._questions.append(question)
-        self.take(believed(lambda: self._link.ask(question)))
-        now = self._clock.now()
-        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
-        self._due = now + INTERVAL
-
-
-def believed(ask: Callable[[], V]) -> V:
-    """Ask again after an alarm until two answers agree."""
+def believed(ask: Callable[[], V], joints: int) -> V:
+    """Ask again after an alarm until two answers agree; copies arrays (n,)."""
     before, found = None, ask()
     for _ in range(DOUBTS):
         if not found.alarming or (before is not None and found.agrees(before)):
             break
         before, found = found, ask()
-    return found
+    arrays: dict[str, Any] = {}
+    for name, value in vars(found).items():
+        if value is not None and name != "trouble":
+            arrays[name] = np.array(value, bool if name == "fault" else float)
+            if name != "position" and arrays[name].shape != (joints,):
+                raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
+    return replace(found, **arrays)
 
 
 T = TypeVar("T")
@@ -195,26 +164,26 @@ class BusRobot:
         self.arm, self.address, self.count = arm, address, 1
         self.bus, self._period, self._clock = bus, period, bus.clock
         self._link = Link(bus, address)
+        self.open, self.close = self._link.open, self._link.close
+        self.servo_gains, self.rungs = bus.servo_gains, bus.rungs
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
-        self._health = Health(self._link, bus)
+        self._questions, self._known = list(bus.vitals()), Vitals()
+        # when [s] the next of the questions is due, and what one costs [s]
+        self._due = self._cost = 0.0
         self._command: Array | None = None
         self._state: JointState | None = None
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
         self._left: tuple[float, Array, Array] | None = None
         self._read_cost: float | None = None
 
-    def open(self) -> None:
-        """Connect and prepare the arm without motion; AddressError."""
-        self._link.open()
-
     def read(self) -> JointState:
         """Ask for the joint positions; RobotError."""
         if self._state is None:
-            self._health.find()
+            self._find_questions()
         now, reading = self._link.ask(self._read_once)
-        self._health.take(reading)
-        servos = self._health.known
+        self._take(reading)
+        servos = self._known
         self._state = JointState(
             time=np.array([now]),
             position=reading.position[None],
@@ -249,7 +218,8 @@ class BusRobot:
 
         self._link.ask(send)
         ask_at = due - (self._read_cost or 0.0)
-        self._health.poll(ask_at - self._clock.now())
+        if self._questions and (ask_at - self._clock.now() > _SPARE * self._cost or self._clock.now() >= self._due):
+            self._ask_next()
         self._clock.wait(ask_at - self._clock.now())
         return self.read()
 
@@ -261,14 +231,6 @@ class BusRobot:
         """Hold; the power stays on."""
         self._link.ask(self.bus.stop)
         self._command = None
-
-    def servo_gains(self) -> ServoGains | None:
-        """Return the servo gains; None: unknown."""
-        return self.bus.servo_gains()
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the search order of gains."""
-        return self.bus.rungs()
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps, see `Bus.tune`."""
@@ -284,9 +246,25 @@ class BusRobot:
         """Ask another device, see `Bus.relay`."""
         return self._link.ask(lambda: self.bus.relay(command, payload))
 
-    def close(self) -> None:
-        """Close the connection; the arm holds."""
-        self._link.close()
+    def _find_questions(self) -> None:
+        """Keep the questions for vitals that this firmware answers."""
+        try:
+            for _ in range(len(self._questions)):
+                self._ask_next()
+        except NoReplyError:
+            self._known, self._questions = Vitals(), []
+
+    def _ask_next(self) -> None:
+        began, question = self._clock.now(), self._questions.pop(0)
+        self._questions.append(question)
+        self._take(self._link.ask(lambda: believed(question, self.arm.joints)))
+        now = self._clock.now()
+        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
+        self._due = now + INTERVAL
+
+    def _take(self, found: Vitals) -> None:
+        named = {name: getattr(found, name) for name in ("temperature", "fault", "trouble")}
+        self._known = replace(self._known, **{name: value for name, value in named.items() if value is not None})
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
         if self._left is None or now - self._left[0] <= GAP:
@@ -296,7 +274,7 @@ class BusRobot:
     def _read_once(self) -> tuple[float, Reading]:
         """Read and check; also returns the arrival [s]."""
         began = self._clock.now()
-        reading = _own(believed(self.bus.read), self.arm.joints)
+        reading = believed(self.bus.read, self.arm.joints)
         now = self._clock.now()
         judge(reading.position, self.arm)
         self._continuity.check(now, reading.position)
@@ -307,16 +285,6 @@ class BusRobot:
 
 def _batch(values: NDArray[Any] | None) -> NDArray[Any] | None:
     return None if values is None else values[None]
-
-
-def _own(reading: Reading, joints: int) -> Reading:
-    arrays: dict[str, Any] = {}
-    for name in ("position", "load", "temperature", "fault", "voltage"):
-        if (value := getattr(reading, name)) is not None:
-            arrays[name] = np.array(value, float)
-            if name != "position" and arrays[name].shape != (joints,):
-                raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
-    return replace(reading, **arrays)
 
 
 def bus_family(

@@ -108,6 +108,8 @@ class Place(Generic[T]):
         return self.text
 
 
+PORT, BAUD = 9000, 1_000_000
+"""of addresses that name none: the port of the myCobot's server, and the rate of all arms as sold"""
 _HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
 
 
@@ -147,22 +149,22 @@ class SerialAddress:
         return os.path.realpath(self.device)
 
 
-def tcp_address(text: str, *, port: int) -> TcpAddress:
+def tcp_address(text: str) -> TcpAddress:
     """Read ``SCHEME://HOST:PORT``; ValueError."""
     parts = urlsplit(text)
-    given = port if parts.port is None else parts.port
+    given = PORT if parts.port is None else parts.port
     if not parts.hostname or parts.path not in ("", "/") or parts.query or parts.username or given == 0:
         raise ValueError(f"not of the form {parts.scheme}://HOST:PORT")
     return TcpAddress(text=text, host=parts.hostname, port=given)
 
 
-def serial_address(text: str, *, baud: int) -> SerialAddress:
+def serial_address(text: str) -> SerialAddress:
     """Read ``SCHEME:///dev/DEVICE?baud=N``; ValueError."""
     parts = urlsplit(text)
     query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:
         raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N")
-    given = query.get("baud", [str(baud)])[-1]
+    given = query.get("baud", [str(BAUD)])[-1]
     if not re.fullmatch("[1-9][0-9]*", given):
         raise ValueError(f"the baud rate must be a positive whole number, got {given!r}")
     return SerialAddress(text=text, device=parts.path, baud=int(given))

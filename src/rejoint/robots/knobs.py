@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import copysign
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, NamedTuple, Self
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
@@ -14,14 +15,14 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
-from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.robots.family import BAUD, SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_toml
 from rejoint.system.stopping import ending
 
 LIMIT = "limit"
-"""Name of the gain that limits a servo's output or its I part: it rises first and falls last"""
+"""Name of the gain that limits a servo's output or its I part"""
 
 Gains = Mapping[str, int]
 Values = dict[str, tuple[int, ...]]
@@ -120,97 +121,95 @@ def steps(before: ServoGains, wanted: ServoGains, strides: Mapping[str, int]) ->
             yield name, now
 
 
-class GainMemory(Protocol):
-    """Where the gains of n joints are."""
+class TunedServos(ABC):
+    """Servos of n joints with gains; the ``wanted`` ones hold on every connection."""
 
-    @property
-    def strides(self) -> Mapping[str, int]:
-        """`Knob.stride` by register."""
+    def __init__(self, kind: ServoKind, names: Sequence[str], wanted: ServoGains) -> None:
+        """``names`` (n,) of the servos, in messages."""
+        self.kind, self.names, self._wanted = kind, names, wanted
+        self.gains: Values = {}
+        """in force"""
 
-    @property
-    def names(self) -> Sequence[str]:
-        """(n,) names of the servos, in messages."""
-
+    @abstractmethod
     def read_gains(self) -> Values:
         """Gains in force."""
 
+    @abstractmethod
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
 
+    @abstractmethod
     def strain(self, joint: int) -> tuple[float, float]:
         """Share of the largest torque, and temperature [deg C]."""
 
+    @abstractmethod
     def relieve(self, joint: int) -> None:
         """Let a joint's servos hold where they stand."""
 
+    @abstractmethod
     def wait(self, duration: float) -> None:
         """Wait [s]."""
 
+    def servo_gains(self) -> ServoGains | None:
+        """Return the servo gains by name; None: unknown."""
+        return dict(self.gains) or None
 
-class Tuning:
-    """Gains of servos; ``wanted`` ones hold on every connection."""
-
-    def __init__(self, memory: GainMemory, wanted: ServoGains) -> None:
-        self.values: Values = {}
-        """in force"""
-        self._memory, self._wanted = memory, wanted
-
-    def prepare(self) -> None:
-        """Read the gains, and set the wanted ones."""
-        self.look_up()
-        self.walk(self._wanted, hottest=HOTTEST)
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return the search order of gains."""
+        return tuple(rung for rung in self.kind.ladder if rung.names[0] in self.gains)
 
     def tune(self, gains: ServoGains) -> None:
-        """Set gains, also on later connections; RobotError where a servo does not bear them."""
+        """Set gains in small steps, also on later connections; RobotError where a servo does not bear them."""
         self.walk(gains)
         self._wanted = {name: tuple(values) for name, values in gains.items()}
 
-    def look_up(self) -> None:
-        """Read the gains."""
-        self.values = self._memory.read_gains()
+    def prepare_gains(self) -> None:
+        """Read the gains, and set the wanted ones."""
+        self.gains = self.read_gains()
+        self.walk(self._wanted, hottest=HOTTEST)
 
     def walk(self, wanted: ServoGains, *, hottest: float = np.inf) -> None:
         """Set gains in small steps, on this connection."""
-        before, joints = self.values, len(self._memory.names)
+        before, joints = self.gains, len(self.names)
         strange = [name for name in wanted if name not in before or len(wanted[name]) != joints]
         if strange:
             known = f"{', '.join(before)} of {joints} joints"
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
-        there, strides = self._memory.read_gains(), self._memory.strides
+        there, strides = self.read_gains(), self.kind.strides
         for name, values in steps(there, wanted, strides):  # a walk that a lost connection cut short goes on
             self._take(name, values)
             try:
                 if not ending():
                     self._require_strength(name, values, there[name], hottest)
             except OverloadedError:
-                for back in steps(self._memory.read_gains(), before, strides):
+                for back in steps(self.read_gains(), before, strides):
                     self._take(*back)
                 raise
-        self.look_up()
+        self.gains = self.read_gains()
 
     def _take(self, name: str, values: Sequence[int]) -> None:
-        self._memory.write_gain(name, values)
-        self._memory.wait(PAUSE)
+        self.write_gain(name, values)
+        self.wait(PAUSE)
 
     def _require_strength(self, name: str, values: Sequence[int], there: Sequence[int], hottest: float) -> None:
         for joint, (old, value) in enumerate(zip(there, values, strict=True)):
-            if (value - old) * self._memory.strides[name] <= 0:
+            if (value - old) * self.kind.strides[name] <= 0:
                 continue  # else one that labours could not be relieved
             load, heat = self._strain(joint)
             if load > HEAVIEST:  # by a goal that friction keeps it from
-                self._memory.relieve(joint)
+                self.relieve(joint)
                 load, heat = self._strain(joint)
             if load > HEAVIEST or heat > hottest:
-                said = f"{self._memory.names[joint]} does not bear {name}={value}"
+                said = f"{self.names[joint]} does not bear {name}={value}"
                 raise OverloadedError(
                     f"{said}: load {100 * load:.0f} %, {heat:.0f} deg C; the gains are as before", joint
                 )
 
     def _strain(self, joint: int) -> tuple[float, float]:
-        load, heat = self._memory.strain(joint)
+        load, heat = self.strain(joint)
         for _ in range(LOOKS if load > HEAVIEST else 0):  # while it moves there it may labour
-            self._memory.wait(PAUSE)
-            load = min(load, self._memory.strain(joint)[0])
+            self.wait(PAUSE)
+            load = min(load, self.strain(joint)[0])
         return load, heat
 
 
@@ -229,9 +228,6 @@ class ServoAddress:
     """A bus of servos, and what is known of its arm."""
 
     kind: ClassVar[ServoKind]
-    port: ClassVar[int] = 9000
-    """of TCP addresses"""
-    baud: ClassVar[int] = 1_000_000
     driven: ClassVar[Gains] = {}
     """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
@@ -245,6 +241,8 @@ class ServoAddress:
     """LeRobot's; None: none"""
     zero: tuple[float, ...] = ()
     """[deg] of each joint in mid-range; empty: unsaid"""
+    ids: tuple[tuple[int, ...], ...] = ()
+    """servos of each joint; empty: in the calibration, or counted from the arm's first"""
     gains: Gains = field(default_factory=dict)
     """empty: unchanged"""
 
@@ -270,11 +268,11 @@ class ServoAddress:
         given = {name: values[0] for name, values in options.items()}
         wire: TcpAddress | SerialAddress
         if not urlsplit(plain).netloc:
-            wire = serial_address(f"{plain}?baud={given.get('baud', cls.baud)}", baud=cls.baud)
+            wire = serial_address(f"{plain}?baud={given.get('baud', BAUD)}")
         elif "baud" in given:
             raise ValueError("the baud rate is that of the other machine; leave it out")
         else:
-            wire = tcp_address(plain, port=cls.port)
+            wire = tcp_address(plain)
         return cls(
             wire=replace(wire, text=text),
             gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),

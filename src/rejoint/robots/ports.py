@@ -6,18 +6,19 @@ import errno
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from select import select
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 import serial
 from serial.tools.list_ports import comports
 
 from rejoint.robots.family import Place, SerialAddress, TcpAddress
 from rejoint.system.errors import AddressError
+from rejoint.system.files import read_toml
 
 Wire = SerialAddress | TcpAddress
 
@@ -25,43 +26,22 @@ HEARD = 0.15
 """[s] in which an arm answers (chosen: ten times its usual time)"""
 
 
-class Kind(NamedTuple):
-    """How arms of a kind are asked for a sign of life, without motion."""
+class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How arms of a kind are asked for a sign of life."""
 
     name: str
-    scheme: Callable[[Wire], str]
-    """of its address"""
-    hello: tuple[bytes, ...]
-    """questions"""
-    begins: bytes
-    """of an answer"""
+    tcp: str
+    serial: str
+    hello: tuple[str, ...]
+    begins: str
     bauds: tuple[int, ...]
-    """[1/s], the usual one first"""
+
+    def scheme(self, wire: Wire) -> str:
+        """Scheme of its address."""
+        return self.tcp if isinstance(wire, TcpAddress) else self.serial
 
 
-KINDS = (
-    Kind(
-        "a myCobot 280",
-        lambda wire: "tcp" if isinstance(wire, TcpAddress) else "serial",
-        (b"\xfe\xfe\x02\x12\xfa",),  # is it powered on?
-        b"\xfe\xfe",
-        (1_000_000, 115_200),
-    ),
-    Kind(
-        "an arm with Dynamixel servos, such as a Koch,",
-        lambda _: "dynamixel",
-        (b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42",),  # a ping of all
-        b"\xff\xff\xfd\x00",
-        (1_000_000, 57_600),
-    ),
-    Kind(
-        "an arm with Feetech servos, such as an SO-101,",
-        lambda _: "feetech",
-        tuple(bytes((0xFF, 0xFF, servo, 2, 1, 0xFF & ~(servo + 3))) for servo in range(1, 4)),  # pings
-        b"\xff\xff",
-        (1_000_000, 500_000, 115_200),
-    ),
-)
+KINDS = read_toml(Path(__file__).with_name("kinds.toml"), dict[str, Kind], "install rejoint again").values()
 
 
 def ports() -> dict[str, str]:
@@ -86,27 +66,25 @@ def why_closed(error: BaseException, device: str) -> str | None:
 
 
 def answering(wire: Wire) -> tuple[Kind, int] | None:
-    """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None where all is silent."""
+    """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None."""
     bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
     with suppress(OSError, ValueError):
         for baud in bauds:
-            with _port(wire, baud) as port:
+            with opened(wire, baud, 1.0) as port:
                 for kind in KINDS:
                     asked = kind.hello if not baud or baud in kind.bauds else ()
-                    if any(kind.begins in _answer(port, one) for one in asked):
+                    if any(bytes.fromhex(kind.begins) in _answer(port.fileno(), bytes.fromhex(one)) for one in asked):
                         return kind, baud
     return None
 
 
-@contextmanager
-def _port(wire: Wire, baud: int) -> Iterator[int]:
-    """Open a port, at ``baud`` [1/s] where it is a serial one; its descriptor."""
-    if isinstance(wire, TcpAddress):
-        with socket.create_connection((wire.host, wire.port), 1.0) as connection:
-            yield connection.fileno()
-    else:
-        with serial.Serial(wire.device, baud, exclusive=True) as line:
-            yield line.fileno()
+def opened(wire: Wire, baud: int, timeout: float) -> Any:  # noqa: ANN401 - a socket, or a serial line
+    """Open a port for this program alone, a serial one at ``baud`` [1/s], another within ``timeout`` [s]; OSError."""
+    if isinstance(wire, SerialAddress):
+        return serial.Serial(wire.device, baud, exclusive=True)
+    connection = socket.create_connection((wire.host, wire.port), timeout)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
+    return connection
 
 
 def _answer(port: int, question: bytes) -> bytes:
@@ -139,7 +117,7 @@ def address_at(wire: Wire, kind: Kind, baud: int) -> str:
 
 
 def why_not(place: Place[Any], error: AddressError) -> str | None:
-    """Say why the arm at a ``place`` could not be opened, where more can be found out than the ``error`` says."""
+    """Say why the arm at a ``place`` could not be opened, if more than the ``error`` is known."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and (why := why_closed(cause, urlsplit(place.text).path)):

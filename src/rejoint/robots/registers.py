@@ -1,4 +1,4 @@
-"""Values in the memory of servos, for their drivers and their emulators, which know nothing else of one another."""
+"""Values in the memory of servos: all that drivers and emulators share."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ class Register(NamedTuple):
     sign: int | None = None
     """sign bit, `COMPLEMENT`, or None"""
 
+    @property
+    def cells(self) -> slice:
+        """Place of its bytes."""
+        return slice(self.address, self.address + self.size)
+
     def decode(self, data: bytes) -> int:
         """Read the value."""
-        if self.sign == COMPLEMENT:
-            return int.from_bytes(data, "little", signed=True)
-        word = int.from_bytes(data, "little")
-        return word if self.sign is None else signed(word, self.sign)
+        word = int.from_bytes(data, "little", signed=self.sign == COMPLEMENT)
+        return word if self.sign in (None, COMPLEMENT) else signed(word, self.sign)
 
     def encode(self, value: int) -> bytes:
         """Write a value, without a sign bit as two's complement."""

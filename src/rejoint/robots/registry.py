@@ -16,7 +16,7 @@ from rejoint.robots.family import (
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FeetechAddress
+from rejoint.robots.feetech import FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 
@@ -26,7 +26,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="tcp",
         form="tcp://HOST:PORT",
-        parse=lambda text: tcp_address(text, port=9000),
+        parse=tcp_address,
         only=True,
     ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -34,7 +34,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="serial",
         form="serial:///dev/DEVICE",
-        parse=lambda text: serial_address(text, baud=1_000_000),
+        parse=serial_address,
         only=True,
     ),
     # 50 Hz (chosen)
@@ -76,7 +76,7 @@ _MEANT = {
 }
 """What is often written for an address, and what was perhaps meant"""
 
-_OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
+_OWN = {family.scheme: family for family in FAMILIES}
 _LOADED: dict[str, Family[Any]] = {}  # of other packages; to look for one takes 50 ms
 
 
@@ -98,7 +98,7 @@ def place_of(text: str) -> Place[Any]:
 
 
 def is_virtual(text: str) -> bool:
-    """Whether time passes in the steps of the robot at this address alone; not in those of a robot of the caller's."""
+    """Whether time at this address passes in the steps of its robot alone."""
     try:
         return place_of(text).virtual
     except AddressError:

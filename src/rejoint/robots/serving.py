@@ -43,12 +43,11 @@ from rejoint.robots.mycobot.mover import (
     COLLISION,
     NO_LINE,
     NO_SOLUTION,
-    Mover,
     Sensed,
     at_angles,
     at_place,
 )
-from rejoint.robots.mycobot.wire import COMMANDS, Decoder, Frame, answer, encode, flag
+from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Computer, Frame, answer, encode, flag
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError
 from rejoint.system.files import unwritable
@@ -85,7 +84,7 @@ class MoveEnd(NamedTuple):
     """which joint stands off its goal, in words, or empty"""
 
 
-class ServedArm(Mover, Reference):
+class ServedArm(Computer, Reference):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
     def __init__(
@@ -157,7 +156,7 @@ class ServedArm(Mover, Reference):
         return Setpoint(posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
-        """End the move where the tool stays in place, or a stopped arm stands, or it came no nearer for long."""
+        """End a move whose tool stays in place, that was stopped and stands, or that came no nearer for long."""
         if not self._wanted.arrived[0]:
             self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return
@@ -198,8 +197,9 @@ class ServedArm(Mover, Reference):
         """(n,) [rad] shown joint angles."""
         return self._apparent.shown(self._position)
 
+    @property
     def sensed(self) -> Sensed:
-        """Return what the robot tells, else zeros."""
+        """What the robot tells, else zeros."""
         none, state = np.zeros(self.arm.joints), self._state
         heat, fault = (None, None) if state is None else (state.temperature, state.fault)
         return Sensed(
@@ -340,37 +340,6 @@ Passes = Callable[[int, bytes], bytes | None]
 """Asks the robot by id and payload; None: no answer"""
 
 
-class Relay:
-    """Passes one request at a time from the server to the control loop."""
-
-    def __init__(self, passes: Passes | None) -> None:
-        self._passes = passes
-        self._waiting: tuple[int, bytes, Future[bytes | None]] | None = None
-        self._silent: set[int] = set()
-
-    def ask(self, command: int, payload: bytes) -> bytes | None:
-        """Return the robot's answer, or None; for the server's thread."""
-        if self._passes is None or command in self._silent:
-            return None
-        future: Future[bytes | None] = Future()
-        self._waiting = command, payload, future
-        with contextlib.suppress(TimeoutError):
-            return future.result(RELAY_PATIENCE)
-        return None
-
-    def serve(self) -> None:
-        """Pass on what waits. For the control loop."""
-        request, self._waiting = self._waiting, None
-        if request is None or self._passes is None:
-            return
-        (command, payload, future), answer = request, None
-        with contextlib.suppress(RobotError):
-            answer = self._passes(command, payload)
-        if answer is None:
-            self._silent.add(command)
-        future.set_result(answer)
-
-
 _FALLS = "the arm would fall; support it and switch it off at its supply"
 _STAYS = "it would change what the run knows of the arm; end `rejoint serve` first"
 _OWN = "coordinates are those of the arm's own tool in its own base; the tip of a tool is told by --tool"
@@ -398,17 +367,21 @@ _UNFINISHED = " Its last move was not at its end: a program waits for it with sy
 class Clients(Conversation[Frame]):
     """Answers the clients of ``served``, one at a time; ``say`` tells the terminal."""
 
+    wire_format = FORMAT
+
     def __init__(
         self,
         served: ServedArm,
         log: OrderLog,
-        relay: Relay,
+        passes: Passes | None,
         say: Callable[[str], object],
         listener: socket.socket | None = None,
     ) -> None:
         super().__init__()
-        self._served, self._log, self._relay, self._say, self._listener = served, log, relay, say, listener
+        self._served, self._log, self._passes, self._say, self._listener = served, log, passes, say, listener
         self._number: int | None = None
+        self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on
+        self._silent: set[int] = set()  # commands that the robot does not answer
         self._said: dict[str, float] = {}  # refusal -> when [s] it was said last
 
     def server(self) -> Server:
@@ -476,20 +449,38 @@ class Clients(Conversation[Frame]):
         return Frame(request.command, flag(False))
 
     def _pass_on(self, request: Frame) -> Frame | None:
-        found = self._relay.ask(request.command, request.payload)
+        found = self._ask_robot(request)
         if request.command not in _ASKS:
             why = "" if found is not None else "the robot does not answer it, or its driver cannot pass it on"
             self._log.ordered(request.command, request.payload, done=found is not None, why=why)
         return None if found is None else Frame(request.command, found)
+
+    def _ask_robot(self, request: Frame) -> bytes | None:
+        if self._passes is None or request.command in self._silent:
+            return None
+        future: Future[bytes | None] = Future()
+        self._waiting = request, future
+        with contextlib.suppress(TimeoutError):
+            return future.result(RELAY_PATIENCE)
+        return None
+
+    def relay(self) -> None:
+        """Pass on what waits for the robot; for the control loop."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None or self._passes is None:
+            return
+        (request, future), answer = waiting, None
+        with contextlib.suppress(RobotError):
+            answer = self._passes(request.command, request.payload)
+        if answer is None:
+            self._silent.add(request.command)
+        future.set_result(answer)
 
     def _say_again(self, about: str, line: str) -> None:
         now = time.monotonic()
         if now - self._said.get(about, -AGAIN) >= AGAIN:
             self._said[about] = now
             self._say(line)
-
-    def _finder(self) -> Decoder:
-        return Decoder()
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
         found = self.answer(request)

@@ -1,4 +1,4 @@
-"""One arm on the bus of its servos: found by ID, held, driven, waited for; by whatever client of their maker.
+"""One arm on the bus of its servos, by a client of their maker.
 
 Torque is never switched off. A joint may have several servos; the first of them says where it is.
 """
@@ -11,16 +11,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import Rung, ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
 from rejoint.robots.bus import Bus, connected, persist
-from rejoint.robots.knobs import Model, ServoAddress, Tuning, Values
+from rejoint.robots.knobs import Model, ServoAddress, TunedServos, Values
 from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import ConnectionLostError, InputError, NoReplyError, PowerLostError, RobotError
 
@@ -32,36 +31,47 @@ RETRY = 0.05
 """[s] between questions to a silent servo (chosen)"""
 
 
-class ServoBus(Bus):
+class ServoBus(TunedServos, Bus):
     """The servos of an arm by ID, without the gripper."""
 
     confirms: ClassVar[int] = 1
     """least value of the register, from which a servo confirms what it is told"""
     last: ClassVar[int] = 12
     """ID in a search (chosen)"""
+    turned: ClassVar[bool] = False
+    """whether motors of a calibration may be reversed"""
+    wire_type: ClassVar[Any]
+    """`ServoWire` of an address"""
 
-    def __init__(self, address: ServoAddress, arm: Arm, ids: Sequence[Sequence[int]]) -> None:
-        """``ids`` of each joint's servos."""
-        self.address, self.place, self._arm, kind = address, address.wire, arm, address.kind
+    def __init__(self, address: ServoAddress, arm: Arm) -> None:
+        """InputError."""
+        self.address, self.place, self._arm, kind, path = address, address.wire, arm, address.kind, address.calibration
+        self.file = None if path is None else read_calibration(path, arm, turned=self.turned)
+        ids = address.ids or (counted(arm) if self.file is None else self.file.ids)
+        if len(ids) != arm.joints:
+            raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
         self.ids = tuple(servo for one in ids for servo in one)
         self.joint = np.repeat(np.arange(arm.joints), [len(one) for one in ids])
         """(m,) of each servo"""
         self.leads = np.searchsorted(self.joint, np.arange(arm.joints)).tolist()
         """(n,) places of the joints' first servos"""
-        self.kind, self.table, self.strides = kind, kind.registers, kind.strides
-        self.memory = kind.memory
-        """registers of gains"""
+        self.table, self.memory = kind.registers, kind.memory
+        """all registers, and those of gains"""
         self.found: dict[int, Model] = {}
         """models of the servos"""
-        self.names = [self.call(self.ids[lead]) for lead in self.leads]
-        self._tuning = Tuning(self, kind.for_all({**address.driven, **address.gains}, arm.joints))
+        wanted = kind.for_all({**address.driven, **address.gains}, arm.joints)
+        super().__init__(kind, [self.call(self.ids[lead]) for lead in self.leads], wanted)
         self.zeros: Zeros
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
         self._until: float | None = None  # [s] deadline of `prepare`
-        self._goal: list[int] | None = None
-        self._limp: set[int] = set()
+        self._goal: list[int] = []
+        self._limp: list[int] = []
         self._was_ready = False
+
+    def open(self) -> None:
+        """Open the port."""
+        self._wire = self.wire_type(self.place)
 
     @abstractmethod
     def check(self, servo: int) -> None:
@@ -92,24 +102,29 @@ class ServoBus(Bus):
             self.zeros = self.find_zeros()
             if self._was_ready:
                 self._require_torque()
-            limp = [servo for servo in self.ids if self.get(servo, "torque") != 1]
+            limp = self._find_limp()
             for servo in limp:
                 self.set(servo, "goal", self.get(servo, "position"))
             for servo in limp:
                 self.set(servo, "torque", 1)
             self.set_up()
-            self._tuning.prepare()
+            self.prepare_gains()
             self._was_ready = True
 
     def send(self, goal: Array) -> None:
         """Send goals, clipped to the servos' limits; no answers."""
         self._goal = self.zeros.counts(goal[self.joint])
-        self._send(self._goal)
+        self._send()
 
     def stop(self) -> None:
         """Send the last goals again: at the measured position the arm would sink."""
-        if self._goal is not None:
-            self._send(self._goal)
+        self._send()
+
+    def _send(self) -> None:
+        register, sent = self.table["goal"], zip(self.ids, self._goal, strict=False)  # none before the first
+        goals = {servo: register.encode(count) for servo, count in sent if servo not in self._limp}
+        if goals:
+            self.wire.write_all(list(goals), register.address, list(goals.values()))
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers and wait for silent servos.
@@ -139,23 +154,12 @@ class ServoBus(Bus):
             raise OSError("the port is not open")
         return self._wire
 
-    def servo_gains(self) -> ServoGains:
-        """Return the servo gains by name."""
-        return dict(self._tuning.values)
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the search order of gains."""
-        return tuple(rung for rung in self.kind.ladder if rung.names[0] in self._tuning.values)
-
-    def tune(self, gains: ServoGains) -> None:
-        """Set gains in small steps until power-off."""
-        self._tuning.tune(gains)
-
     # --- registers --------------------------------------------------------------------------
 
     def get(self, servo: int, name: str) -> int:
         """Read a register, again where the answer is lost."""
-        return int(self._decoded((name,), [self.read_block(servo, (name,))])[0, 0])
+        register = self.table[name]
+        return register.decode(self.sure(partial(self.wire.read, servo, register.address, register.size)))
 
     def get_all(self, name: str) -> Counts:
         """Read a register of every servo, (m,)."""
@@ -178,10 +182,6 @@ class ServoBus(Bus):
         """First address and size of neighbouring registers."""
         first = min(self.table[name].address for name in names)
         return first, max(self.table[name].address + self.table[name].size for name in names) - first
-
-    def read_block(self, servo: int, names: Sequence[str]) -> bytes:
-        """Read neighbouring registers, again where the answer is lost."""
-        return self.sure(partial(self.wire.read, servo, *self.span(names)))
 
     def ask_all(self, *names: str) -> Counts:
         """Read neighbouring registers of all servos at once, a row (m,) each; TimeoutError names those missing."""
@@ -229,12 +229,6 @@ class ServoBus(Bus):
             return False
         return True
 
-    def _send(self, goal: Sequence[int]) -> None:
-        register = self.table["goal"]
-        goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}
-        if goals:
-            self.wire.write_all(list(goals), register.address, [register.encode(count) for count in goals.values()])
-
     def _find_servos(self) -> None:
         missing = []
         for servo in self.ids:
@@ -252,11 +246,14 @@ class ServoBus(Bus):
         for servo in self.ids:
             self.check(servo)
 
+    def _find_limp(self) -> list[int]:
+        return [servo for servo in self.ids if self.get(servo, "torque") != 1]
+
     def _require_torque(self) -> None:
-        self._limp = {servo for servo in self.ids if self.get(servo, "torque") != 1}
+        self._limp = self._find_limp()
         if self._limp:
             raise PowerLostError(
-                f"{self.place}: {listed(map(self.call, sorted(self._limp)))} has lost its torque, by a loss of "
+                f"{self.place}: {listed(map(self.call, self._limp))} has lost its torque, by a loss of "
                 "power or its own protection; support the arm, then start again"
             )
 
@@ -278,7 +275,8 @@ class ServoBus(Bus):
 
     def read_gains(self) -> Values:
         """Ask each joint's first servo for all its gains at once."""
-        blocks = [self.read_block(self.ids[lead], self.memory) for lead in self.leads]
+        span = self.span(self.memory)
+        blocks = [self.sure(partial(self.wire.read, self.ids[lead], *span)) for lead in self.leads]
         values = self._decoded(self.memory, blocks).tolist()
         return {name: tuple(row) for name, row in zip(self.memory, values, strict=True)}
 
@@ -290,6 +288,20 @@ class ServoBus(Bus):
     def wait(self, duration: float) -> None:
         """Wait [s]."""
         self.clock.wait(duration)
+
+
+FIRST = {"omx": 11}
+"""ID of an arm's first servo; others count from 1"""
+
+
+def counted(arm: Arm) -> list[tuple[int, ...]]:
+    """IDs of each joint's servos, without gaps; a description calls two of them ``2 XM430-W350``."""
+    found, servo = [], FIRST.get(arm.name, 1)
+    for kind in arm.servos or ("",) * arm.joints:
+        count = 2 if kind.startswith("2 ") else 1
+        found.append(tuple(range(servo, servo + count)))
+        servo += count
+    return found
 
 
 def listed(names: Iterable[object]) -> str:

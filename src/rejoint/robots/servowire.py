@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
-import serial
-
 from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.ports import opened
 
 CONNECT = 5.0
 """[s] (chosen, as pyserial does)"""
@@ -23,10 +21,7 @@ OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
 
 
 class BlockingPort:
-    """A port for the makers' clients, which waits in the system instead of asking all the time.
-
-    Put it before their ``PortHandler`` among the bases.
-    """
+    """A port for the makers' clients that waits in the system; a base before their ``PortHandler``."""
 
     is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
     port_name: TcpAddress | SerialAddress
@@ -34,13 +29,7 @@ class BlockingPort:
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
-        place = self.port_name
-        self.ser: Any
-        if isinstance(place, TcpAddress):
-            self.ser = socket.create_connection((place.host, place.port), CONNECT)
-            self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
-        else:
-            self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
+        self.ser = opened(self.port_name, self.baudrate, CONNECT)
         self._descriptor: int = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
@@ -99,21 +88,19 @@ class ServoWire(ABC):
     places: ClassVar[tuple[int, int]]
     """of ID and error in a status packet"""
 
-    def __init__(
-        self,
-        port: BlockingPort,
-        ask: Callable[[int, int, int], int],
-        receive: Callable[[], tuple[list[int], int]],
-        write: Callable[..., tuple[int, int]],
-        write_all: Callable[..., int],
-    ) -> None:
-        """Speak by the client's ``readTx``, ``rxPacket``, ``writeTxRx`` and ``syncWriteTxOnly``."""
+    def __init__(self, client: Any, port: BlockingPort, *first: BlockingPort) -> None:  # noqa: ANN401 - the maker's
+        """Speak by a maker's ``client``, whose methods take ``first`` before all else."""
         self.quieten, self.close = port.quieten, port.closePort  # type: ignore[attr-defined]  # the maker's
-        self._port, self._ask, self._receive, self._write, self._write_all = port, ask, receive, write, write_all
+        self._client, self._port, self._first = client, port, first
 
     @abstractmethod
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
+
+    def _receive(self) -> tuple[list[int], int]:
+        """Wait for a status packet; it, and the client's result."""
+        packet, result = self._client.rxPacket(*self._first)
+        return packet, result
 
     @abstractmethod
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
@@ -126,7 +113,7 @@ class ServoWire(ABC):
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers."""
         (number, error), packet = self.places, list[int]()
-        result = self._ask(servo, address, size)
+        result = self._client.readTx(*self._first, servo, address, size)
         while result == OK and (not packet or packet[number] != servo):
             packet, result = self._receive()
         self._take(result, servo, packet[error] if result == OK else 0)
@@ -137,7 +124,7 @@ class ServoWire(ABC):
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> int:
         """Write registers, which the servo confirms; its error byte."""
-        result, error = self._write(servo, address, len(data), list(data))
+        result, error = self._client.writeTxRx(*self._first, servo, address, len(data), list(data))
         self._take(result, servo, error)
         return error
 
@@ -156,7 +143,7 @@ class ServoWire(ABC):
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
-        judge(self._write_all(address, len(data[0]), words, len(words)), servos[0])
+        judge(self._client.syncWriteTxOnly(*self._first, address, len(data[0]), words, len(words)), servos[0])
 
     def _answers(self, count: int, _size: int) -> Iterable[tuple[int, int, bytes]]:
         """IDs, errors and data of ``count`` answers."""

@@ -12,6 +12,7 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from rejoint.system.shell import listen_tcp
@@ -31,11 +32,25 @@ BACKLOG = 1
 _CHUNK = 1024
 
 
-class Finder(Generic[R]):
-    """Finds frames in a stream by header and size."""
+@dataclass(frozen=True)
+class Format(Generic[R]):
+    """How frames lie in a stream of bytes."""
 
-    def __init__(self, header: bytes, size: Callable[[bytes], int | None], read: Callable[[bytes], R]) -> None:
-        self._header, self._size, self._read = header, size, read
+    header: bytes
+    head: int
+    """[bytes] that say the size of a frame"""
+    size: Callable[[bytes], int]
+    """of a frame by its head; 0: none begins there"""
+    read: Callable[[bytes], R | None]
+    """a frame of that size; None: spoilt"""
+    write: Callable[[R], bytes]
+
+
+class Finder(Generic[R]):
+    """Finds frames in a stream."""
+
+    def __init__(self, wire_format: Format[R]) -> None:
+        self._format = wire_format
         self.rest = b""
         """what may begin a frame"""
 
@@ -47,16 +62,16 @@ class Finder(Generic[R]):
     def feed(self, data: bytes) -> list[R]:
         """Take bytes; return completed frames."""
         self.rest += data
-        frames: list[R] = []
-        while (start := self.rest.find(self._header)) >= 0:
+        header, frames = self._format.header, list[R]()
+        while (start := self.rest.find(header)) >= 0:
             self.rest = self.rest[start:]
-            size = self._size(self.rest)
-            if size is None:
+            if len(self.rest) < self._format.head or len(self.rest) < (size := self._format.size(self.rest)):
                 return frames
-            if size:
-                frames.append(self._read(self.rest[:size]))
-            self.rest = self.rest[size or 1 :]
-        begun = next(size for size in range(len(self._header) - 1, -1, -1) if self.rest.endswith(self._header[:size]))
+            frame = self._format.read(self.rest[:size]) if size else None
+            if frame is not None:
+                frames.append(frame)
+            self.rest = self.rest[1 if frame is None else size :]
+        begun = next(size for size in range(len(header) - 1, -1, -1) if self.rest.endswith(header[:size]))
         self.rest = self.rest[len(self.rest) - begun :]
         return frames
 
@@ -100,6 +115,7 @@ class Conversation(ABC, Generic[R]):
 
     scheme = "tcp"
     """of TCP addresses"""
+    wire_format: Format[R]
     tick = TICK
 
     def __init__(
@@ -131,7 +147,7 @@ class Conversation(ABC, Generic[R]):
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
-        finder = self._finder()
+        finder = Finder(self.wire_format)
         with contextlib.suppress(OSError):  # a client that breaks the connection is gone, like one that closes it
             while not self.stopping:
                 data = self._hear(channel, HALF_FRAME if finder.pending else self.tick)
@@ -148,10 +164,6 @@ class Conversation(ABC, Generic[R]):
 
     def outlast_absence(self) -> None:
         """Wait until the port may come back; DeathError."""
-
-    @abstractmethod
-    def _finder(self) -> Finder[R]:
-        """Make the request finder of a client."""
 
     @abstractmethod
     def _answer(self, channel: ByteStream, request: R) -> None:

@@ -17,8 +17,7 @@ from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import ControlInput, Controller, Relaying, part_of
-from rejoint.robots.serving import Clients, OrderLog, Relay, ServedArm
-from rejoint.robots.wireserver import Server
+from rejoint.robots.serving import Clients, OrderLog, ServedArm
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
@@ -128,8 +127,9 @@ def serve(
         stack.callback(log.close)
         session.recorder.begin(session.robot, "serve", LABEL)
         session.begin()
-        served, server, relay = _put_together(session, log, listener)
-        session.beside.append(relay.serve)
+        served, clients = _put_together(session, log, listener)
+        server = clients.server()
+        session.beside.append(clients.relay)
         log.write("begin", address=server.address, robot=session.address)
         try:
             with server:
@@ -143,17 +143,14 @@ def serve(
         return Serving(address=server.address, orders=log.orders, log=str(path))
 
 
-def _put_together(
-    session: ArmSession, log: OrderLog, listener: socket.socket | None
-) -> tuple[ServedArm, Server, Relay]:
+def _put_together(session: ArmSession, log: OrderLog, listener: socket.socket | None) -> tuple[ServedArm, Clients]:
     arm, say = session.arm, session.observer.message
     wire = part_of(session.robot, Relaying)
-    relay = Relay(None if wire is None else wire.relay)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
     served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
-    clients = Clients(served, log, relay, say, listener)
+    clients = Clients(served, log, None if wire is None else wire.relay, say, listener)
     served.on_arrival = clients.arrived
-    return served, clients.server(), relay
+    return served, clients
 
 
 def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:

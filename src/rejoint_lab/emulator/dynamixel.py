@@ -9,11 +9,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
-from rejoint.arms import Arm
-from rejoint.robots.registers import COMPLEMENT
-from rejoint.robots.wireserver import Finder
+import msgspec
+
+from rejoint.robots.wireserver import Format
+from rejoint.system.files import read_toml
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
@@ -24,17 +26,16 @@ from rejoint_lab.emulator.servobus import (
     TURN,
     WRITE,
     Answer,
-    Codec,
     EmulatedBus,
-    MemoryField,
     Packet,
     Part,
     Registers,
     ServoArm,
+    registers_of,
 )
 from rejoint_lab.plant import xseries
 from rejoint_lab.plant.plant import XPlant
-from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, ROWS, SHOCK
+from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, SHOCK
 
 HEADER = b"\xff\xff\xfd"
 REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 4, 5, 6, 8, 0x10, 0x55
@@ -43,7 +44,6 @@ FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
-_WORDS = struct.Struct("<HH")  # address and size
 _CLEAR = b"\x01DXL\x22"
 
 
@@ -72,26 +72,19 @@ def encode(packet: Packet) -> bytes:
     return data + crc(data)
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the packet at the beginning; 0: none, None: incomplete."""
-    if len(data) < 7:
+def _size(head: bytes) -> int:
+    size = 7 + int.from_bytes(head[5:7], "little")
+    return size if head[3] == 0 and 10 <= size <= _MOST else 0
+
+
+def _read(data: bytes) -> Packet | None:
+    if crc(data[:-2]) != data[-2:]:
         return None
-    size = 7 + int.from_bytes(data[5:7], "little")
-    if data[3] or not 10 <= size <= _MOST:
-        return 0
-    return None if len(data) < size else size * (crc(data[: size - 2]) == data[size - 2 : size])
-
-
-def read_packet(data: bytes) -> Packet:
-    """Packet of its bytes."""
     body = data[7:-2].replace(HEADER + b"\xfd", HEADER)
     return Packet(data[4], body[0], body[1:])
 
 
-def finder() -> Finder[Packet]:
-    """Find packets in a stream of bytes."""
-    return Finder(HEADER, size_of, read_packet)
-
+FORMAT = Format(HEADER, 7, _size, _read, encode)
 
 SIZE = 662
 """[bytes] of registers"""
@@ -108,34 +101,14 @@ _RESET_BY_MODE = (
 )  # fmt: skip
 
 
-def table_of(model: str) -> dict[str, MemoryField]:
-    """Return the registers of a model by name; a low limit below 0 means two's complement."""
-    return {
-        row["name"]: MemoryField(
-            int(row["address"]),
-            int(row["size"]),
-            row["name"],
-            row["access"],
-            int(row[model]),
-            COMPLEMENT if row["low"].startswith("-") else None,
-            row["low"],
-            row["high"],
-        )
-        for row in ROWS
-        if row["address"] and row[model]
-    }
-
-
 class XServo(Registers):
     """Registers of one servo, mounted ``mirrored`` with the count ``mount`` at the joint's zero."""
 
     def __init__(self, model: str, number: int, *, mirrored: bool = False, mount: int = COUNTS // 2) -> None:
-        super().__init__(table_of(model), SIZE, number)
+        super().__init__(registers_of(xseries.TABLE, model), SIZE, number)
         self.model, self.mount, self._turn = model, mount, -1 if mirrored else 1
         self.base = 0
         """[counts] of whole turns since the power came"""
-        self.awake = 0.0
-        """[s] of the arm's clock from which it hears"""
         self.registered: tuple[int, bytes] | None = None
         """write that waits for an Action"""
         blocks = ((168, 208, 20),) if model.startswith("XL330") else ((168, 224, 28), (578, 634, 28))
@@ -208,13 +181,11 @@ class XServo(Registers):
         """Restore what it was sold with, but for the registers ``keep``."""
         kept = {name: self[name] for name in keep}
         self._reset(self.fields)
-        for name, value in kept.items():
-            self[name] = value
+        self.update(kept)
         self.save()
 
     def _reset(self, names: Iterable[str]) -> None:
-        for name in names:
-            self[name] = self.fields[name].default
+        self.update({name: self.fields[name].default for name in names})
         self["Goal_PWM"] = self["PWM_Limit"]
         if "Current_Limit" in self.fields:
             self["Goal_Current"] = self["Current_Limit"]
@@ -246,60 +217,32 @@ class XServo(Registers):
         return min(cell, SIZE - 1)
 
 
-class Fitting(NamedTuple):
-    """How the servos of an arm are built in, and what its usual software leaves in them."""
+class Fitting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How an arm's servos are built in, and left by its usual software."""
 
     gripper: str
     first: int = 1
-    """lowest ID; the others follow along the arm, the gripper's last"""
     reverse: tuple[int, ...] = ()
-    """IDs with reverse drive mode"""
     homing: tuple[int, ...] = ()
-    """[counts] by servo; none: 0"""
     mode: int = POSITION
 
 
-FITTINGS = {
-    "koch": Fitting("XL330-M288", homing=(-170, 236, -91, 340, -52, 128), mode=EXTENDED),  # LeRobot; offsets chosen
-    "omx": Fitting("XM430-W350", first=11),
-    "wx250s": Fitting("XC430-W150", reverse=(3, 5, 7)),
-    "vx300s": Fitting("XM430-W350", reverse=(2, 4, 7)),
-}
-# Fields of `xseries.SETTING`: the register of each.
-_SETTINGS = {
-    "mode": "Operating_Mode",
-    "torque_on": "Torque_Enable",
-    "p": "Position_P_Gain",
-    "i": "Position_I_Gain",
-    "d": "Position_D_Gain",
-    "feed_1": "Feedforward_1st_Gain",
-    "feed_2": "Feedforward_2nd_Gain",
-    "velocity_p": "Velocity_P_Gain",
-    "velocity_i": "Velocity_I_Gain",
-    "shutdown": "Shutdown",
-    "heat_limit": "Temperature_Limit",
-}
+FITTINGS = read_toml(Path(__file__).with_name("fittings.toml"), dict[str, Fitting], "install rejoint again")
 _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 
 class XArm(ServoArm[XServo]):
     """Servos of one arm, powered and holding."""
 
-    kind, jaw = XPlant, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
+    kind, table, jaw = XPlant, xseries.TABLE, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
     gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
 
-    def __init__(self, plant: XPlant, gripper: XPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance=resistance)
-        self.heard = 0.0
-        """[s] of the clock at the last packet"""
-        self.servos = []
-        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
-        for joint, described in enumerate((*arm.servos, self.gripper_model(arm))):
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        for joint, described in enumerate((*self.arm.servos, self.gripper_model(self.arm))):
             model, count, gains = xseries.drive_of(described)
             for k in range(count):
-                servo = self._fitted(model, FITTINGS[arm.name], k)
-                servo.joint, servo.setting, servo.status = joint, settings[joint][k], status[joint][k]
+                servo = self._fitted(model, FITTINGS[self.arm.name], k)
+                servo.joint, (servo.setting, servo.status) = joint, (record[k] for record in records[joint])
                 self.servos.append(servo)
                 self._prepare(servo, gains)
 
@@ -308,12 +251,10 @@ class XArm(ServoArm[XServo]):
         number = fitting.first + len(self.servos)
         homing = fitting.homing[len(self.servos)] if fitting.homing else 0
         servo = XServo(model, number, mirrored=number in fitting.reverse, mount=_MIDDLE - homing)
-        known = {"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": int(number in fitting.reverse)}
-        known |= {"Operating_Mode": fitting.mode, "Homing_Offset": homing}
+        servo.update({"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": number in fitting.reverse})
+        servo.update({"Operating_Mode": fitting.mode, "Homing_Offset": homing})
         if k:
-            known["Secondary_ID"] = number - k
-        for name, value in known.items():
-            servo[name] = value
+            servo["Secondary_ID"] = number - k
         return servo
 
     def _prepare(self, servo: XServo, gains: dict[str, int]) -> None:
@@ -326,8 +267,7 @@ class XArm(ServoArm[XServo]):
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
         servo.save()
         servo["Torque_Enable"] = 1
-        for name, value in gains.items():
-            servo[f"Position_{name.upper()}_Gain"] = value
+        servo.update({f"Position_{name.upper()}_Gain": value for name, value in gains.items()})
         servo.wrap(self.count(servo))
         servo["Goal_Position"] = servo.position(int(servo.status["goal"]))
         self.settle(servo)
@@ -356,22 +296,21 @@ class XArm(ServoArm[XServo]):
 
     def settle(self, servo: XServo) -> None:
         """Apply the registers of a servo."""
+        super().settle(servo)
         mode, sign, timed = servo["Operating_Mode"], servo.sign, servo["Drive_Mode"] >> 2 & 1
         unit = NEW[servo.model].get("current_unit")
         current = servo["Goal_Current"] * unit if unit else 0.0
         speed, acceleration = float(servo["Profile_Velocity"]), servo["Profile_Acceleration"]
         if not timed:
             speed = min(speed, servo["Velocity_Limit"]) * xseries.VELOCITY_UNIT
-        applied = {field: servo[name] for field, name in _SETTINGS.items()} | {
+        applied = {
             "timed": timed,
-            "pwm_limit": servo["PWM_Limit"] if mode == PWM else abs(servo["Goal_PWM"]),
+            "limit": servo["PWM_Limit"] if mode == PWM else abs(servo["Goal_PWM"]),
             "pwm_goal": sign * servo["Goal_PWM"],
             "current_goal": sign * current if mode == CURRENT else abs(current),
             "velocity_goal": sign * servo["Goal_Velocity"] * xseries.VELOCITY_UNIT,
             "speed": speed,
             "acceleration": acceleration if timed else acceleration * xseries.ACCELERATION_UNIT,
-            "low_voltage": servo["Min_Voltage_Limit"] / 10,
-            "high_voltage": servo["Max_Voltage_Limit"] / 10,
         }
         for name, value in applied.items():
             servo.setting[name] = value
@@ -404,24 +343,24 @@ class XArm(ServoArm[XServo]):
         speed, unit = round(sign * status["speed"] / xseries.VELOCITY_UNIT), NEW[servo.model].get("current_unit")
         load = self._current(servo) / unit if unit else 1000.0 * float(status["output"]) / xseries.FULL  # or [0.1 %]
         arrived = bool(abs(status["goal"] - status["position"]) <= threshold)
-        measured = {
-            "Present_Position": servo.position(self.count(servo)),
-            "Present_Velocity": speed,
-            "Present_PWM": round(sign * status["output"]),
-            "Present_Current": round(sign * load),
-            "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
-            "Present_Temperature": self._heat(servo),
-            "Position_Trajectory": servo.position(round(float(status["reference"]))),
-            "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
-            "Realtime_Tick": int(self.clock * 1e3) % 32768,
-            "Hardware_Error_Status": self.alarms_of(servo),
-            "Torque_Enable": servo.setting["torque_on"],
-            "Registered_Instruction": servo.registered is not None,
-            "Moving": moving or abs(speed) > threshold,
-            "Moving_Status": arrived | moving << 1,
-        }
-        for name, value in measured.items():
-            servo[name] = int(value)
+        servo.update(
+            {
+                "Present_Position": servo.position(self.count(servo)),
+                "Present_Velocity": speed,
+                "Present_PWM": round(sign * status["output"]),
+                "Present_Current": round(sign * load),
+                "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
+                "Present_Temperature": self._heat(servo),
+                "Position_Trajectory": servo.position(round(float(status["reference"]))),
+                "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
+                "Realtime_Tick": int(self.clock * 1e3) % 32768,
+                "Hardware_Error_Status": self.alarms_of(servo),
+                "Torque_Enable": servo.setting["torque_on"],
+                "Registered_Instruction": servo.registered is not None,
+                "Moving": moving or abs(speed) > threshold,
+                "Moving_Status": arrived | moving << 1,
+            }
+        )
 
     def _alarm(self, servo: XServo) -> None:
         """Let an error trip the servo, which stays without torque."""
@@ -435,20 +374,12 @@ class XArm(ServoArm[XServo]):
 class XBus(EmulatedBus[XServo]):
     """Servos of X arms on their wire."""
 
-    scheme, codec, ping_bytes, ping_pause = "dynamixel", Codec(finder, encode), 14, TURN
+    scheme, wire_format, words, ping_bytes, ping_pause = "dynamixel", FORMAT, struct.Struct("<HH"), 14, TURN
     rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
     reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
     writes = frozenset({SYNC_WRITE, BULK_WRITE})
+    bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
     arm: XArm
-
-    def hearing(self) -> list[XServo]:
-        """Servos that hear the client and are awake."""
-        return [servo for servo in super().hearing() if servo.awake <= self.arm.clock]
-
-    def execute(self, request: Packet) -> list[Answer]:
-        """Execute a packet; returns the answers in order of time."""
-        self.arm.heard = self.arm.clock
-        return super().execute(request)
 
     def _numbers(self, servo: XServo) -> tuple[int, ...]:
         return servo.number, servo["Secondary_ID"]
@@ -463,7 +394,7 @@ class XBus(EmulatedBus[XServo]):
                 return None
             if len(data) != 4:
                 return LENGTH, b""
-            return self._read(servo, *_WORDS.unpack(data))
+            return self._read(servo, *self.words.unpack(data))
         error = self._do(servo, request, shadow)
         answers = servo["Status_Return_Level"] == 2 and request.id != BROADCAST
         return (error, b"") if answers else None
@@ -477,7 +408,7 @@ class XBus(EmulatedBus[XServo]):
             if code == REG_WRITE:
                 servo.registered = address, data[2:]
                 return 0
-            return self._write(servo, servo["Secondary_ID"] if shadow else servo.number, address, data[2:])
+            return self._write(servo, shadow, address, data[2:])
         if code == ACTION:
             waiting, servo.registered = servo.registered, None
             return self.arm.apply(servo, *waiting) if waiting else 0
@@ -495,8 +426,8 @@ class XBus(EmulatedBus[XServo]):
             return UNKNOWN
         return 0
 
-    def _write(self, servo: XServo, number: int, address: int, data: bytes) -> int:
-        if number != servo.number and address < RAM:
+    def _write(self, servo: XServo, shadow: bool, address: int, data: bytes) -> int:
+        if shadow and address < RAM:
             return ACCESS  # a shadow's own area is its own
         return self.arm.apply(servo, address, data)
 
@@ -522,19 +453,6 @@ class XBus(EmulatedBus[XServo]):
             answers += mine
             begun = mine[0].after if mine else begun + (part.size + 11) * self.byte
         return answers
-
-    def _parts(self, request: Packet) -> Iterator[Part]:
-        """Yield the parts of a sync or bulk packet; one of bulk packets has an address and a size of its own."""
-        code, data = request.code, request.parameters
-        head = b"" if code in (BULK_READ, BULK_WRITE, FAST_BULK_READ) else data[:4]
-        place = len(head)
-        while place + 5 - len(head) <= len(data):
-            start = place + 5 - len(head)
-            address, size = _WORDS.unpack(head or data[place + 1 : start])
-            end = start + size * (code in self.writes)
-            if end <= len(data):
-                yield Part(data[place], address, size, data[start:end])
-            place = end
 
     def _chain(self, asked: list[tuple[list[XServo], Part]]) -> list[Answer]:
         """Return the one answer of a fast read, which breaks off before a silent servo; not stuffed."""

@@ -9,6 +9,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint.system.errors import InputError
+from rejoint.system.files import read_toml
 
 if TYPE_CHECKING:
     from rejoint_lab.plant.plant import Plant
@@ -48,22 +50,8 @@ Faults = Mapping[str, tuple[Fault, ...]]
 """By name, see `FORMS`"""
 NONE: Faults = {}
 
-FORMS: dict[str, str] = {
-    **dict.fromkeys(("drop", "garbage", "stale", "split", "half", "double", "echo"), "=P"),
-    "slow": "=S",
-    "stall": "=D/E",
-    "gone": "=T/D",
-    **dict.fromkeys(("silent", "die"), "@T"),
-    **dict.fromkeys(("freeze", "blind", "jump", "limit"), "=J@T"),
-    "overheat": "[=J]@T",
-    **dict.fromkeys(("current", "overload"), "=J@T"),
-    "voltage": "[=J]@T",
-    "mute": "=J@T/D",
-    "same": "=J@T",
-    "power": "=T/D",
-    "sag": "=R",
-}
-"""How faults are written, optional parts in brackets; see `rejoint emulate --help`"""
+FORMS = read_toml(Path(__file__).with_name("faults.toml"), dict[str, str], "install rejoint again")
+"""How faults are written"""
 SERVO_BUS = ("mute", "same", "power", "sag")
 """Faults of arms on their servo bus only"""
 _LETTERS = {"P": "size", "S": "size", "R": "size", "T": "after", "D": "duration", "E": "every"}
@@ -120,7 +108,7 @@ SPLIT_PAUSE = 0.05
 MOST_GARBAGE = 12
 """[bytes] (chosen)"""
 
-_CHANCES = ("drop", "garbage", "stale", "split", "half", "double", "echo")
+_CHANCES = tuple(name for name, form in FORMS.items() if form == "=P")
 
 
 class WireFaults:

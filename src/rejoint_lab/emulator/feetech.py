@@ -1,56 +1,36 @@
 """An SO-101 behind the bus of its servos: packets, registers and timing.
 
-Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: factory defaults, LeRobot's
-names), and recorded LeRobot packets.
+Sources: Feetech's protocol manual and memory table of the STS/SMS series (in
+``plant/sts3215.csv`` with LeRobot's names), and recorded LeRobot packets.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
-from importlib.resources import files
+import struct
+from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Arm
-from rejoint.robots.wireserver import Finder
+from rejoint.robots.wireserver import Format
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
     PING,
     READ,
-    SYNC_WRITE,
     WRITE,
     Answer,
-    Codec,
     EmulatedBus,
-    MemoryField,
     Packet,
     Part,
     Registers,
     ServoArm,
+    registers_of,
 )
+from rejoint_lab.plant import sts3215
 from rejoint_lab.plant.plant import StsPlant
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
-
-
-with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
-    _ROWS = tuple(csv.DictReader(_file))
-TABLE = tuple(
-    MemoryField(
-        int(row["address"]),
-        int(row["size"]),
-        row["name"],
-        row["access"],
-        int(row["default"]),
-        int(row["sign"]) if row["sign"] else None,
-    )
-    for row in _ROWS
-)
-BY_NAME: dict[str, MemoryField] = {register.name: register for register in TABLE}
-_SETTINGS = {row["setting"]: (row["name"], float(row["factor"])) for row in _ROWS if row["setting"]}
-"""Register and unit by field of `sts3215.SETTING`"""
+TABLE = registers_of(sts3215.TABLE, "STS3215")
 
 
 HEADER = b"\xff\xff"
@@ -69,21 +49,15 @@ def encode(packet: Packet) -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the packet at the beginning; 0: none, None: incomplete."""
-    if data[2:3] == b"\xff":
-        return 0
-    if len(data) < 4:
-        return None
-    size = data[3] + 4
-    if not 2 <= data[3] <= MOST_PARAMETERS + 2:
-        return 0
-    return None if len(data) < size else size * (checksum(data[2 : size - 1]) == data[size - 1])
+def _size(head: bytes) -> int:
+    return head[3] + 4 if head[2] != 0xFF and 2 <= head[3] <= MOST_PARAMETERS + 2 else 0
 
 
-def finder() -> Finder[Packet]:
-    """Find packets in a stream of bytes."""
-    return Finder(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
+def _read(data: bytes) -> Packet | None:
+    return Packet(data[2], data[4], data[5:-1]) if checksum(data[2:-1]) == data[-1] else None
+
+
+FORMAT = Format(HEADER, 4, _size, _read, encode)
 
 
 COUNTS = 4096
@@ -96,7 +70,7 @@ class Servo(Registers):
     """Registers of one servo; its arm updates measured ones."""
 
     def __init__(self, number: int) -> None:
-        super().__init__(BY_NAME, SIZE, number)
+        super().__init__(TABLE, SIZE, number)
 
     def read(self, address: int, size: int) -> bytes:
         """Read ``size`` registers; zeros beyond the last."""
@@ -125,8 +99,6 @@ class Servo(Registers):
         self["Torque_Limit"] = self["Max_Torque_Limit"]
 
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-"""Motors of an SO-101 by ID, 1 to 6 (LeRobot)"""
 HOMING = (-1470, 63, 911, -388, 85, -1021)
 """[counts] (chosen: like real arms)"""
 PROMPT = 254
@@ -138,17 +110,14 @@ CURRENT_UNIT = 0.0065
 class StsArm(ServoArm[Servo]):
     """Six servos of one arm, powered and holding."""
 
-    kind, jaw = StsPlant, (-0.17, 1.75)  # so101_new_calib.xml
+    kind, table, jaw = StsPlant, sts3215.TABLE, (-0.17, 1.75)  # so101_new_calib.xml
     gripper_model = staticmethod(lambda arm: arm.servos[-1])
 
-    def __init__(self, plant: StsPlant, gripper: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, gripper, arm, resistance=resistance)
-        self.servos = [Servo(joint + 1) for joint in range(arm.joints + 1)]
-        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
-        rows = zip(self.servos, HOMING, self._ranges(), strict=True)
-        for joint, (servo, homing, limits) in enumerate(rows):
-            servo.joint, servo.setting, servo.status = joint, settings[joint], status[joint]
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        for joint, (record, homing, limits) in enumerate(zip(records, HOMING, self._ranges(), strict=True)):
+            servo = Servo(joint + 1)
+            self.servos.append(servo)
+            servo.joint, (servo.setting, servo.status) = joint, record
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
             servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits
@@ -167,9 +136,8 @@ class StsArm(ServoArm[Servo]):
 
     def settle(self, servo: Servo) -> None:
         """Apply the registers of a servo."""
+        super().settle(servo)
         setting = servo.setting
-        for field, (name, unit) in _SETTINGS.items():
-            setting[field] = servo[name] * unit
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
         shift = _shift(servo) if low != high else 0
         acceleration = servo["Acceleration"] or servo["Maximum_Acceleration"] * servo["Acceleration_Multiplier"]
@@ -180,20 +148,20 @@ class StsArm(ServoArm[Servo]):
     def measure(self, servo: Servo) -> None:
         """Write a servo's measurements to its registers."""
         status, setting, shift = servo.status, servo.setting, _shift(servo)
-        measured = {
-            "Present_Position": (self.count(servo) - shift) % COUNTS,
-            "Present_Velocity": np.clip(status["speed"], -32767, 32767),
-            "Present_Load": np.clip(status["output"], -1023, 1023),
-            "Present_Voltage": round(float(setting["voltage"]) * 10),
-            "Present_Temperature": self._heat(servo),
-            "Status": self.alarms_of(servo),
-            "Moving": status["moving"],
-            "Goal_In_Force": status["goal"] - shift,
-            "Present_Current": round(self._current(servo) / CURRENT_UNIT),
-            "Torque_Enable": setting["torque_on"],  # over-current switches it off
-        }
-        for name, value in measured.items():
-            servo[name] = int(value)
+        servo.update(
+            {
+                "Present_Position": (self.count(servo) - shift) % COUNTS,
+                "Present_Velocity": np.clip(status["speed"], -32767, 32767),
+                "Present_Load": np.clip(status["output"], -1023, 1023),
+                "Present_Voltage": round(float(setting["voltage"]) * 10),
+                "Present_Temperature": self._heat(servo),
+                "Status": self.alarms_of(servo),
+                "Moving": status["moving"],
+                "Goal_In_Force": status["goal"] - shift,
+                "Present_Current": round(self._current(servo) / CURRENT_UNIT),
+                "Torque_Enable": setting["torque_on"],  # over-current switches it off
+            }
+        )
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Limits [counts] of LeRobot's calibration: a full turn for the wrist."""
@@ -213,23 +181,13 @@ MOST_DATA = 128
 """[bytes] buffer of a servo"""
 # [bytes] of an answer without data, with those between it and the next (the firmware's own sum)
 _SLOT = 9
-_WORD = 2
 
 
 class StsBus(EmulatedBus[Servo]):
     """Servos of an SO-101 on their wire."""
 
-    scheme, codec, ping_bytes = "feetech", Codec(finder, encode), _SLOT
+    scheme, wire_format, words, ping_bytes = "feetech", FORMAT, struct.Struct("<BB"), _SLOT
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
-
-    def _parts(self, request: Packet) -> Iterator[Part]:
-        if len(request.parameters) < _WORD:
-            return
-        address, size, *rest = request.parameters
-        width = 1 + size * (request.code == SYNC_WRITE)
-        for start in range(0, len(rest) - width + 1, width):
-            number, *data = rest[start : start + width]
-            yield Part(number, address, size, bytes(data))
 
     def _row(self, code: int, asked: list[tuple[list[Servo], Part]]) -> list[Answer]:  # noqa: ARG002 - there is one
         return [
@@ -246,15 +204,15 @@ class StsBus(EmulatedBus[Servo]):
         data = request.parameters
         if request.code == PING:
             return 0, b""
-        if request.code == READ and len(data) == _WORD and request.id != BROADCAST:
+        if request.code == READ and len(data) == self.words.size and request.id != BROADCAST:
             return self._read(servo, *data)
-        if request.code != WRITE or len(data) < _WORD:
+        if request.code != WRITE or len(data) < self.words.size:
             return None
         answers = servo["Response_Status_Level"] != 0 and request.id != BROADCAST
-        error = self._write(servo, servo.number, data[0], data[1:])
+        error = self._write(servo, False, data[0], data[1:])
         return (error, b"") if answers else None
 
-    def _write(self, servo: Servo, number: int, address: int, data: bytes) -> int:  # noqa: ARG002 - it has one
+    def _write(self, servo: Servo, shadow: bool, address: int, data: bytes) -> int:  # noqa: ARG002 - there are none
         touched = servo.write(address, data)
         if touched - {"Goal_Position"}:
             self.arm.settle(servo)

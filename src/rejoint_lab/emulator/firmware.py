@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.mycobot.mover import FULL_SPEED, Mask, Mover, Sensed
+from rejoint.robots.mycobot.mover import FULL_SPEED, Mask, Sensed
+from rejoint.robots.mycobot.wire import Computer
 from rejoint_lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
 
 if TYPE_CHECKING:
@@ -35,12 +36,12 @@ class _Write(NamedTuple):
     speed: float
 
 
-class Firmware(EmulatedArm, Mover):
+class Firmware(EmulatedArm, Computer):
     """An emulated myCobot; ``plant`` holds one arm."""
 
     def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
         EmulatedArm.__init__(self, plant, arm)
-        Mover.__init__(self, arm, plant.goal[0])
+        Computer.__init__(self, arm, plant.goal[0])
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] calibrated zeros by the encoders"""
         self._rng = np.random.default_rng(seed)
@@ -59,8 +60,9 @@ class Firmware(EmulatedArm, Mover):
         """Whether the reference or a joint moves."""
         return (self._motion.moving and not self.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
 
+    @property
     def sensed(self) -> Sensed:
-        """Return what else is measured."""
+        """What else is measured."""
         heat = self.temperature
         return Sensed(
             speed=self.plant.speed[0],

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from rejoint.robots.mycobot.wire import COMMANDS, Decoder, Frame, answer, encode
+from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Frame, answer, encode
 from rejoint.robots.wireserver import (
     BACKLOG,
     ByteStream,
@@ -41,26 +40,22 @@ class TruthLog:
         except OSError as error:
             raise unwritable(path, error) from error
         names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
-        self._titles = ["time", "x", "y", "z", *names]
+        self._titles = ",".join(["time", "x", "y", "z", *names]) + "\n"
 
     def write(self, now: float, arm: EmulatedArm) -> None:
-        """Add a row: [s], [m], [rad]; the first one replaces what the file held, as the arm is served by then."""
-        if self._titles:
-            self._stream.truncate(0)
-            self._put(self._titles)
-            self._titles = []
+        """Add a row: [s], [m], [rad]; the first one replaces what the file held."""
         row = [now, *arm.plant.true_tcp()[0], *arm.angles, *arm.plant.link_position()[0]]
-        self._put(f"{value:.6f}" for value in row)
+        try:
+            if self._titles:
+                self._stream.truncate(0)
+            self._stream.write(self._titles + ",".join(f"{value:.6f}" for value in row) + "\n")
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+        self._titles = ""
 
     def close(self) -> None:
         """Finish the file."""
         self._stream.close()
-
-    def _put(self, row: Iterable[str]) -> None:
-        try:
-            self._stream.write(",".join(row) + "\n")
-        except OSError as error:
-            raise unwritable(self._path, error) from error
 
 
 R = TypeVar("R")
@@ -179,12 +174,11 @@ READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
 class WireSession(EmulatedConversation[Frame]):
     """One arm's ``firmware`` with the answer times ``timing``."""
 
+    wire_format = FORMAT
+
     def __init__(self, firmware: Firmware, *, seed: int = 0, **options: Any) -> None:  # noqa: ANN401
         super().__init__(firmware, seed=seed, **options)
         self._firmware, self._rng = firmware, np.random.default_rng(seed)
-
-    def _finder(self) -> Decoder:
-        return Decoder()
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
         self._catch_up()

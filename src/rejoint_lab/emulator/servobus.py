@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 import termios
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
@@ -13,11 +15,11 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.registers import Register
-from rejoint.robots.wireserver import ByteStream, Finder, await_data
+from rejoint.robots.wireserver import ByteStream, Format, await_data
 from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
-from rejoint_lab.plant.servo import STEP
+from rejoint_lab.plant.servo import STEP, ServoTable
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
 
@@ -30,37 +32,29 @@ class Packet(NamedTuple):
     parameters: bytes = b""
 
 
-class Codec(NamedTuple):
-    """Bytes of packets."""
-
-    finder: Callable[[], Finder[Packet]]
-    encode: Callable[[Packet], bytes]
-
-
 class MemoryField(NamedTuple):
     """A value in the registers."""
 
-    address: int
-    size: int
     name: str
+    register: Register
     access: str
     """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept"""
     default: int
-    sign: int | None = None
-    """as of a `Register`"""
-    low: str = ""
-    high: str = ""
-    """limits: numbers or names of registers"""
+    low: str
+    high: str
+    """limits: numbers or names of registers; empty: none"""
 
-    @property
-    def register(self) -> Register:
-        """Its bytes."""
-        return Register(self.address, self.size, self.sign)
 
-    @property
-    def cells(self) -> slice:
-        """Its place."""
-        return slice(self.address, self.address + self.size)
+def registers_of(table: ServoTable, model: str) -> dict[str, MemoryField]:
+    """Return the registers of a model by name."""
+    found = {}
+    for row in table.rows:
+        if row["address"] and row[model]:
+            register = Register(int(row["address"]), int(row["size"]), int(row["sign"]) if row["sign"] else None)
+            found[row["name"]] = MemoryField(
+                row["name"], register, row["access"], int(row[model]), row["low"], row["high"]
+            )
+    return found
 
 
 class Registers:
@@ -71,27 +65,33 @@ class Registers:
     setting: Any
     status: Any
     """records of its plant"""
+    awake = 0.0
+    """[s] of the arm's clock from which it hears"""
 
     def __init__(self, fields: Mapping[str, MemoryField], size: int, number: int) -> None:
         self.fields, self.cells = fields, bytearray(size)
-        self.at = {cell: one for one in fields.values() for cell in range(one.address, one.address + one.size)}
+        self.at = {cell: field for field in fields.values() for cell in range(size)[field.register.cells]}
         """by cell"""
-        for name, field in fields.items():
-            self[name] = field.default
+        self.update({name: field.default for name, field in fields.items()})
         self["ID"] = number
         self._kept = bytearray(self.cells)
-        self.writes: list[tuple[int, bytes]] = []
-        """executed: address and data"""
+        self.writes: deque[tuple[int, bytes]] = deque(maxlen=100_000)
+        """the last executed: address and data"""
 
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
-        field = self.fields[name]
-        return field.register.decode(bytes(self.cells[field.cells]))
+        register = self.fields[name].register
+        return register.decode(bytes(self.cells[register.cells]))
 
     def __setitem__(self, name: str, value: int) -> None:
         """Set a register."""
-        field = self.fields[name]
-        self.cells[field.cells] = field.register.encode(value)
+        register = self.fields[name].register
+        self.cells[register.cells] = register.encode(value)
+
+    def update(self, values: Mapping[str, float]) -> None:
+        """Set registers to whole numbers."""
+        for name, value in values.items():
+            self[name] = int(value)
 
     @property
     def number(self) -> int:
@@ -133,11 +133,14 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     kind: ClassVar[Any]
     """of its plant"""
+    table: ClassVar[ServoTable]
     jaw: ClassVar[tuple[float, float]]
     """[rad] range of the gripper"""
     gripper_model: ClassVar[Any]
     """of its servo"""
     servos: list[S]
+    heard = 0.0
+    """[s] of the clock at the last packet"""
 
     def __init__(
         self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, *, resistance: float = 0.0
@@ -150,7 +153,14 @@ class ServoArm(EmulatedArm, Generic[S]):
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
-        self._nominal = [one.settings["voltage"][0].copy() for one in (self.plant, self.gripper)]
+        self.servos = []
+        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
+        self._fit(list(zip(settings, status, strict=True)))
+        self._nominal = [float(servo.setting["voltage"]) for servo in self.servos]
+
+    @abstractmethod
+    def _fit(self, records: list[tuple[Any, Any]]) -> None:
+        """Build the servos in, with the settings and status of each joint and the gripper."""
 
     def advance(self, duration: float) -> None:
         """Advance by [s], in whole milliseconds."""
@@ -159,11 +169,11 @@ class ServoArm(EmulatedArm, Generic[S]):
         self._owed -= steps * STEP
         self.clock += steps * STEP
         drop = self.resistance * sum(abs(float(servo.status["current"])) for servo in self.servos)
-        supplies = (self.plant, self.voltage), (self.gripper, np.full(1, SUPPLY_VOLTAGE))
-        for (driven, volts), nominal in zip(supplies, self._nominal, strict=True):
-            driven.settings["voltage"][0] = (nominal.T * np.maximum(volts - drop, 0.0) / SUPPLY_VOLTAGE).T
-        warmth = self.temperature - self.plant.temperature[0]
-        self.plant.settings["warmth"][0] = (np.ones_like(self._nominal[0]).T * warmth).T
+        supply, warmth = self.voltage, self.temperature - self.plant.temperature[0]
+        for servo, nominal in zip(self.servos, self._nominal, strict=True):
+            volts = max(self._of_joint(servo, supply, SUPPLY_VOLTAGE) - drop, 0.0)
+            servo.setting["voltage"] = nominal * volts / SUPPLY_VOLTAGE
+            servo.setting["warmth"] = self._of_joint(servo, warmth, 0.0)
         self.plant.advance(steps * STEP)
         self.gripper.advance(steps * STEP)
 
@@ -201,6 +211,12 @@ class ServoArm(EmulatedArm, Generic[S]):
     @abstractmethod
     def restart(self, servo: S) -> None:
         """Cycle the power of a servo."""
+
+    def settle(self, servo: S) -> None:
+        """Apply the registers of a servo."""
+        for field, (name, factor) in self.table.settings.items():
+            if name in servo.fields:
+                servo.setting[field] = servo[name] * factor
 
     def alarms_of(self, servo: S) -> int:
         """Error bits of a servo."""
@@ -267,12 +283,16 @@ class EmulatedBus(Generic[S]):
 
     scheme: ClassVar[str]
     """of its address"""
-    codec: ClassVar[Codec]
+    wire_format: ClassVar[Format[Packet]]
     rates: ClassVar[tuple[int, ...]]
     """[1/s] by register"""
     reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
     """instructions that read several servos"""
     writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
+    bulk: ClassVar[frozenset[int]] = frozenset()
+    """those with an address and a size for each servo"""
+    words: ClassVar[struct.Struct]
+    """an address and a size"""
     ping_bytes: ClassVar[int]
     ping_pause: ClassVar[float] = 0.0
     """for the answer of each ID to a ping of all; [s]"""
@@ -293,17 +313,19 @@ class EmulatedBus(Generic[S]):
         return [
             servo
             for index, servo in enumerate(self.arm.servos)
-            if index not in silent and self.rate in (None, self.rates[servo["Baud_Rate"]])
+            if index not in silent
+            and servo.awake <= self.arm.clock
+            and self.rate in (None, *self.rates[servo["Baud_Rate"] :][:1])
         ]
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
-        hearing = self.hearing()
+        hearing, self.arm.heard = self.hearing(), self.arm.clock
         if request.code in self.writes:
             for part in self._parts(request):
                 for servo in hearing:
                     if part.number in self._numbers(servo):
-                        self._write(servo, part.number, part.address, part.data)
+                        self._write(servo, part.number != servo.number, part.address, part.data)
             return []
         if request.code in self.reads:
             asked = [
@@ -320,17 +342,25 @@ class EmulatedBus(Generic[S]):
                     answers.append(self._answer(servo, slot, *found))
         return answers
 
-    @abstractmethod
     def _parts(self, request: Packet) -> Iterator[Part]:
-        """Parts of a packet to several servos."""
+        """Yield the parts of a packet to several servos."""
+        data = request.parameters
+        head = b"" if request.code in self.bulk else data[: self.words.size]
+        place = len(head)
+        while (start := place + 1 + self.words.size - len(head)) <= len(data):
+            address, size = self.words.unpack(head or data[place + 1 : start])
+            end = start + size * (request.code in self.writes)
+            if end <= len(data):
+                yield Part(data[place], address, size, data[start:end])
+            place = end
 
     @abstractmethod
     def _obey(self, servo: S, request: Packet) -> tuple[int, bytes] | None:
         """Error and data of the answer; None: none."""
 
     @abstractmethod
-    def _write(self, servo: S, number: int, address: int, data: bytes) -> int:
-        """Write registers of a servo, spoken to as ``number``; returns the error."""
+    def _write(self, servo: S, shadow: bool, address: int, data: bytes) -> int:
+        """Write registers of a servo, perhaps as a ``shadow`` of another; returns the error."""
 
     @abstractmethod
     def _row(self, code: int, asked: list[tuple[list[S], Part]]) -> list[Answer]:
@@ -348,7 +378,7 @@ class EmulatedBus(Generic[S]):
         return max(TURN, servo["Return_Delay_Time"] * DELAY_UNIT)
 
     def _answer(self, servo: S, slot: float, error: int, data: bytes) -> Answer:
-        frame = self.codec.encode(self._status(servo, error, data))
+        frame = self.wire_format.write(self._status(servo, error, data))
         return Answer(slot + self._delay(servo) + len(frame) * self.byte, frame)
 
 
@@ -401,12 +431,9 @@ class BusSession(EmulatedConversation[Packet]):
 
     def __init__(self, bus: EmulatedBus[Any], **options: Any) -> None:  # noqa: ANN401
         super().__init__(bus.arm, **{"await_data": await_promptly} | options)
-        self.bus, self.scheme = bus, bus.scheme
+        self.bus, self.scheme, self.wire_format = bus, bus.scheme, bus.wire_format
         # until when the wire is busy
         self._free = 0.0
-
-    def _finder(self) -> Finder[Packet]:
-        return self.bus.codec.finder()
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
@@ -415,7 +442,7 @@ class BusSession(EmulatedConversation[Packet]):
 
     def _answer(self, channel: ByteStream, request: Packet) -> None:
         self._catch_up()
-        self.bus.rate, sent = rate_of(channel), self.bus.codec.encode(request)
+        self.bus.rate, sent = rate_of(channel), self.wire_format.write(request)
         self._free = max(self._came, self._free) + len(sent) * self.bus.byte
         answers = overlaid(self.bus.execute(request))
         if not answers:

@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_pose
@@ -115,7 +114,8 @@ class Plant:
         self._key = stream_keys(seed, self.count, first=first)
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
         self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
-        self._firmware: tuple[NDArray[Any], ...] | None = None
+        self._sts: tuple[NDArray[Any], ...] | None = None
+        self._x: tuple[NDArray[Any], ...] | None = None
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
         worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
         self.batch = Batch(build_model(arm, self._pull), self.count, worth)
@@ -239,9 +239,8 @@ class Plant:
         self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed [rad/s], above 0: (B,), (B, n) or a number."""
-        speed = np.asarray(speed, dtype=float)
-        self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+        """Limit the reference's speed [rad/s], above 0: (B, n) or a number."""
+        self.servos["speed_limit"] = speed
 
     def _hold(self, ids: Ids, position: Array) -> None:
         self._due[ids] = servo.NEVER
@@ -255,7 +254,7 @@ class Plant:
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
             arms, commands = (self.joints, self.servos), (self._due, self._queue)
-            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._firmware)
+            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._sts, self._x)
             self.batch.step(stepped)
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
@@ -309,11 +308,9 @@ def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int,
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     """`servo.JOINT` (n,) of an arm of some wear."""
     records = np.zeros(arm.joints, servo.JOINT)
-    for name in (*PARAMETERS, "offset"):
+    for name in (*PARAMETERS, "offset", "play_in_loop", "ambient"):
         records[name] = getattr(wear, name)
-    records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
-    records["lower"], records["upper"] = arm.lower, arm.upper
-    records["ambient"] = wear.ambient
+    records["encoder_step"], records["lower"], records["upper"] = arm.encoder_step, arm.lower, arm.upper
     scale = scale_of(arm)
     servo.fill_constants(records, arm.max_speed, scale.torque, scale.time)
     return records
@@ -329,11 +326,6 @@ class ServoPlant(Plant, ABC):
     settings: NDArray[np.void]
     status: NDArray[np.void]
 
-    def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
-        super().set_speed_limit(speed)
-        self.settings["speed"].T[:] = (self.servos["speed_limit"] / self.arm.encoder_step).T
-
     def halt(self) -> None:
         """Stop the reference and drop pending commands."""
         reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
@@ -347,11 +339,13 @@ class ServoPlant(Plant, ABC):
             for angle in (position, self.servos["measured"])
         )
         self.status[ids] = 0
-        self._stand(ids, goal, here)
+        known = {"goal": goal, "reference": goal, "position": here}
+        for name, value in (known | self._begin(ids, goal, here)).items():
+            self.status[name].T[..., ids] = value.T
 
     @abstractmethod
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        """Let servos that stand ``here`` [counts] hold ``goal``."""
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
+        """Return more of the status of servos that hold ``goal`` from ``here`` (k, n) [counts]."""
 
 
 class StsPlant(ServoPlant):
@@ -363,7 +357,7 @@ class StsPlant(ServoPlant):
     def _equip(self) -> None:
         arm, no_load = self.arm, self.joints["no_load_speed"]
         shape = self.count, arm.joints
-        self.settings = sts3215.as_sold(shape)
+        self.settings = np.full(shape, sts3215.TABLE.as_sold("STS3215", sts3215.SETTING))
         stall = self.joints["position_gain"] / (sts3215.GAIN_PER_P * RECORDED_P)
         self.settings["stall"], self.settings["bias"] = stall, self.joints["position_gain"] * self.joints["offset"]
         if np.isfinite(arm.servo_acceleration):
@@ -373,7 +367,7 @@ class StsPlant(ServoPlant):
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
         self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
-        self._firmware = self.settings[..., None], self.status[..., None], self._rings
+        self._sts = self.settings[..., None], self.status[..., None], self._rings
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -383,12 +377,11 @@ class StsPlant(ServoPlant):
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        for name, value in {"goal": goal, "reference": goal, "filtered": here, "position": here}.items():
-            self.status[name][ids] = value
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
         raw = goal - here
         error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"][ids], 0)
         self._rings[ids] = np.stack([error, here], axis=-1)[..., None]
+        return {"filtered": here}
 
 
 class XPlant(ServoPlant):
@@ -411,7 +404,7 @@ class XPlant(ServoPlant):
             self.settings["viscous"][:, j] = xseries.NEW[model]["viscous"] * count
         bias = self.joints["position_gain"] * self.joints["offset"]
         self.settings["bias"] = bias[..., None]
-        self._firmware = self.settings, self.status, np.zeros(shape[:2])
+        self._x = self.settings, self.status
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
         """Put the arms at rest at encoder ``position`` (B, n) [rad], restarted."""
@@ -425,15 +418,8 @@ class XPlant(ServoPlant):
         lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _stand(self, ids: Ids, goal: Ids, here: Ids) -> None:
-        for name, value in {
-            "goal": goal,
-            "aimed": goal,
-            "reference": goal,
-            "position": here,
-            "error": goal - here,
-        }.items():
-            self.status[name][ids] = value[..., None]
+    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:  # noqa: ARG002 - of all arms alike
+        return {"aimed": goal, "error": goal - here}
 
 
 def plant_of(arm: Arm) -> type[Plant]:
@@ -444,52 +430,47 @@ def plant_of(arm: Arm) -> type[Plant]:
 
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201, ANN202, ARG001
-
-
-def tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    """Let a joint's servos work for a millisecond; returns their torque [N m] on the output."""
-
-
-@overload(tick_servos)
-def _tick_servos(settings, status, rings, joint, state, tick, count, speed):
-    def sts(settings, status, rings, joint, state, tick, count, speed):
-        return sts3215.tick_servo(settings[0], status[0], rings, joint, state, tick, count, speed)
-
-    def x(settings, status, rings, joint, state, tick, count, speed):
-        return xseries.tick_servos(settings, status, state, count, speed)
-
-    return x if "aimed" in status.dtype.fields else sts
+# ruff: noqa: ANN001, ANN202
 
 
 @njit(cache=True)
-def _drive(ids, tick, key, arms, commands, bodies, firmware):
+def _aim(joints, servos, status):
+    """Give the goals of one arm to its servos (n, S), in counts."""
+    for j in range(len(joints)):
+        for k in range(status.shape[1]):
+            status[j, k].goal = int(np.rint(servos[j].goal / joints[j].encoder_step))
+
+
+@njit(cache=True)
+def _drive(ids, tick, key, arms, commands, bodies, sts, x):
     """Write the next torques of the arms ``ids``.
 
     ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
-    velocities, torques (B, 2n); ``firmware``: None, or SETTING and STATUS (B, n, S), and rings
-    (B, n, ...), of joints with S servos.
+    velocities, torques (B, 2n); ``sts``, ``x``: None, or SETTING and STATUS (B, n, S) of joints with S such servos, and
+    rings (B, n, ...) of an STS3215.
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
     for i in ids:
         if due[i].min() <= tick[i]:
             servo.receive(tick[i], due[i], queue[i], servos[i])
-            if firmware is not None:
-                for j in range(n):
-                    goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
-                    for k in range(firmware[1].shape[2]):
-                        firmware[1][i, j, k].goal = goal
+            if sts is not None:
+                _aim(joints[i], servos[i], sts[1][i])
+            if x is not None:
+                _aim(joints[i], servos[i], x[1][i])
         for j in range(n):
             joint, state = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
             gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
             seen = state.measured if state.blind else servo.read_encoder(joint, angle, gear_angle)
-            if firmware is not None:
-                settings, status, rings = firmware
+            count = int(np.rint(seen / joint.encoder_step))
+            if sts is not None:
                 state.measured = seen
-                at, count = (tick[i], int(np.rint(seen / joint.encoder_step)))
-                push = tick_servos(settings[i, j], status[i, j], rings[i, j], joint, state, at, count, speed)
+                setting, status = sts[0][i, j, 0], sts[1][i, j, 0]
+                push = sts3215.tick_servo(setting, status, sts[2][i, j], joint, state, tick[i], count, speed)
+            elif x is not None:
+                state.measured = seen
+                push = xseries.tick_servos(x[0][i, j], x[1][i, j], state, count, speed)
             else:
                 push = state.torque = servo.motor_torque(joint, state, seen, speed)
                 state.load += servo.LOAD_FILTER * (push / joint.torque_limit - state.load)

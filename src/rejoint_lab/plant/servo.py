@@ -1,4 +1,4 @@
-"""One servo, its gear and its link, per millisecond; and the channel.
+"""One servo, its gear and its link, per millisecond; tables of servos; and the channel.
 
 Sources: Feetech's STS register table; friction: LuGre (Canudas de Wit et al. 1995), elasto-plastic (Dupont et al.
 2002), load-dependent (Linderoth et al. 2013); play as a dead-band spring (Nordin and Gutman 2002). Random streams:
@@ -7,6 +7,8 @@ SplitMix64 (Steele, Lea, Flood 2014).
 
 from __future__ import annotations
 
+import csv
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -214,6 +216,33 @@ def trapezoid(reference, rate, goal, speed, acceleration):
     if abs(left) <= max(abs(stride), 0.5) and abs(rate) <= 2.0 * gain:
         return goal, 0.0
     return reference + stride, rate
+
+
+class ServoTable:
+    """A CSV file of servos: rows of registers, and without an address of other properties [SI].
+
+    ``setting`` names the field of a simulated servo that holds the value times ``factor``.
+    """
+
+    def __init__(self, file: str) -> None:
+        with (files(__package__) / file).open(encoding="utf-8") as stream:
+            self.rows = tuple(csv.DictReader(stream))
+        columns = tuple(self.rows[0])
+        self.models = columns[columns.index("sign") + 1 :]
+        self.new = {model: {row["name"]: float(row[model]) for row in self.rows if row[model]} for model in self.models}
+        """values as sold by model and name"""
+        self.settings = {
+            row["setting"]: (row["name"], float(row["factor"] or 1)) for row in self.rows if row["setting"]
+        }
+        """name and factor by field"""
+
+    def as_sold(self, model: str, kind: np.dtype[np.void]) -> NDArray[np.void]:
+        """Return settings () of a ``kind`` as sold, powered, torque on."""
+        setting = np.zeros((), kind)
+        for field, (name, factor) in self.settings.items():
+            setting[field] = self.new[model][name] * factor
+        setting["torque_on"] = 1
+        return setting
 
 
 Interval = tuple[float, float]

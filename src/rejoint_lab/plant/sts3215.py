@@ -5,14 +5,10 @@ Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, a measured sag (le
 
 from __future__ import annotations
 
-import csv
-from importlib.resources import files
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from rejoint_lab.plant.servo import STEP, record_of, trapezoid
+from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -43,7 +39,7 @@ _COOL = 5.0  # [deg C] below the limit at which heat is forgotten
 _INTEGRAL_DIVISOR = 500
 
 SETTING = record_of(
-    whole="p d i startup integral_limit dead_cw dead_ccw torque_limit least most threshold unloading protective "
+    whole="p d i startup limit dead_cw dead_ccw torque_limit least most threshold unloading protective "
     "protection_ticks overload current_ticks torque_on",
     real="acceleration speed current_limit heat_limit low_voltage high_voltage voltage warmth stall bias viscous",
 )
@@ -58,17 +54,8 @@ STATUS = record_of(
 )
 """State: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks"""
 
-with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
-    DEFAULTS = {row["name"]: float(row["value"]) for row in csv.DictReader(_file)}
-"""As sold (C018), powered, torque on"""
-
-
-def as_sold(shape: tuple[int, ...]) -> NDArray[np.void]:
-    """Return `SETTING` of this shape."""
-    settings = np.zeros(shape, SETTING)
-    for name, value in DEFAULTS.items():
-        settings[name] = value
-    return settings
+TABLE = ServoTable("sts3215.csv")
+"""The model ``STS3215`` (C018)"""
 
 
 @njit(cache=True)
@@ -106,8 +93,8 @@ def output_of(setting, status, errors, tick):
     if setting.i == 0:
         status.sum = 0.0
     part = int(status.sum * setting.i / _INTEGRAL_DIVISOR)
-    if setting.integral_limit:
-        part = min(max(part, -4 * setting.integral_limit), 4 * setting.integral_limit)
+    if setting.limit:
+        part = min(max(part, -4 * setting.limit), 4 * setting.limit)
     output += part
     if output > 0:
         output += setting.startup

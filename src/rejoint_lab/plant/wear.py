@@ -219,7 +219,6 @@ PARAMETERS = tuple(
     field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient")
 )
 """Per-joint parameters of every profile"""
-_POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
@@ -253,8 +252,8 @@ def wear_arm(name: str) -> str | None:
 
 
 def new_wear(arm: Arm) -> Wear:
-    """Wear of new servos of `xseries.NEW`, in links as stiff as a healthy arm's; of others a healthy arm's."""
-    healthy = scale_wear(_profile("healthy").wear("healthy", mycobot280().joints), arm)
+    """Wear of new X servos in links as stiff as a healthy arm's; else a healthy arm's."""
+    healthy = scale_wear("healthy", arm)
     if not xseries.drives(arm.servos):
         return healthy
     rows = [(xseries.NEW[model], count) for model, count, _ in map(xseries.drive_of, arm.servos)]
@@ -282,7 +281,7 @@ def _fitted(base: str, arm: Arm) -> Wear:
         return new_wear(arm)
     found = _profile(base)
     if found.scales:
-        scaled = scale_wear(found.wear(base, mycobot280().joints), arm)
+        scaled = scale_wear(base, arm)
         if not xseries.drives(arm.servos):
             return scaled
         new = new_wear(arm)  # servos keep their inertia, and at least half their torque
@@ -319,9 +318,9 @@ def _options(name: str) -> tuple[str, _Options]:
         raise ProfileError(f"wear {name!r}: {first_line(error)}; options: {known}") from error
 
 
-def scale_wear(wear: Wear, arm: Arm) -> Wear:
+def scale_wear(base: str, arm: Arm) -> Wear:
     """Scale a myCobot 280's profile to ``arm``."""
-    scale = scale_of(arm)
+    wear, scale = _profile(base).wear(base, mycobot280().joints), scale_of(arm)
     values = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
         values[name] = values[name] * scale.torque
@@ -352,22 +351,29 @@ def lifting_torque(wear: Wear, arm: Arm) -> Array:
 
 
 _Size = Annotated[float, msgspec.Meta(ge=0.0, le=1e300)]
-_Joints = msgspec.defstruct(
-    "_Joints",
-    [
-        *(
-            ("play_deg" if name == "play" else name, kind | list[kind])  # type: ignore[valid-type]
-            for name in PARAMETERS
-            for kind in [Positive if name in _POSITIVE else _Size]
-        ),
-        ("offset_deg", Number | list[Number], 0.0),
-    ],
-    forbid_unknown_fields=True,
-)
+_Sizes = _Size | list[_Size]
+_Positives = Positive | list[Positive]
+
+
+class _Joints(Table):
+    """One number for all joints, or one per joint."""
+
+    position_gain: _Positives
+    damping_gain: _Sizes
+    torque_limit: _Positives
+    coulomb: _Sizes
+    stiction: _Sizes
+    load_friction: _Sizes
+    play_deg: _Sizes
+    link_stiffness: _Positives
+    reflected_inertia: _Positives
+    ripple: _Sizes
+    torque_noise: _Sizes
+    offset_deg: Number | list[Number] = 0.0
 
 
 class _WearFile(Table):
-    joints: _Joints  # type: ignore[valid-type]  # one number for all joints, or one per joint
+    joints: _Joints
     arm: str | None = None
     """the only arm"""
     scales: bool = False

@@ -1,21 +1,18 @@
 """The control loops of ROBOTIS' X series in counts and 1/885 of PWM, per millisecond; two servos may turn one joint.
 
 Sources: ROBOTIS' e-manual (PID, profiles, protection); Rhoban/bam (the XL330's divisor of 256, its motor and friction;
-those of MX-64 and MX-106, scaled, for XM430 and XM540). ``xseries.csv``: registers, the field of `SETTING` that holds
-each, and what a new servo is.
+those of MX-64 and MX-106, scaled, for XM430 and XM540).
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from importlib.resources import files
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint_lab.plant.servo import STEP, record_of, trapezoid
+from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -40,13 +37,8 @@ _TRAVEL = 20  # [counts] of motion that show that a joint is not blocked (chosen
 _OVERLOAD_TICKS = 2000  # at the limit without motion (chosen: "a few seconds" in interbotix_ros_arms, issue 26)
 _ALARM_TICKS = 50  # outside the limits of voltage or heat (chosen)
 
-with (files(__package__) / "xseries.csv").open(encoding="utf-8") as _file:
-    ROWS = tuple(csv.DictReader(_file))
-MODELS = tuple(ROWS[0])[7:]
-"""Servos of the table"""
-NEW: dict[str, dict[str, float]] = {
-    model: {row["name"]: float(row[model]) for row in ROWS if row[model]} for model in MODELS
-}
+TABLE = ServoTable("xseries.csv")
+NEW = TABLE.new
 """Registers as sold, and properties of a new servo: [V], [N m], [A], [rad/s], [N m s/rad], [kg m^2]"""
 
 
@@ -60,12 +52,12 @@ def drive_of(servo: str) -> tuple[str, int, dict[str, int]]:
 
 def drives(servos: Sequence[str]) -> bool:
     """Whether all ``servos`` of an arm are of the table."""
-    return bool(servos) and all(drive_of(servo)[0] in MODELS for servo in servos)
+    return bool(servos) and all(drive_of(servo)[0] in TABLE.models for servo in servos)
 
 
 SETTING = record_of(
     whole="mode torque_on p i d feed_1 feed_2 velocity_p velocity_i timed shutdown",
-    real="pwm_limit pwm_goal current_goal velocity_goal acceleration speed slope heat_limit low_voltage high_voltage "
+    real="limit pwm_goal current_goal velocity_goal acceleration speed slope heat_limit low_voltage high_voltage "
     "voltage warmth nominal stall stall_current no_load divisor bias viscous",
     flag="input_current",
 )
@@ -82,12 +74,8 @@ STATUS = record_of(
 
 def as_sold(model: str) -> NDArray[np.void]:
     """Return `SETTING` () of a model, powered, torque on."""
-    setting, new = np.zeros((), SETTING), NEW[model]
-    for row in ROWS:
-        if row["setting"]:
-            setting[row["setting"]] = new[row["name"]]
-    setting["torque_on"], setting["input_current"], setting["voltage"] = 1, model.startswith("XL330"), new["nominal"]
-    setting["low_voltage"], setting["high_voltage"] = 0.1 * new["Min_Voltage_Limit"], 0.1 * new["Max_Voltage_Limit"]
+    setting, new = TABLE.as_sold(model, SETTING), NEW[model]
+    setting["input_current"] = model.startswith("XL330")
     setting["current_goal"] = new.get("Current_Limit", 0) * new.get("current_unit", 0.0)
     setting["slope"] = new.get("PWM_Slope", np.inf) * 1.977e-3
     return setting
@@ -123,7 +111,7 @@ def output_of(setting, status, speed):
         return FULL * (setting.current_goal / setting.stall_current + speed / setting.no_load)
     if setting.mode == VELOCITY:
         error = (setting.velocity_goal - status.speed) / VELOCITY_UNIT
-        status.sum += error if abs(status.output) < setting.pwm_limit else 0.0
+        status.sum += error if abs(status.output) < setting.limit else 0.0
         return setting.velocity_p / 128 * error + setting.velocity_i / 65536 * status.sum
     before = status.rate
     follow(setting, status)
@@ -134,7 +122,7 @@ def output_of(setting, status, speed):
     output += STEP * (setting.feed_1 / 4 * status.rate + setting.feed_2 / 4 * (status.rate - before))
     if setting.i == 0:  # another gain is no jump (chosen)
         status.sum = 0.0
-    elif abs(output) < setting.pwm_limit or output * error < 0.0:  # what the limit cuts off is not summed up
+    elif abs(output) < setting.limit or output * error < 0.0:  # what the limit cuts off is not summed up
         status.sum += setting.i / 65536 * error
     if setting.mode == CURRENT_POSITION:  # the loop asks for a current, which an inner loop gives
         most = setting.current_goal
@@ -148,7 +136,7 @@ def output_of(setting, status, speed):
 @njit(cache=True)
 def protect(setting, status, wanted, temperature):
     """Update the alarms, which stay; one of ``shutdown`` takes the torque off."""
-    if abs(wanted) >= setting.pwm_limit and abs(status.position - status.blocked_at) <= _TRAVEL:
+    if abs(wanted) >= setting.limit and abs(status.position - status.blocked_at) <= _TRAVEL:
         status.blocked += 1
     else:
         status.blocked, status.blocked_at = 0, status.position
@@ -178,7 +166,7 @@ def tick_servo(setting, status, state, count, speed):
         return 0.0  # the windings are open
     wanted = output_of(setting, status, speed)
     protect(setting, status, wanted, state.temperature + setting.warmth)
-    most = setting.pwm_limit
+    most = setting.limit
     slope = FULL * setting.slope / max(setting.voltage, 0.1)
     output = min(max(wanted, -most), most)
     status.output += min(max(output - status.output, -slope), slope)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
-from rejoint.robots.wireserver import TerminalServer
+from rejoint.robots.wireserver import Finder, TerminalServer
 from rejoint_lab.emulator.dynamixel import (
     ACTION,
     BULK_READ,
@@ -21,6 +21,7 @@ from rejoint_lab.emulator.dynamixel import (
     FACTORY_RESET,
     FAST_BULK_READ,
     FAST_SYNC_READ,
+    FORMAT,
     REBOOT,
     REG_WRITE,
     STATUS,
@@ -28,7 +29,6 @@ from rejoint_lab.emulator.dynamixel import (
     XBus,
     crc,
     encode,
-    finder,
 )
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.servers import on_port
@@ -68,7 +68,7 @@ GOLDEN = {
 @pytest.mark.parametrize("text", GOLDEN)
 def test_bytes_of_the_manual_are_these_packets(text):
     assert encode(GOLDEN[text]) == bytes.fromhex(text)
-    assert finder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
+    assert Finder(FORMAT).feed(bytes.fromhex(text)) == [GOLDEN[text]]
 
 
 PACKETS = st.builds(
@@ -80,13 +80,13 @@ PACKETS = st.builds(
 def test_packets_are_found_stuffed_cut_and_behind_garbage(packets, size, garbage):
     garbage = garbage.replace(b"\xff", b"")
     stream = b"".join(garbage + encode(packet) for packet in packets)
-    found, seeker = [], finder()
+    found, seeker = [], Finder(FORMAT)
     for start in range(0, len(stream), size):
         found += seeker.feed(stream[start : start + size])
     assert found == packets
     spoilt = bytearray(encode(packets[0]))
     spoilt[-1] ^= 1
-    assert finder().feed(bytes(spoilt)) == []
+    assert Finder(FORMAT).feed(bytes(spoilt)) == []
 
 
 def made(name="koch", wear="new"):
@@ -105,7 +105,7 @@ def word(value, size=4):
 def ask(bus, servo, code, *parts):
     """Answers as (ID, error byte, data)."""
     request = Packet(servo, code, b"".join(part if isinstance(part, bytes) else word(part, 2) for part in parts))
-    packets = [finder().feed(answer.data) for answer in bus.execute(request)]
+    packets = [Finder(FORMAT).feed(answer.data) for answer in bus.execute(request)]
     return [(one.id, one.parameters[0], one.parameters[1:]) for (one,) in packets]
 
 
@@ -282,7 +282,7 @@ ORDINARY = st.sampled_from([REBOOT, READ, WRITE, REG_WRITE, ACTION, CLEAR, FACTO
 @given(st.sampled_from([1, 2, 3, 0xFE]), ORDINARY, st.integers(0, 700), st.binary(max_size=20), st.booleans())
 def test_no_packet_ends_the_bus(servo, code, address, data, waits):
     for answer in WIDOWX.execute(Packet(servo, code, word(address, 2) + data)):
-        assert code in (FAST_SYNC_READ, FAST_BULK_READ) or len(finder().feed(answer.data)) == 1
+        assert code in (FAST_SYNC_READ, FAST_BULK_READ) or len(Finder(FORMAT).feed(answer.data)) == 1
     if waits:
         WIDOWX.arm.advance(0.05)
     assert np.isfinite(WIDOWX.arm.angles).all()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.robots.mycobot.wire import ORDERS, QUESTIONS, Frame, answer
+from rejoint.robots.mycobot.wire import ORDER, ROWS, Frame, answer
 from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()
@@ -115,8 +115,8 @@ def test_less_than_a_millisecond_is_not_lost(firmware):
 
 KNOWN = [
     (command, size)
-    for command, size in (*ORDERS, *QUESTIONS)
-    if (size == 0 or (command, size) in ORDERS) and (command, size) not in ((0x13, 1), (0x54, 1))
+    for (command, size), row in ROWS.items()
+    if (size == 0 or row.answer == ORDER) and (command, size) not in ((0x13, 1), (0x54, 1))
 ]
 requests = st.sampled_from(KNOWN).flatmap(
     lambda known: st.builds(Frame, st.just(known[0]), st.binary(min_size=known[1], max_size=known[1]))

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rejoint.robots.mycobot.wire import MAX_PAYLOAD, Decoder, Frame, encode
+from rejoint.robots.mycobot.wire import FORMAT, MAX_PAYLOAD, Frame, encode
+from rejoint.robots.wireserver import Finder
 
 frames = st.builds(Frame, st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD))
 nasty = st.lists(st.sampled_from([0xFE, 0xFA, 0x00, 0x02, 0x0F, 0x1E, 0x20, 0xFF]), max_size=60).map(bytes)
@@ -24,7 +25,7 @@ GOLDEN = [
 
 def split(stream):
     """Return all whole frames of a stream, and the rest."""
-    decoder = Decoder()
+    decoder = Finder(FORMAT)
     return decoder.feed(stream), decoder.rest
 
 
@@ -41,7 +42,7 @@ def test_what_is_encoded_is_decoded(sent):
 
 @given(nasty | st.binary(max_size=200), st.lists(st.integers(1, 7), max_size=40))
 def test_pieces_give_the_same_frames_as_the_whole(stream, sizes):
-    decoder, got, at = Decoder(), [], 0
+    decoder, got, at = Finder(FORMAT), [], 0
     for size in [*sizes, len(stream)]:
         got += decoder.feed(stream[at : at + size])
         at += size
@@ -55,7 +56,7 @@ def test_pieces_give_the_same_frames_as_the_whole(stream, sizes):
 @example(b"\xfe\xfe\x0f\x22", Frame(0x20))
 @example(b"\xfe", Frame(0x20))
 def test_a_frame_is_found_after_any_garbage_once_the_line_was_quiet(garbage, frame):
-    decoder = Decoder()
+    decoder = Finder(FORMAT)
     decoder.feed(garbage)
     decoder.expire()
     assert not decoder.pending

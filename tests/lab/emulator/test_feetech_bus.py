@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
+from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator import servobus as packets
 from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.feetech import SIZE, TABLE, StsArm, StsBus, finder
+from rejoint_lab.emulator.feetech import FORMAT, SIZE, TABLE, StsArm, StsBus
 from rejoint_lab.emulator.servobus import BROADCAST, Packet
 
 ARM = load_arm("so101")
@@ -25,7 +26,7 @@ def word(value):
 
 def answers(bus, number, code, *parameters):
     found = bus.execute(Packet(number, code, b"".join(p if isinstance(p, bytes) else bytes([p]) for p in parameters)))
-    return [finder().feed(answer.data)[0] for answer in found]
+    return [Finder(FORMAT).feed(answer.data)[0] for answer in found]
 
 
 def value(bus, number, address, size=2):
@@ -33,10 +34,10 @@ def value(bus, number, address, size=2):
 
 
 def test_registers_do_not_overlap_and_fit():
-    cells = [cell for register in TABLE for cell in range(register.address, register.address + register.size)]
+    cells = [cell for field in TABLE.values() for cell in range(SIZE)[field.register.cells]]
     assert len(cells) == len(set(cells))
     assert max(cells) < SIZE
-    assert all(register.default < 256**register.size for register in TABLE)
+    assert all(field.default < 256**field.register.size for field in TABLE.values())
 
 
 def test_every_servo_answers_its_ping_and_tells_its_model(bus):
@@ -51,7 +52,7 @@ def test_every_servo_answers_its_ping_and_tells_its_model(bus):
 def test_a_synchronous_read_is_answered_in_its_order_and_its_slots(bus):
     request = Packet(BROADCAST, packets.SYNC_READ, bytes([56, 15, 6, 1, 9, 2]))
     found = bus.execute(request)
-    assert [finder().feed(answer.data)[0].id for answer in found] == [6, 1, 2]
+    assert [Finder(FORMAT).feed(answer.data)[0].id for answer in found] == [6, 1, 2]
     assert all(len(answer.data) == 21 for answer in found)
     first, second, fourth = (answer.after for answer in found)
     assert second - first == pytest.approx(24 * 10e-6)
@@ -117,7 +118,7 @@ def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
 def test_no_packet_ends_the_bus(number, code, parameters):
     before = bytes(BUS.arm.servos[0].cells[:5])
     for answer in BUS.execute(Packet(number, code, parameters)):
-        assert len(finder().feed(answer.data)) == 1
+        assert len(Finder(FORMAT).feed(answer.data)) == 1
     BUS.arm.advance(0.001)
     assert bytes(BUS.arm.servos[0].cells[:5]) == before
     assert np.isfinite(BUS.arm.angles).all()

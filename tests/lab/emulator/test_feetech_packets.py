@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.robots.registers import magnitude, signed
-from rejoint_lab.emulator.feetech import encode, finder
+from rejoint.robots.wireserver import Finder
+from rejoint_lab.emulator.feetech import FORMAT, encode
 from rejoint_lab.emulator.servobus import BROADCAST, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
 
 GOAL = (0x0873).to_bytes(2, "little")
@@ -32,7 +33,7 @@ PACKETS = st.builds(
 @pytest.mark.parametrize("text", GOLDEN)
 def test_bytes_that_lerobot_sent_are_these_packets(text):
     assert encode(GOLDEN[text]) == bytes.fromhex(text)
-    assert finder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
+    assert Finder(FORMAT).feed(bytes.fromhex(text)) == [GOLDEN[text]]
 
 
 @given(value=st.integers(-2047, 2047), bit=st.sampled_from([11, 15]))
@@ -44,7 +45,7 @@ def test_numbers_with_a_sign_come_back(value, bit):
 def test_packets_come_whole_however_they_are_cut(sent, cuts):
     stream = b"".join(map(encode, sent))
     places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    decoder, found = finder(), []
+    decoder, found = Finder(FORMAT), []
     for begin, end in pairwise(places):
         found += decoder.feed(stream[begin:end])
     assert found == sent
@@ -53,7 +54,7 @@ def test_packets_come_whole_however_they_are_cut(sent, cuts):
 
 @given(noise=st.binary(max_size=60), sent=PACKETS)
 def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
-    decoder = finder()
+    decoder = Finder(FORMAT)
     decoder.feed(noise)
     while decoder.pending:
         decoder.expire()
@@ -62,7 +63,7 @@ def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
 
 @given(sent=PACKETS, other=PACKETS, cut=st.integers(1, 5))
 def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(sent, other, cut):
-    decoder = finder()
+    decoder = Finder(FORMAT)
     found = decoder.feed(encode(sent)[:-cut] + encode(other) * 2)
     while decoder.pending:
         found += decoder.expire()
@@ -72,7 +73,7 @@ def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(
 
 @given(data=st.lists(st.binary(max_size=80), max_size=8))
 def test_nothing_ends_the_reader_and_it_keeps_no_more_than_a_packet(data):
-    decoder = finder()
+    decoder = Finder(FORMAT)
     for part in data:
         for packet in decoder.feed(part):
             assert encode(packet) in b"".join(data)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
+from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import StsArm, StsBus, encode, finder
+from rejoint_lab.emulator.feetech import FORMAT, StsArm, StsBus, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, READ, SYNC_READ, SYNC_WRITE, BusSession, Packet
 
 ARM = load_arm("so101")
@@ -53,7 +54,7 @@ class Client:
         return False
 
     def packets(self):
-        return [[packet.id for packet in finder().feed(data)] for _, data in self.heard]
+        return [[packet.id for packet in Finder(FORMAT).feed(data)] for _, data in self.heard]
 
 
 @pytest.mark.parametrize(
@@ -96,6 +97,6 @@ def test_single_packets_of_an_answer_are_lost():
 def test_a_voltage_that_breaks_down_is_told_with_its_bit():
     ask = encode(Packet(1, READ, bytes([62, 4])))
     client = Client([ask] * 30, "voltage@0.3")
-    first, last = (finder().feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
+    first, last = (Finder(FORMAT).feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
     assert (first.code, first.parameters[0]) == (0, 120)
     assert (last.code, last.parameters[0], last.parameters[3]) == (1, 70, 1)

@@ -55,7 +55,7 @@ def test_one_load_sags_at_two_gains_as_an_owner_saw(p, degrees):
 def test_an_integral_part_removes_the_sag_and_its_limit_bounds_it():
     servo = lone_servo(2)
     servo.settings["p"], servo.settings["i"] = 48, 4
-    servo.settings["integral_limit"] = [[0], [10]]
+    servo.settings["limit"] = [[0], [10]]
     servo.settings["bias"] = -0.157 * servo.settings["stall"]
     servo.advance(6.0)
     free, limited = np.degrees(-servo.qpos[:, 0])

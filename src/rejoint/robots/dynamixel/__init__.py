@@ -39,8 +39,6 @@ class DynamixelAddress(ServoAddress):
         "reverse": lambda text: tuple(text.split(",")),
         "reboot": _yes,
     }
-    ids: tuple[tuple[int, ...], ...] = ()
-    """servos of each joint; empty: in the calibration, or counted from 1 or 11"""
     reverse: tuple[str, ...] = ()
     """joints that turn against their servos"""
     reboot: bool = False

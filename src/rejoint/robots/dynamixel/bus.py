@@ -1,8 +1,7 @@
 """An arm of Dynamixel X servos: one synchronous read of all, in one packet where they can, and one write per cycle.
 
 Registers that outlast the power are never written. What the driver changes in the others is put back when it closes,
-but for the bus watchdog: one left armed would trip as soon as the bus is quiet, and what a position servo does then its
-maker does not say. With it off, a servo whose computer is gone holds its last goal.
+but for the bus watchdog, which would trip as soon as the bus is quiet. With it off, a servo holds its last goal.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import Values
-from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
+from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
 from rejoint.system.errors import InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
@@ -54,15 +53,8 @@ class DynamixelWire(ServoWire):
     places = 4, 8
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        port, client = DynamixelPort(address).connect(), Protocol2PacketHandler()
-        super().__init__(
-            port,
-            partial(client.readTx, port),
-            partial(client.rxPacket, port, False),
-            partial(client.writeTxRx, port),
-            partial(client.syncWriteTxOnly, port),
-        )
-        self._client = client
+        port = DynamixelPort(address).connect()
+        super().__init__(Protocol2PacketHandler(), port, port)
         self.fast = False
         """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
@@ -87,6 +79,10 @@ class DynamixelWire(ServoWire):
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
         judge(self._client.reboot(self._port, servo)[0], servo)
+
+    def _receive(self) -> tuple[list[int], int]:
+        packet, result = self._client.rxPacket(self._port, False)
+        return packet, result
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
         found: int = self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast)
@@ -120,8 +116,6 @@ MIDDLE = 2048
 APART = 45
 """[counts] allowed difference of two servos of one joint (chosen: four degrees; backlash is 3 counts)"""
 FIGHT = "its two servos pull against each other"
-FIRST = {"omx": 11}
-"""ID of an arm's first servo; others count from 1"""
 AWAKE = 3.0
 """[s] for a restart (chosen: ten times what users report)"""
 LEAVE = 3.0
@@ -139,34 +133,19 @@ def say(text: str) -> None:
     logging.getLogger("rejoint").warning(text)
 
 
-def counted(arm: Arm) -> list[tuple[int, ...]]:
-    """IDs of each joint's servos, without gaps; a description calls two of them ``2 XM430-W350``."""
-    found, servo = [], FIRST.get(arm.name, 1)
-    for kind in arm.servos or ("",) * arm.joints:
-        count = 2 if kind.startswith("2 ") else 1
-        found.append(tuple(range(servo, servo + count)))
-        servo += count
-    return found
-
-
 class DynamixelBus(ServoBus):
     """The servos of an arm by ID, without the gripper."""
 
     name = "Dynamixel arm"
     advice = f"{Bus.advice} `rejoint emulate --arm koch` starts an arm to try"
-    confirms, last = 2, 20
+    confirms, last, turned, wire_type = 2, 20, True, DynamixelWire
     wire: DynamixelWire
+    address: DynamixelAddress
 
     def __init__(self, address: DynamixelAddress, arm: Arm) -> None:
-        path = address.calibration
-        self._file = file = None if path is None else read_calibration(path, arm, turned=True)
-        ids = address.ids or (counted(arm) if file is None else file.ids)
-        if len(ids) != arm.joints:
-            raise InputError(f"ids= of the address: expected the servos of {arm.joints} joints, got {len(ids)}")
+        super().__init__(address, arm)
         if strange := set(address.reverse) - set(arm.joint_names):
             raise InputError(f"reverse= of the address: {arm.name} has no {listed(sorted(strange))}")
-        super().__init__(address, arm, ids)
-        self._owner = address
         self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
         self._volts: Array
         self._first_volts: Array | None = None
@@ -174,10 +153,6 @@ class DynamixelBus(ServoBus):
         self._currents: dict[int, tuple[int, int]] = {}  # limits of servos that obey them: found, and largest
         self._before: Values = {}
         self._sound = False  # whether the last question was answered, and without an alert
-
-    def open(self) -> None:
-        """Open the port."""
-        self._wire = DynamixelWire(self.place)
 
     def check(self, servo: int) -> None:
         """Require the model of the arm's description, a mode with positions and no alert; switch a watchdog off."""
@@ -188,7 +163,7 @@ class DynamixelBus(ServoBus):
                 f"{self.call(servo)} is of model {model}, and {self._arm.name} has {wanted} there; say which arm this "
                 "is with --arm, or which servos turn each joint with ids= in the address"
             )
-        if servo in self.wire.alerts and self._owner.reboot and not self._was_ready:
+        if servo in self.wire.alerts and self.address.reboot and not self._was_ready:
             self._restart(servo)
         if servo in self.wire.alerts and not self._was_ready:
             errors = trouble(KIND.faults, self.get(servo, "error"))
@@ -213,7 +188,7 @@ class DynamixelBus(ServoBus):
         homing, drive, mode, low, high, place = map(
             self.get_all, ("homing", "drive", "mode", "low", "high", "position")
         )
-        arm, file, lead = self._arm, self._file, self.leads
+        arm, file, lead = self._arm, self.file, self.leads
         middle = np.full(len(self.ids), float(MIDDLE))
         if file is None:
             say(f"No calibration= in the address: {MIDDLE} counts of each servo are taken for zero of {arm.name}")
@@ -278,7 +253,7 @@ class DynamixelBus(ServoBus):
             load=self._sign * shares,
             voltage=self._volts[self.leads],
             fault=np.array([bool(word) for word in words]),
-            trouble=tuple(words) if any(words) else None,
+            trouble=tuple(words),
         )
 
     def read_gains(self) -> Values:
@@ -310,7 +285,7 @@ class DynamixelBus(ServoBus):
         """Put registers back and release the port; the servos hold."""
         if self._wire is not None and self._sound and self._before:
             with contextlib.suppress(RejointError, OSError), shielded(), self.by(self.clock.now() + LEAVE):
-                self._tuning.walk(self._before)
+                self.walk(self._before)
         self._sound = False
         super().close()
 

@@ -16,7 +16,7 @@ from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech.gains import KIND, FeetechAddress, duty_laws
+from rejoint.robots.feetech import KIND, torque_share
 from rejoint.robots.servobus import (
     STEP,
     VOLT,
@@ -25,7 +25,6 @@ from rejoint.robots.servobus import (
     ServoBus,
     Zeros,
     listed,
-    read_calibration,
     trouble,
 )
 from rejoint.robots.servowire import BlockingPort, ServoWire
@@ -48,8 +47,8 @@ class FeetechWire(ServoWire):
     places = PKT_ID, PKT_ERROR
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        client = self._client = sms_sts(FeetechPort(address).connect())
-        super().__init__(client.portHandler, client.readTx, client.rxPacket, client.writeTxRx, client.syncWriteTxOnly)
+        port = FeetechPort(address).connect()
+        super().__init__(sms_sts(port), port)
 
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
@@ -79,17 +78,9 @@ class FeetechBus(ServoBus):
 
     name = "SO-101"
     advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
-
-    def __init__(self, address: FeetechAddress, arm: Arm) -> None:
-        self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
-        ids = [(servo,) for servo in range(1, arm.joints + 1)] if self._file is None else self._file.ids
-        super().__init__(address, arm, ids)
-        self.supply: tuple[float, ...] = ()
-        """(n,) [V] at the start"""
-
-    def open(self) -> None:
-        """Open the port."""
-        self._wire = FeetechWire(self.place)
+    wire_type = FeetechWire
+    supply: tuple[float, ...] = ()
+    """(n,) [V] at the start"""
 
     def check(self, servo: int) -> None:
         """Require position mode."""
@@ -103,7 +94,7 @@ class FeetechBus(ServoBus):
         """Read zeros from servos and file."""
         homing, low, high = map(self.get_all, ("homing", "low", "high"))
         unsaid = not self.address.zero
-        return zeros_of(self._arm, self._file, homing, low, high, None if unsaid else self.address.middle(self._arm))
+        return zeros_of(self._arm, self.file, homing, low, high, None if unsaid else self.address.middle(self._arm))
 
     def set_up(self) -> None:
         """Lock the memory, and let the servos be prompt."""
@@ -121,20 +112,19 @@ class FeetechBus(ServoBus):
     def read(self) -> Reading:
         """Ask all servos."""
         places, duties, volts, heats, statuses, targets = self.ask_all(*MEASURED)
-        laws = zip(duty_laws(self._tuning.values), duties, targets - places, strict=True)
         words = [trouble(KIND.faults, *seen) for seen in zip(statuses, VOLT * volts, self.supply, strict=True)]
         return Reading(
             position=self.zeros.radians(places),
-            load=np.array([law.share(duty, error) for law, duty, error in laws]),
+            load=torque_share(self.gains, duties, targets - places),
             voltage=VOLT * volts,
             temperature=heats,
             fault=np.array([bool(word) for word in words]),
-            trouble=tuple(words) if any(words) else None,
+            trouble=tuple(words),
         )
 
     def keep(self, gains: ServoGains) -> None:
         """Save gains; each lock is open meanwhile."""
-        self._tuning.tune(gains)
+        self.tune(gains)
         for joint, servo in enumerate(self.ids):
             try:
                 self.set(servo, "lock", 0)
@@ -145,9 +135,9 @@ class FeetechBus(ServoBus):
                     self.set(servo, "lock", 1)
             if self.get(servo, "lock") != 1:
                 raise RobotError(f"the lock of {self.call(servo)} stays open; switch the arm's power off and on")
-        self._tuning.look_up()
-        if any(self._tuning.values[name] != tuple(values) for name, values in gains.items()):
-            raise RobotError(f"the servos have not taken the gains; they are {self._tuning.values}")
+        self.gains = self.read_gains()
+        if any(self.gains[name] != tuple(values) for name, values in gains.items()):
+            raise RobotError(f"the servos have not taken the gains; they are {self.gains}")
 
 
 TURNING = np.radians(300.0)

@@ -89,6 +89,8 @@ QUIET_RELAY = 3.0
 """[s] of resynchronisation after an unknown command (chosen, as `link.SILENCE`)"""
 POWER_UP = 3.0
 """[s] after power_on (chosen)"""
+FAULTS = {0: "voltage", 1: "encoder", 2: "heat", 3: "over-current", 5: "overload"}
+"""by bit of a servo's status"""
 _JOINTS = len(LOWEST_DEG)
 
 
@@ -199,7 +201,8 @@ class MyCobotBus(Bus):
         reply = self.ask("get_servo_status")
         if not isinstance(reply, list) or len(reply) != _JOINTS:
             raise ImpossibleReplyError(f"expected the status of {_JOINTS} servos, got {reply!r}")
-        return Vitals(fault=np.array([bool(status) for status in reply]))
+        words = [", ".join(FAULTS.get(bit, "a fault") for bit in bits or ()) for bits in reply]
+        return Vitals(fault=np.array([bool(bits) for bits in reply]), trouble=tuple(words))
 
     def ask(self, method: str, *arguments: object) -> object:
         """Return what a method of the vendor's client answers; RobotError."""

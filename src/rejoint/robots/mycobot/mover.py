@@ -66,7 +66,7 @@ class Mover(ABC):
         """a new move replaces the present one, else is queued"""
         self.error = 0
         """as in ``get_error_information``"""
-        self._motion = Motion(start, full_speed=FULL_SPEED, acceleration=ACCELERATION)
+        self._motion = Motion(start)
 
     @property
     @abstractmethod
@@ -78,9 +78,10 @@ class Mover(ABC):
     def moving(self) -> bool:
         """Whether a move is under way."""
 
+    @property
     @abstractmethod
     def sensed(self) -> Sensed:
-        """Return what else is measured."""
+        """What else is measured."""
 
     @abstractmethod
     def stop(self, joint: int | None = None) -> None:
@@ -144,7 +145,7 @@ class Mover(ABC):
         if not self._is_clear(angles) or not self._ready():
             return False
         if not self.fresh:
-            return self._motion.enqueue(joint_path(self.destination, angles, FULL_SPEED), rate)
+            return self._motion.enqueue(joint_path(self.destination, angles), rate)
         self._motion.ramp(angles, rate)
         self._write(rate * FULL_SPEED, angles)
         return True
@@ -160,7 +161,7 @@ class Mover(ABC):
             if goal is None:
                 self.error = NO_SOLUTION
             return goal is not None and self.move_joints(goal, rate)
-        path, complete = line_path(self.arm, start, pose, FULL_SPEED)
+        path, complete = line_path(self.arm, start, pose)
         if not complete or self._reach(path) < len(path.points):
             self.error = NO_LINE
             return False
@@ -172,12 +173,12 @@ class Mover(ABC):
         """Run one joint to its limit or a stop."""
         goal = self.planned_angles
         goal[joint] = self.upper[joint] if forwards else self.lower[joint]
-        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
+        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper))
         return self._ready() and self._motion.enqueue(path, rate, now=True)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
         """Run the tool straight to ``pose`` (4, 4)."""
-        path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
+        path, _ = line_path(self.arm, self.planned_angles, pose)
         reach = self._reach(path)
         if reach < 2:
             self.error = NO_LINE
@@ -238,9 +239,9 @@ class TimedPath(NamedTuple):
         return float(self.time[-1])
 
 
-def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
-    """Straight line in joint space, the longest joint at ``speed`` [rad/s]."""
-    return TimedPath(np.stack([start, goal]), np.array([0.0, np.abs(goal - start).max() / speed]))
+def joint_path(start: Array, goal: Array) -> TimedPath:
+    """Straight line in joint space, the longest joint at `FULL_SPEED`."""
+    return TimedPath(np.stack([start, goal]), np.array([0.0, np.abs(goal - start).max() / FULL_SPEED]))
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
@@ -252,7 +253,7 @@ def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
     return _solve(arm, pose, rng.uniform(arm.lower, arm.upper, (_STARTS, arm.joints)), 150, near=start)
 
 
-def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
+def line_path(arm: Arm, start: Array, pose: Array) -> tuple[TimedPath, bool]:
     """Straight tool line from ``start`` as far as possible, and whether it arrives."""
     here = tcp_pose(arm, start)
     change = difference(pose, here)
@@ -264,7 +265,7 @@ def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedP
         point = _solve(arm, via, points[-1][None], 40)
         if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
             break
-        times.append(times[-1] + max(slowest, np.abs(point - points[-1]).max() / speed))
+        times.append(times[-1] + max(slowest, np.abs(point - points[-1]).max() / FULL_SPEED))
         points.append(point)
     return TimedPath(np.array(points), np.array(times)), len(points) > count
 
@@ -280,6 +281,8 @@ def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | 
     return good[np.argmin(np.abs(good - (starts[0] if near is None else near)).max(axis=1))]
 
 
+_RISE = ACCELERATION / FULL_SPEED
+"""[1/s] by which the rate of a path rises, and falls"""
 MAX_QUEUE = 32
 """(chosen)"""
 
@@ -287,14 +290,13 @@ MAX_QUEUE = 32
 class Motion:
     """The reference of n joints, without a clock."""
 
-    def __init__(self, start: Array, *, full_speed: float, acceleration: float) -> None:
+    def __init__(self, start: Array) -> None:
         self.reference = start.copy()
         """(n,) [rad]"""
         self.goal = start.copy()
         """(n,) [rad] end of the present move"""
         self.paused = False
-        self._full_speed, self._acceleration = full_speed, acceleration / full_speed
-        self.ramp_speed = full_speed
+        self.ramp_speed = FULL_SPEED
         """[rad/s] in the present ramp"""
         self._path: TimedPath | None = None
         self.queue: deque[tuple[TimedPath, float]] = deque()
@@ -320,7 +322,7 @@ class Motion:
         """Drop all moves; ramp to ``goal`` at ``rate`` (0..1)."""
         self.hold()
         self.goal = goal.copy()
-        self.ramp_speed = rate * self._full_speed
+        self.ramp_speed = rate * FULL_SPEED
 
     def enqueue(self, path: TimedPath, rate: float, *, now: bool = False) -> bool:
         """Queue ``path``, or drop all moves before; False: the queue is full."""
@@ -366,9 +368,9 @@ class Motion:
 
     def _advance_path(self, path: TimedPath, duration: float) -> None:
         left = path.duration - self._done
-        half = 0.5 * self._acceleration * duration  # the braking distance of a speed that falls in steps
-        braking = np.sqrt(half**2 + 2.0 * self._acceleration * max(left, 0.0)) - half
-        self._rate = min(self._rate + self._acceleration * duration, self._wanted_rate, braking)
+        half = 0.5 * _RISE * duration  # the braking distance of a speed that falls in steps
+        braking = np.sqrt(half**2 + 2.0 * _RISE * max(left, 0.0)) - half
+        self._rate = min(self._rate + _RISE * duration, self._wanted_rate, braking)
         self._done += self._rate * duration
         if left <= 1e-9 or path.duration - self._done <= 1e-4:
             self.reference, self._path = self.goal.copy(), None

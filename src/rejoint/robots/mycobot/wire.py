@@ -7,10 +7,11 @@ A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +19,8 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
 from rejoint.robots.mycobot.mover import Mover, solve_pose
-from rejoint.robots.wireserver import Finder
+from rejoint.robots.wireserver import Format
+from rejoint.system.files import Table, read_toml
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -99,44 +101,135 @@ def encode(frame: Frame) -> bytes:
     return HEADER + bytes((len(frame.payload) + _OVERHEAD, frame.command)) + frame.payload + bytes((FOOTER,))
 
 
-def size_of(data: bytes) -> int | None:
-    """Size of the frame at the beginning; 0: none, None: incomplete."""
-    if len(data) < 3:
-        return None
-    size = data[2] + 3
-    if not _OVERHEAD <= data[2] <= MAX_PAYLOAD + _OVERHEAD:
-        return 0
-    return None if len(data) < size else size * (data[size - 1] == FOOTER)
+def _size(head: bytes) -> int:
+    return head[2] + 3 if _OVERHEAD <= head[2] <= MAX_PAYLOAD + _OVERHEAD else 0
 
 
-class Decoder(Finder[Frame]):
-    """Finds a myCobot's frames."""
+def _read(data: bytes) -> Frame | None:
+    return Frame(data[3], data[4:-1]) if data[-1] == FOOTER else None
 
-    def __init__(self) -> None:
-        super().__init__(HEADER, size_of, lambda data: Frame(data[3], data[4:-1]))
+
+FORMAT = Format(HEADER, 3, _size, _read, encode)
 
 
 _JOG_LENGTH = 0.6
 """[m] beyond any reach"""
 _JOG_TURN = np.radians(175.0)
-MODIFY_VERSION = 1
-SYSTEM_VERSION = 73
-"""Computer 7.3, the first with the present joint limits"""
 
-FIELDS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
-    "b": (1, lambda _, data: data[0]),
-    "s": (1, lambda _, data: min(max(data[0], 1), 100) / 100.0),
-    "j": (1, lambda computer, data: joint_index(computer, data[0])),
-    "w": (2, lambda _, data: unpack_int16(data)[0]),
-    "a": (2, lambda _, data: unpack_angles(data)[0]),
-    "e": (2, lambda computer, data: encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)),
-    "x": (12, lambda _, data: data),
-    "A": (12, lambda _, data: unpack_angles(data)),
-    "E": (12, lambda computer, data: encoder_angle(unpack_int16(data), computer.arm.encoder_step)),
-    "P": (12, lambda _, data: to_pose(unpack_coords(data))),
-}
-"""Parts of a payload: length [bytes], and how it is read.
-"""
+
+class Computer(Mover):
+    """A computer that understands the parts of payloads; False: an order is refused."""
+
+    def joint_index(self, identity: int) -> int | None:
+        """Index of joint 1..n on the wire; None: another servo."""
+        return identity - 1 if 1 <= identity <= self.arm.joints else None
+
+    def clear_error(self) -> None:
+        """Forget the last error."""
+        self.error = 0
+
+    def set_fresh(self, fresh: int) -> None:
+        """Let new moves replace the present one, or wait."""
+        self.fresh = fresh == 1
+
+    def release(self, free: int, *_: int) -> None:
+        """Let go of all joints, or hold them."""
+        self.enable(np.full(self.arm.joints, self.powered and not free))
+
+    def switch(self, on: bool, identity: int, _: int = 0) -> bool:
+        """Switch one servo, or by 0 all."""
+        joint = self.joint_index(identity)
+        if (joint is None and identity != 0) or (on and not self.powered):
+            return False
+        wanted = self.enabled.copy()
+        wanted[slice(None) if joint is None else joint] = on
+        self.enable(wanted)
+        return True
+
+    def move_joint(self, relative: bool, joint: int, angle: float, rate: float) -> bool:
+        """Move one joint to, or by, an ``angle`` [rad]."""
+        angles = self.destination
+        angles[joint] = angle + (angles[joint] if relative else 0.0)
+        return self.move_joints(angles, rate)
+
+    def move_axis(self, relative: bool, number: int, value: float, rate: float) -> bool:
+        """Move the tool along or about an axis."""
+        axis = number - 1
+        if not 0 <= axis < 6:
+            return False
+        coords = to_coords(tcp_pose(self.arm, self.destination))
+        coords[axis] = value / _POSE_SCALE[axis] + (coords[axis] if relative else 0.0)
+        return self.move_tool(to_pose(coords), rate, straight=False, turned=axis >= 3)
+
+    def move_pose(self, pose: Array, rate: float, mode: int = 0) -> bool:
+        """Bring the tool to a pose, in ``mode`` 1 straight."""
+        return self.move_tool(pose, rate, straight=mode == 1)
+
+    def jog_axis(self, first: int, number: int, forwards: int, rate: float) -> bool:
+        """Run the tool along or about an axis; x has the number ``first``."""
+        axis = number - first
+        if not 0 <= axis < 6:
+            return False
+        change = np.zeros(6)
+        change[axis] = (1.0 if forwards else -1.0) * (_JOG_LENGTH if axis < 3 else _JOG_TURN)
+        return self.jog_tool(moved(self.planned_pose(), change), rate)
+
+    def set_limit(self, upper: bool, joint: int, word: float) -> bool:
+        """Set a limit of a joint within the arm's own."""
+        angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
+        lower, higher = (self.lower[joint], angle) if upper else (angle, self.upper[joint])
+        if lower >= higher or lower < self.arm.lower[joint] - slack or higher > self.arm.upper[joint] + slack:
+            return False
+        self.lower[joint], self.upper[joint] = lower, higher
+        return True
+
+    def is_own(self, frame: bytes) -> bool:
+        """Whether a frame is the arm's own."""
+        return not any(frame)
+
+    def colour(self, *_: int) -> None:
+        """Do nothing."""
+
+    def is_limp(self) -> bool:
+        """Whether all joints are free under power."""
+        return self.powered and not self.enabled.any()
+
+    def servo_enabled(self, servo: int) -> bytes:
+        """Return a servo's number, and whether it holds."""
+        return bytes((servo,)) + flag(0 < servo <= self.arm.joints and self.enabled[servo - 1])
+
+    def is_there(self, place: bytes, is_pose: int) -> bool:
+        """Whether the arm has come to a pose, or to angles."""
+        return self.at_pose(to_pose(unpack_coords(place))) if is_pose else self.in_position(unpack_angles(place))
+
+    def encoder(self, joint: int | None) -> bytes:
+        """Return the encoder count of a joint; -1: no gripper."""
+        if joint is None:
+            return pack_int16([-1])
+        return pack_encoders(self.angles[joint : joint + 1], self.arm.encoder_step)
+
+    def limit(self, upper: bool, joint: int | None) -> bytes | None:
+        """Return the number and a limit of a joint."""
+        if joint is None:
+            return None
+        angle = (self.upper if upper else self.lower)[joint]
+        return bytes((joint + 1,)) + pack_int16([np.degrees(angle) * LIMIT_SCALE])
+
+    def posture(self, pose: Array, start: Array) -> Array | None:
+        """Posture (n,) [rad] of a pose near ``start``, or None."""
+        return solve_pose(self.arm, pose, start)
+
+    def pose_at(self, angles: Array) -> Array:
+        """TCP pose (4, 4) at ``angles`` (n,) [rad]."""
+        return tcp_pose(self.arm, angles)
+
+    def planned_pose(self) -> Array:
+        """TCP pose (4, 4) of the reference."""
+        return self.pose_at(self.planned_angles)
+
+    def angles_and_coords(self) -> bytes:
+        """Both, one after the other."""
+        return pack_angles(self.angles) + pack_coords(self.pose)
 
 
 def flag(value: object) -> bytes:
@@ -144,189 +237,95 @@ def flag(value: object) -> bytes:
     return b"\x01" if value else b"\x00"
 
 
-def joint_index(computer: Mover, identity: int) -> int | None:
-    """Index of joint 1..n on the wire; None: another servo."""
-    return identity - 1 if 1 <= identity <= computer.arm.joints else None
+SIZES = {**dict.fromkeys("bsjy", 1), **dict.fromkeys("wae", 2), **dict.fromkeys("xAEP", 12)}
+"""[bytes] of the parts of a payload"""
 
 
-def _move_one(computer: Mover, joint: int, angle: float, rate: float, *, relative: bool = False) -> bool:
-    angles = computer.destination
-    angles[joint] = angle + (angles[joint] if relative else 0.0)
-    return computer.move_joints(angles, rate)
+def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN401
+    """Read a part of a payload."""
+    match part:
+        case "b":
+            return data[0]
+        case "s":
+            return min(max(data[0], 1), 100) / 100.0
+        case "j":
+            return computer.joint_index(data[0])
+        case "w":
+            return unpack_int16(data)[0]
+        case "a":
+            return unpack_angles(data)[0]
+        case "A":
+            return unpack_angles(data)
+        case "e":
+            return encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)
+        case "E":
+            return encoder_angle(unpack_int16(data), computer.arm.encoder_step)
+        case "P":
+            return to_pose(unpack_coords(data))
+    return data
 
 
-def _move_axis(computer: Mover, number: int, value: float, rate: float, *, relative: bool) -> bool:
-    axis = number - 1
-    if not 0 <= axis < 6:
-        return False
-    coords = to_coords(tcp_pose(computer.arm, computer.destination))
-    coords[axis] = value / _POSE_SCALE[axis] + (coords[axis] if relative else 0.0)
-    return computer.move_tool(to_pose(coords), rate, straight=False, turned=axis >= 3)
+def write_answer(computer: Mover, kind: str, value: Any) -> bytes:  # noqa: ANN401
+    """Write an answer of a kind."""
+    match kind:
+        case "b":
+            return bytes((int(value),))
+        case "A":
+            return pack_angles(value)
+        case "P":
+            return pack_coords(value)
+        case "E":
+            return pack_encoders(value, computer.arm.encoder_step)
+        case "v":
+            return pack_int16(value / computer.arm.encoder_step)
+        case "m":
+            return pack_int16(value * 1e3)
+        case "d":
+            return pack_bytes(value * 10.0)
+        case "B":
+            return pack_bytes(value)
+    return bytes(value)
 
 
-def _move_tool(computer: Mover, pose: Array, rate: float, mode: int = 0) -> bool:
-    return computer.move_tool(pose, rate, straight=mode == 1)
+ORDER = "!"
 
 
-def _jog_axis(computer: Mover, number: int, forwards: int, rate: float, *, first: int) -> bool:
-    axis = number - first
-    if not 0 <= axis < 6:
-        return False
-    change = np.zeros(6)
-    change[axis] = (1.0 if forwards else -1.0) * (_JOG_LENGTH if axis < 3 else _JOG_TURN)
-    return computer.jog_tool(moved(tcp_pose(computer.arm, computer.planned_angles), change), rate)
+class Row(NamedTuple):
+    """What a command of the wire does."""
+
+    command: int
+    parts: str
+    call: str
+    answer: str
+    argument: bool | int | None = None
 
 
-def _set_limit(computer: Mover, joint: int, word: float, *, upper: bool) -> bool:
-    angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
-    lower, higher = (computer.lower[joint], angle) if upper else (angle, computer.upper[joint])
-    if lower >= higher or lower < computer.arm.lower[joint] - slack or higher > computer.arm.upper[joint] + slack:
-        return False
-    computer.lower[joint], computer.upper[joint] = lower, higher
-    return True
+class _Commands(Table):
+    rows: tuple[Row, ...]
 
 
-def _switch(computer: Mover, identity: int, _: int = 0, *, on: bool) -> bool:
-    joint = joint_index(computer, identity)
-    if (joint is None and identity != 0) or (on and not computer.powered):
-        return False
-    wanted = computer.enabled.copy()
-    wanted[slice(None) if joint is None else joint] = on
-    computer.enable(wanted)
-    return True
-
-
-def _free(computer: Mover, free: int = 1) -> None:
-    computer.enable(np.full(computer.arm.joints, computer.powered and not free))
-
-
-def _limit(limits: Array, joint: int | None) -> bytes | None:
-    if joint is None:
-        return None
-    return bytes((joint + 1,)) + pack_int16([np.degrees(limits[joint]) * LIMIT_SCALE])
-
-
-def _encoder(computer: Mover, joint: int | None) -> bytes:
-    if joint is None:  # the gripper; none is fitted
-        return pack_int16([-1])
-    return pack_encoders(computer.angles[joint : joint + 1], computer.arm.encoder_step)
-
-
-def _inverse_kinematics(computer: Mover, pose: Array, start: Array) -> bytes | None:
-    angles = solve_pose(computer.arm, pose, start)
-    return None if angles is None else pack_angles(angles)
-
-
-def _is_there(computer: Mover, place: bytes, is_pose: int) -> bool:
-    return computer.at_pose(to_pose(unpack_coords(place))) if is_pose else computer.in_position(unpack_angles(place))
-
-
-def _coords(computer: Mover, angles: Array) -> bytes:
-    return pack_coords(tcp_pose(computer.arm, angles))
-
-
-Act = Callable[..., Any] | str | bytes
-"""On the computer; its method's name; or the answer"""
-Table = dict[tuple[int, int], tuple[str, Act]]
-
-
-def _table(*rows: tuple[int, str, Act]) -> Table:
-    return {(command, sum(FIELDS[part][0] for part in layout)): (layout, act) for command, layout, act in rows}
-
-
-ORDERS = _table(
-    (0x05, "", "clear_queue"),
-    (0x08, "", lambda computer: setattr(computer, "error", 0)),
-    (0x10, "", lambda computer: computer.power(True)),
-    (0x11, "", lambda computer: computer.power(False)),
-    (0x13, "", _free),
-    (0x13, "b", lambda computer, _: _free(computer, 1)),
-    (0x16, "b", lambda computer, fresh: setattr(computer, "fresh", fresh == 1)),
-    (0x1A, "b", _free),
-    (0x21, "jas", _move_one),
-    (0x22, "As", "move_joints"),
-    (0x24, "bws", partial(_move_axis, relative=False)),
-    (0x25, "Ps", _move_tool),
-    (0x25, "Psb", _move_tool),
-    (0x26, "", "pause"),
-    (0x28, "", "resume"),
-    (0x29, "", "stop"),
-    (0x30, "jbs", "jog_joint"),
-    (0x31, "bbs", partial(_jog_axis, first=-2)),
-    (0x32, "bbs", partial(_jog_axis, first=1)),
-    (0x33, "jas", partial(_move_one, relative=True)),
-    (0x34, "bws", partial(_move_axis, relative=True)),
-    (0x3A, "jes", _move_one),
-    (0x3C, "Es", "move_joints"),
-    (0x4C, "jw", partial(_set_limit, upper=False)),
-    (0x4D, "jw", partial(_set_limit, upper=True)),
-    (0x54, "j", "calibrate"),
-    (0x55, "j", "stop"),
-    (0x56, "b", partial(_switch, on=False)),
-    (0x56, "bb", partial(_switch, on=False)),
-    (0x57, "b", partial(_switch, on=True)),
-    # frames of tool and base, and which of them counts: the arm's own
-    *((command, "x", lambda _, frame: not any(frame)) for command in (0x81, 0x83)),
-    *((command, "b", lambda _, frame: not frame) for command in (0x85, 0x87, 0x89)),
-    (0x6A, "bbb", lambda *_: True),  # colour of a lamp that is not there
-)
-"""Actions by command and length [bytes]; False: refused"""
-COMMANDS = frozenset(command for command, _ in ORDERS)
+ROWS = {
+    (row.command, sum(SIZES[part] for part in row.parts)): row
+    for row in read_toml(Path(__file__).with_name("commands.toml"), _Commands, "install rejoint again").rows
+}
+"""By command and length of the payload [bytes]"""
+COMMANDS = frozenset(row.command for row in ROWS.values() if row.answer == ORDER)
 """Those that order something"""
 
-QUESTIONS = _table(
-    (0x01, "", bytes((MODIFY_VERSION,))),
-    *((command, "", bytes((SYSTEM_VERSION,))) for command in (0x02, 0xC1)),
-    (0x07, "", lambda computer: bytes((computer.error,))),
-    (0x12, "", lambda computer: flag(computer.powered)),
-    *((command, "", b"\x01") for command in (0x06, 0x14)),
-    (0x15, "", bytes(7)),
-    (0x17, "", lambda computer: flag(computer.fresh)),
-    (0x1B, "", lambda computer: flag(computer.powered and not computer.enabled.any())),
-    (0x20, "", lambda computer: pack_angles(computer.angles)),
-    (0x23, "", lambda computer: pack_coords(computer.pose)),
-    (0x23, "A", _coords),
-    (0x27, "", lambda computer: flag(computer.paused)),
-    (0x2A, "xb", lambda *given: flag(_is_there(*given))),
-    (0x2B, "", lambda computer: flag(computer.moving)),
-    (0x3B, "j", _encoder),
-    (0x3D, "", lambda computer: pack_encoders(computer.angles, computer.arm.encoder_step)),
-    (0x4A, "j", lambda computer, joint: _limit(computer.lower, joint)),
-    (0x4B, "j", lambda computer, joint: _limit(computer.upper, joint)),
-    (0x50, "b", lambda arm, servo: bytes((servo,)) + flag(0 < servo <= arm.arm.joints and arm.enabled[servo - 1])),
-    (0x51, "", lambda computer: flag(computer.enabled.all())),
-    *((command, "", bytes(12)) for command in (0x82, 0x84)),  # frames of tool and base: the arm's own
-    *((command, "", b"\x00") for command in (0x86, 0x88, 0x8A)),  # which counts, and lines as a rule
-    (0x8D, "PA", _inverse_kinematics),
-    (0xD5, "", lambda computer: pack_angles(computer.angles) + _coords(computer, computer.angles)),
-    (0xD8, "", b"\x00\x01"),
-    (0xE1, "", lambda computer: pack_int16(computer.sensed().speed / computer.arm.encoder_step)),
-    (0xE2, "", lambda computer: pack_int16(computer.sensed().current * 1e3)),
-    (0xE3, "", lambda computer: pack_bytes(computer.sensed().voltage * 10.0)),
-    (0xE4, "", lambda computer: pack_bytes(computer.sensed().alarms)),
-    (0xE5, "", lambda computer: pack_bytes(computer.sensed().temperature)),
-    (0xF6, "", lambda computer: pack_angles(computer.planned_angles)),
-    (0xF7, "", lambda computer: _coords(computer, computer.planned_angles)),
-)
-"""Answers likewise; None: silence"""
 
-
-def answer(computer: Mover, request: Frame) -> Frame | None:
+def answer(computer: Computer, request: Frame) -> Frame | None:
     """Execute ``request``; None: silence."""
-    kind, given, start = (request.command, len(request.payload)), [], 0
-    is_order = kind in ORDERS
-    if not is_order and kind not in QUESTIONS:
+    row = ROWS.get((request.command, len(request.payload)))
+    if row is None:
         return None
-    layout, act = (ORDERS if is_order else QUESTIONS)[kind]
-    for size, read in (FIELDS[part] for part in layout):
-        given.append(read(computer, request.payload[start : start + size]))
-        start += size
-    if isinstance(act, bytes):
-        found: bytes | None = act
-    else:
-        call = getattr(computer, act) if isinstance(act, str) else partial(act, computer)
-        if is_order:
-            found = flag(all(part is not None for part in given) and call(*given) is not False)
-        else:
-            found = call(*given)
-    return None if found is None else Frame(request.command, found)
+    if not row.call:
+        return Frame(request.command, bytes.fromhex(row.answer))
+    given, start = [] if row.argument is None else [row.argument], 0
+    for part in row.parts:
+        given.append(read_part(computer, part, request.payload[start : start + SIZES[part]]))
+        start += SIZES[part]
+    found: Any = attrgetter(row.call)(computer)
+    if row.answer == ORDER:
+        return Frame(request.command, flag(all(part is not None for part in given) and found(*given) is not False))
+    found = found(*given) if callable(found) else found
+    return None if found is None else Frame(request.command, write_answer(computer, row.answer, found))
