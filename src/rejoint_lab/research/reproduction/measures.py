@@ -24,7 +24,7 @@ from rejoint.control.controllers.observation import POINT_SCALE, Observation, la
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.control.loop import run
 from rejoint.control.robot import Controller, Robot
-from rejoint.pages.html import BLUE, INK, ORANGE, RED, Look, look_of
+from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
 from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
@@ -120,7 +120,7 @@ def measure_gains(bench: Bench) -> Found:
     paths, printed = (trace(bench, ranges, targets) for ranges in (ours, literal))
     panels = {
         f"P = {p:g}, D = {d:g}": strokes_of([path], targets, look)
-        for (p, d), look, path in zip(PAIRS, (BLUE, ORANGE, RED), paths, strict=True)
+        for (p, d), look, path in zip(PAIRS, (LOOKS["blue"], LOOKS["orange"], LOOKS["red"]), paths, strict=True)
     }
     bench.draw(ways(panels, views=("from above",)), "fig-10")
     shown = [
@@ -195,9 +195,9 @@ CONVERGED = -5.0
 LAST_POLICIES = 3
 """Averaged last policies; chosen"""
 CONDITIONS = {
-    "with Real2Sim ranges": (WORN, "worn", BLUE),
-    "without, on the worn arms": (HEALTHY, "worn", RED),
-    "without, on its own normal arm": (HEALTHY, "healthy", ORANGE),
+    "with Real2Sim ranges": (WORN, "worn", LOOKS["blue"]),
+    "without, on the worn arms": (HEALTHY, "worn", LOOKS["red"]),
+    "without, on its own normal arm": (HEALTHY, "healthy", LOOKS["orange"]),
 }
 """Trainings, arms on which they are judged, look"""
 _SEED = 1_000_003
@@ -258,7 +258,10 @@ def measure_paths(bench: Bench) -> Found:
         found |= {f"{key}_{name}": 100 * one[name].mean() for name in ("reached", "collided")}
     panels = {
         title: strokes_of(list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)), played[key]["target"][:DRAWN], look)
-        for title, look, key in (("first episode, exploring", RED, "first"), ("trained", BLUE, "last"))
+        for title, look, key in (
+            ("first episode, exploring", LOOKS["red"], "first"),
+            ("trained", LOOKS["blue"], "last"),
+        )
     }
     bench.draw(ways(panels), "fig-11")
     return found | {"arms": arms}
@@ -391,7 +394,7 @@ def _ten(row: VariantRow) -> str:
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
     protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), list[Series](), list[Array]()
-    for profile, look, paper in (("healthy", BLUE, 3.09), ("worn", RED, 22.7)):
+    for profile, look, paper in (("healthy", LOOKS["blue"], 3.09), ("worn", LOOKS["red"], 22.7)):
         bench.on_progress(0.5 * len(series), f"{profile} arm")
         outcome = try_arm(bench, "default", protocol, profile, only="hold")
         row, sets = _row("default", [outcome], protocol), 1e3 * outcome["settled"]
