@@ -227,17 +227,17 @@ class StudioPage(WebPage):
             self._alone = np.inf
             self.studio.stop("the studio, as its page was closed")
 
-    def draw(self, doing: Doing, stopped: str) -> None:
+    def draw(self, shown: Shown | None, doing: Doing) -> None:
         """Draw new cycles, and what has changed in the studio."""
         self._alone = None
-        super().draw(doing, stopped)
+        super().draw(shown, doing)
         if self._frames % SLOWER == 0:
             self.render()
         self._frames += 1
 
-    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what follows the arm."""
-        texts = self.words(shown, seen, doing, stopped)
+        texts = self.words(shown, seen, doing)
         for name in ("error", "guard", "joints", "legend"):
             self.texts[name].content = str(texts[name])
 
@@ -259,10 +259,10 @@ class StudioPage(WebPage):
         found = status.found.get("diagnosis")
         if self.shown is not None and self._marked is not found:
             self._marked = found
-            self.mark(jobs.marks(self.shown.robot.arm, found))
+            self.limbs.mark(jobs.marks(self.shown.robot.arm, found))
         seen = studio.seen  # the job may forget it meanwhile
         if self.shown is not None and not self._recent and seen is not None:
-            self.pose(seen.position[0])
+            self.limbs.pose(seen.position[0])
 
     def _furnish_step(self, status: Status) -> None:
         self._busy = status.busy
