@@ -32,6 +32,7 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_toml
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -40,16 +41,18 @@ FEWEST_STEPS = 10
 """Steps spanned by readings"""
 ON, OFF = 0.9, 0.6
 """on a grid, and off it (1: all readings)"""
-BITS = range(10, 22)
+BITS = np.arange(10, 22)
 """of encoders"""
 SPANS = np.arange(1000, 4097)
 """[counts] of calibrated ranges"""
+ROUND = np.array([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])
+"""Steps of rounded values"""
 
 
-def on_grid(values: Array, *steps: float) -> float:
-    """Largest share of values on multiples of one of ``steps``; 0: few steps."""
-    counted = [step for step in steps if np.ptp(values) >= FEWEST_STEPS * step]
-    return max((float(np.abs(np.mean(np.exp(2j * np.pi * values / step)))) for step in counted), default=0.0)
+def grid_shares(values: Array, steps: Array) -> Array:
+    """Shares (k,) of ``values`` (T,) on multiples of each of ``steps`` (k,); 0: few steps."""
+    shares = np.abs(np.mean(np.exp(2j * np.pi * values[:, None] / steps), axis=0))
+    return np.where(np.ptp(values) >= FEWEST_STEPS * steps, shares, 0.0)
 
 
 def readings(values: Array, decimals: int) -> list[Array]:
@@ -59,8 +62,9 @@ def readings(values: Array, decimals: int) -> list[Array]:
 
 def turn_bits(values: Array) -> int | None:
     """Return encoder bits of readings (T, n) [rad], or None."""
-    found = readings(values, 12)
-    return next((b for b in BITS if found and np.median([on_grid(one, 2 * np.pi / 2**b) for one in found]) > ON), None)
+    shares = [grid_shares(one, 2 * np.pi / 2**BITS) for one in readings(values, 12)]
+    fitting = BITS[np.median(shares, axis=0) > ON].tolist() if shares else []
+    return fitting[0] if fitting else None
 
 
 def unit_by_steps(raw: Array) -> tuple[str | None, str]:
@@ -68,8 +72,8 @@ def unit_by_steps(raw: Array) -> tuple[str | None, str]:
 
     LeRobot counts 4095 steps per turn, others 4096.
     """
-    turn = [360.0 / (COUNTS_PER_TURN - less) for less in (0, 1)]
-    joints = [(on_grid(values, *turn), _normalised_step(values)) for values in readings(raw, 4)]
+    turn = 360.0 / (COUNTS_PER_TURN - np.arange(2))
+    joints = [(grid_shares(values, turn).max(), _normalised_step(values)) for values in readings(raw, 4)]
     degrees = sum(share > ON for share, _ in joints)
     steps = [f"{step:.4f}" for share, step in joints if step and share < OFF]
     if degrees > len(joints) / 2:
@@ -81,11 +85,10 @@ def unit_by_steps(raw: Array) -> tuple[str | None, str]:
 
 def _normalised_step(values: Array) -> float | None:
     """Step of normalised values; None for others, and for round numbers."""
-    chosen = values[:: max(len(values) // 300, 1)]
-    fit = np.abs(np.mean(np.exp(2j * np.pi * chosen[:, None] * SPANS / 200.0), axis=0))
-    best = int(np.argmax(fit))
-    rounded = on_grid(values, 0.05, 0.1, 0.2, 0.25, 0.5, 1.0) > ON
-    return 200.0 / float(SPANS[best]) if fit[best] > ON and not rounded else None
+    steps = 200.0 / SPANS
+    shares = grid_shares(values[:: max(len(values) // 300, 1)], steps)
+    rounded = grid_shares(values, ROUND).max() > ON
+    return float(steps[np.argmax(shares)]) if shares.max() > ON and not rounded else None
 
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
@@ -205,21 +208,9 @@ POINTS = ("target", "true_tcp")
 FEWEST = 2
 """Rows of a log"""
 RECORD_AGAIN = "record it again"
-_TITLES = {
-    "time": ("time", "t", "timestamp"),
-    "position": ("position", "pos", "q", "actual", "act", "present_position", "actual_q", "state.q"),
-    "command": ("command", "cmd", "goal", "goal_position", "tgt", "q_cmd", "positioncmptd", "target_q", "state.q_d"),
-    "torque": ("torque", "effort", "tau", "tau_measured", "state.tau_j"),
-    "current": ("current", "cur", "actual_current"),
-    "gain": ("gain", "kp"),
-    "powered": ("torque_enable",),
-    "target": ("target",),
-    "true_tcp": ("true_tcp",),
-}
-"""Beginnings of titles"""
-_RECORDERS = {"actual_q": ("rad", "s"), "state.q": ("rad", "ms"), "positioncmptd": ("rad", "ms")}
-"""Implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic- identification (Kinova
-Gen3)"""
+_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, list[str]]], "install rejoint again")
+_TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
+"""Beginnings of titles by group; units of angles and times that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
