@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ ROWS = [(0.025 * k, *RNG.normal(size=(2, 2)), np.full(3, np.nan), RNG.normal(siz
 
 def begin(folder: Path, name: str = "deploy-1") -> Journal:
     path = folder / "logs" / f"{name}.parquet"
-    return Journal(path, arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy")
+    return Journal(path, SimpleNamespace(name="planar", joint_names=JOINTS), "tcp://x", "deploy/policy")
 
 
 def written(folder: Path, count: int = len(ROWS)) -> Journal:
@@ -130,6 +131,7 @@ def test_what_is_written_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 import sys, time
 from pathlib import Path
+from types import SimpleNamespace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_journal import ROWS, begin
 journal = begin(Path(sys.argv[1]))

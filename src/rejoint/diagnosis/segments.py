@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, gravity_torque
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.kinematics import frames
-from rejoint.logs.exclusions import Exclusions, Rows, free_runs
+from rejoint.logs.exclusions import Exclusions, free_runs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 
@@ -228,7 +228,7 @@ def log_of(segment: Segment) -> int:
     return int(segment.name.partition("/")[0])
 
 
-def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segment]:
+def _spans(number: int, log: RunLog, free: Mask, time: Array) -> Iterator[Segment]:
     def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
         name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
         return Segment(name=name, kind=kind, start=float(time[first]), stop=float(time[last - 1]), joints=joints)
@@ -247,7 +247,7 @@ def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segmen
             yield segment(STEP, first, last, (joint,))
 
 
-def _steps(log: RunLog, free: Rows, still: Rows, joint: int) -> Iterator[tuple[int, int]]:
+def _steps(log: RunLog, free: Mask, still: Mask, joint: int) -> Iterator[tuple[int, int]]:
     for arrived, last in free_runs(still, log.time, QUIET):
         first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))

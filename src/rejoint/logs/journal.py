@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import LOG_MOST, RunLog, write_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, unused, unwritable
@@ -35,9 +35,9 @@ _MAGIC = "rejoint journal 1"
 class Journal:
     """Writes rows of one arm, until `finish` or `discard`."""
 
-    def __init__(self, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> None:
-        """Open the journal of the run log at ``path``; FileError."""
-        about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
+    def __init__(self, path: Path, arm: Arm, robot: str, label: str) -> None:
+        """Open the journal of the run log at ``path``, of the ``robot`` at this address; FileError."""
+        about = {"arm": arm.name, "joints": arm.joint_names, "robot": robot, "label": label}
         self.path, self.file = path, path.with_name(f".{path.stem}{_ENDING}")
         self.problem: OSError | None = None
         """first write error"""
@@ -55,10 +55,6 @@ class Journal:
             raise unwritable(self.file, error) from error
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
         self._thread.start()
-
-    def see(self, cycle: Any) -> None:  # noqa: ANN401 - of `rejoint.control.recording.Cycle`, a room above
-        """Add a control cycle."""
-        self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
 
     def append(self, time: float, position: Array, command: Array, target: Array, true_tcp: Array) -> None:
         """Add a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""

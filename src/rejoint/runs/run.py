@@ -299,7 +299,7 @@ class _StageRobot(RobotWrapper):
         if motion.journal is None and motion.path is not None:
             if motion.run is not None:
                 motion.run.begin()
-            motion.journal = start_journal(motion.path, self.robot, motion.stage)
+            motion.journal = Journal(motion.path, self.arm, self.address, motion.stage)
         motion.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
         motion.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
         if motion.journal is not None:
@@ -327,12 +327,6 @@ def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Ca
     finally:
         if run is not None and motion.moving > 0.0:
             add(run.folder, StageCost(name=stage, moving=motion.moving, travel=motion.travel))
-
-
-def start_journal(path: Path, robot: Robot, label: str) -> Journal:
-    """Start the journal of a run log."""
-    arm = robot.arm
-    return Journal(path, arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
 
 
 def dated(run: Run, name: str) -> Path:

@@ -141,14 +141,13 @@ class StudioPage(WebPage):
         self._stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP)
         self._stop.hint = "The arm stops and keeps its position, powered."
         self._stop.on_click(lambda _: self.studio.stop())
-        self.texts["now"] = gui.add_html("")
+        self._now = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal", visible=False)
         self._step = gui.add_dropdown("Step", list(TITLES.values()))
         self._step.on_update(lambda event: self._go(event.client is not None))
         self._panel_of_step = gui.add_folder("Find the arm")
         with gui.add_folder("The arm now", expand_by_default=False):
-            for name in ("error", "guard", "joints", "legend"):
-                self.texts[name] = gui.add_html("")
+            self.state = gui.add_html("")
             self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
         with gui.add_folder("When the browser is closed", expand_by_default=False):
             self._closed = gui.add_dropdown("The arm", [HOLDS, "goes on"])
@@ -237,15 +236,13 @@ class StudioPage(WebPage):
 
     def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what follows the arm."""
-        texts = self.words(shown, seen, doing)
-        for name in ("error", "guard", "joints", "legend"):
-            self.texts[name].content = str(texts[name])
+        self.write_state(shown, seen, doing)
 
     def render(self) -> None:
         """Show the status."""
         status, studio = self.studio.status, self.studio
         left = jobs.left(studio)
-        self.texts["now"].content = str(self._words.now(status, left, TITLES))
+        self._now.content = str(self._words.now(status, left, TITLES))
         self._bar.visible = status.busy
         self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
         self._stop.label = "Stopping ..." if status.stopping else "STOP"

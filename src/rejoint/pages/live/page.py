@@ -157,8 +157,6 @@ class WebPage:
         self.shown: Shown | None = None
         """the run that is drawn"""
         self._count, self._recent = 0, list[SeenCycle]()
-        self.texts: dict[str, viser.GuiHtmlHandle] = {}
-        """parts of the panel that follow the arm"""
         self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
         self.furnish(gui)
 
@@ -168,12 +166,13 @@ class WebPage:
 
     def furnish(self, gui: viser.GuiApi) -> None:
         """Put everything into the panel."""
-        self.texts["head"] = gui.add_html("")
+        self._head = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
         self._hold.on_click(lambda _: self._ask_to_hold())
         self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
-        self.texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
+        self.state = gui.add_html("")
+        """what follows the arm"""
 
     @property
     def pace(self) -> float:
@@ -255,28 +254,26 @@ class WebPage:
 
     def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what changed into the panel."""
-        for name, text in self.words(shown, seen, doing).items():
-            self.texts[name].content = str(text)  # viser sends no subclass, such as a template's
+        robot = shown.robot
+        several = f", arm {seen.arm + 1} of {robot.count} side by side" if seen is not None and robot.count > 1 else ""
+        # viser sends no subclass of str, such as a template's
+        self._head.content = str(self._panel.head(f"{robot.address}{several}", shown.controller, doing))
         self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
+        self.write_state(shown, seen, doing)
 
-    def words(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> dict[str, str]:
-        """Return what to read of a cycle, by the parts of the panel."""
-        write, robot, names = self._panel, shown.robot, shown.robot.arm.joint_names
-        error, true, title, joints = np.nan, np.nan, robot.address, ""
+    def write_state(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
+        """Write what follows the arm: its errors, the guard, the joints, and what colours mean."""
+        arm, write = shown.robot.arm, self._panel
+        error, true, joints = np.nan, np.nan, ""
         if seen is not None:
             now = seen.cycle
-            error = float(np.linalg.norm(now.aim - tcp_position(robot.arm, now.position)))
+            error = float(np.linalg.norm(now.aim - tcp_position(arm, now.position)))
             true = float(np.linalg.norm(now.target - now.true_tcp))
-            title += f", arm {seen.arm + 1} of {robot.count} side by side" if robot.count > 1 else ""
-            joints = write.joints(names, now, seen.temperature, HOT)
+            joints = write.joints(arm.joint_names, now, seen.temperature, HOT)
+        guarded = write.guard(guard_actions(self._recent, arm.joint_names), MEANINGS, doing.stopped)
         colours = [f"rgb{colour}" for colour in (LINKS[1], GHOST, TRAIL, TARGET, TRUE)]
-        return {
-            "head": write.head(title, shown.controller, doing),
-            "error": write.error(error, true, shown.within),
-            "guard": write.guard(guard_actions(self._recent, names), MEANINGS, doing.stopped),
-            "joints": joints,
-            "legend": write.legend(colours, self._ghost is not None, cell_of(reach(robot.arm))),
-        }
+        legend = write.legend(colours, self._ghost is not None, cell_of(reach(arm)))
+        self.state.content = f"{write.error(error, true, shown.within)}{guarded}{joints}{legend}"
 
     def _ask_to_hold(self) -> None:
         self._hold.label, self._hold.disabled = "Asked to hold", True
