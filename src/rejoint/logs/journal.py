@@ -56,6 +56,10 @@ class Journal:
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
         self._thread.start()
 
+    def see(self, cycle: Any) -> None:  # noqa: ANN401 - of `rejoint.control.recording.Cycle`, a room above
+        """Add a control cycle."""
+        self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
+
     def append(self, time: float, position: Array, command: Array, target: Array, true_tcp: Array) -> None:
         """Add a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""
         if self.problem is None:

@@ -118,8 +118,7 @@ class RunRecorder:
         """Take a control cycle."""
         self._cycles.append(cycle)
         if self._journal is not None:
-            columns = (cycle.time, cycle.position, cycle.command, cycle.target, cycle.true_tcp)
-            self._journal.append(*(column[0] for column in columns))
+            self._journal.see(cycle)
 
     def turn(self, *, keep: bool = True) -> None:
         """Write what was seen if it is worth it, and continue in a new log."""

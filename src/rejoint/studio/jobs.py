@@ -180,9 +180,9 @@ def repair(studio: Studio, *, quick: bool = False) -> None:
     done = rejoint.repair(
         status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
     )
-    from rejoint.pages.report.page import before_after, read_contents  # late: a repair has asked for what it needs
+    from rejoint.pages.report.page import read_contents  # late: a repair has asked for what it needs
 
-    errors, advice = before_after(read_contents(run.path)), done.recommendation
+    errors, advice = read_contents(run.path).before_after(), done.recommendation
     sentence = "" if errors is None else errors.sentence
     if quick:
         sentence = f"A quick try, which is no result. {sentence}"

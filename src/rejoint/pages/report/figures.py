@@ -74,12 +74,17 @@ _SIZE = re.compile(r'^.*?<svg [^>]*viewBox="([^"]+)"[^>]*>', re.DOTALL)
 _NOISE = re.compile(r" font-family: [^;]*;|\s*<style type=\"text/css\">.*?</style>|(?<=[\dz]) (?=\n)", re.DOTALL)
 
 
+def lay_out(figure: Figure) -> None:
+    """Find the layout of a figure for good: any engine would draw it twice for every file."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine(None)
+
+
 @STYLED
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     """Figure as SVG in the page's colours; ``key`` makes identifiers unique, ``alt`` is read out."""
     buffer = io.StringIO()
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)  # the layout is found now; any engine has every file drawn twice
+    lay_out(figure)
     with mpl.rc_context({"svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = _ID.sub(lambda match: f"{match[1]}{key}-", _NOISE.sub("", buffer.getvalue()))
@@ -189,6 +194,14 @@ def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str = "") -> 
         axes.invert_xaxis()
 
 
+@STYLED
+def write_png(path: Path, figure: Figure) -> Path:
+    """Write a figure on white, whole or not at all; returns its ``path``."""
+    how: dict[str, Any] = {"format": "png", "dpi": PNG_DPI, "facecolor": "white", "metadata": {"Software": None}}
+    write_whole(path, lambda temporary: figure.savefig(temporary, **how))
+    return path
+
+
 STEP, LONGEST = 0.02, 8.0
 """[s] between points of an error curve, and its length (chosen)"""
 LONGEST_ARROW = 0.15
@@ -214,14 +227,10 @@ class Gallery:
         self._figures[key] = figure
         return Picture(svg=inline_svg(figure, key, alt), caption=caption)
 
-    @STYLED
-    def save(self, folder: Path) -> list[Path]:
-        """Write figures as ``folder/KEY.png``, on white."""
-        how = {"format": "png", "dpi": PNG_DPI, "facecolor": "white", "metadata": {"Software": None}}
-        found = {folder / f"{key}.png": figure for key, figure in self._figures.items()}
-        for path, figure in found.items():
-            write_whole(path, lambda temporary, figure=figure: figure.savefig(temporary, **how))  # type: ignore[misc]
-        return list(found)
+    def save(self, folder: Path) -> None:
+        """Write figures as ``folder/KEY.png``."""
+        for key, figure in self._figures.items():
+            write_png(folder / f"{key}.png", figure)
 
     def tool_places(self, found: Calibration, measured: Measurements) -> Picture | None:
         """Draw arrows from the encoders' tool to the measured one; None without a whole point."""
@@ -314,6 +323,5 @@ def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
     errors.set(xlabel="time [s]", ylabel="encoder error [mm]", ylim=(0.0, None))
     errors.set_title("along the way")
     errors.legend()
-    gallery = Gallery()
-    gallery.show(_UNSAFE.sub("-", f"follow-{done.path}"), figure, alt=f"the path {done.path} and where the arm was")
-    return gallery.save(folder.figures)[0]
+    lay_out(figure)
+    return write_png(folder.figures / f"{_UNSAFE.sub('-', f'follow-{done.path}')}.png", figure)
