@@ -7,7 +7,8 @@ import pytest
 from log_samples import ARM, worn_sample, write_table
 
 import rejoint
-from rejoint.logs import export_log, import_logs
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import InputError
 

@@ -12,7 +12,9 @@ from log_samples import ARM, sample, write_sage, write_table
 from test_logs_lerobot import DATA, DATASET
 from test_logs_mcap import write_foxglove, write_json
 
-from rejoint.logs import ImportOptions, export_log, import_logs
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import FileError
 

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import app
-from rejoint.logs import ImportOptions, import_logs, read_map
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions, read_map
 from rejoint.logs.runlog import read_log
 from rejoint.system.errors import FileError, InputError
 

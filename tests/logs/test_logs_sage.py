@@ -11,7 +11,8 @@ import pytest
 from log_samples import ARM, sample, worn_sample, write_sage
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import read_log
 from rejoint.system.errors import FileError
 

@@ -13,8 +13,10 @@ import rejoint
 from rejoint.arms import Arm
 from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
-from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions, read_map
 from rejoint.logs.runfolder import RunFolder, read_info
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of

@@ -187,7 +187,7 @@ class RawMotion(NamedTuple):
 
 
 UNITS: dict[str, dict[str, float]] = {
-    "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
+    "time": TIME_UNITS,
     "position": ANGLES,
     "command": ANGLES,
     "target": LENGTHS,
@@ -197,7 +197,7 @@ UNITS: dict[str, dict[str, float]] = {
     "gain": {},
     "powered": {},
 }
-"""SI units per unit of each group"""
+"""SI units per unit of each group; of times, units per second"""
 SI = {"torque": "N m", "current": "A"}
 NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
@@ -208,9 +208,9 @@ POINTS = ("target", "true_tcp")
 FEWEST = 2
 """Rows of a log"""
 RECORD_AGAIN = "record it again"
-_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, list[str]]], "install rejoint again")
+_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
 _TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
-"""Beginnings of titles by group; units of angles and times that recorders imply"""
+"""Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
@@ -278,16 +278,17 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         found = found.take(seen)
     if sent is not None and sent is not state:
         found = sent.held(found, half)
-    notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
+    notes = (note for table in tables for note in table.notes)
     return replace(found, notes=(*notes, *found.notes))
 
 
 class _GroupedColumns:
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
         self.frame, self.arm, self.options = frame, arm, options
-        self.notes: list[str] = []
+        self.notes = [*frame.notes]
         known = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
-        self.recorder = next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), (None, None))
+        self.implied = dict.fromkeys(MOTION, frame.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
+        self.implied |= next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), {})
         self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
         mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
         self.mapped = {ours for ours, _ in mapped}
@@ -337,17 +338,15 @@ class _GroupedColumns:
         return found
 
     def _unit(self, column: Column) -> str:
-        kind = {"time": "time"}.get(column.group, "angle" * (column.group in MOTION))
+        kind = "angle" if column.group in MOTION else column.group
         option, declared = f"--{kind}-unit", getattr(self.options, f"{kind}_unit", None)
         if column.unit and declared and column.unit != declared:
             said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
             raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
-        usual = {"time": self.recorder[1], "angle": self.recorder[0] or self.frame.angle_unit}
-        other = None if column.group in POINTS else next(iter(UNITS[column.group]), "") if self.recorder[0] else ""
-        unit = column.unit or declared or usual.get(kind, other)
+        unit = column.unit or declared or self.implied.get(column.group)
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
-            remedy = f"rename it {endings}" + f" or set {option}" * bool(kind)
+            remedy = f"rename it {endings}" + f" or set {option}" * (kind in ("angle", "time"))
             raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
 

@@ -154,7 +154,6 @@ class Imported:
 
 TEXT = "table"
 READERS: dict[str, Reader] = {"sage": SAGE, TEXT: TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
-FORMATS = tuple(READERS)
 """Importable formats"""
 
 _EXPECTED = (
@@ -181,7 +180,7 @@ def import_logs(
     out
         new or empty folder of ``MOTION.parquet``
     format
-        one of `FORMATS`; None detects it
+        a key of `READERS`; None detects it
     options
         units, joint names, topics
     on_progress
