@@ -18,7 +18,7 @@ from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import import_logs
 from rejoint.logs.joints import ImportOptions, read_map
 from rejoint.logs.runfolder import RunFolder, read_info
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
 from rejoint.robots.family import SerialAddress
@@ -164,7 +164,7 @@ def export(
             "urdf, mjcf, isaaclab, lerobot, datasheet, onnx or ros2"
         )
     else:
-        export_log(read_log(source), out)
+        export_log(RunLog.load(source), out)
     call.result(str(out))
     return {"out": out}
 

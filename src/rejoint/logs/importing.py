@@ -28,7 +28,7 @@ from rejoint.logs.consistency import (
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
-from rejoint.logs.runlog import TWO_TURNS, RunLog, describe, write_log
+from rejoint.logs.runlog import TWO_TURNS, RunLog, describe
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
@@ -278,7 +278,7 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
         for name, log in logs.items():
-            write_log(temporary / f"{name}.parquet", log)
+            log.save(temporary / f"{name}.parquet")
         temporary.chmod(0o755)
         if out.exists():
             out.rmdir()

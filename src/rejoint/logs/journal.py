@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.runlog import LOG_MOST, RunLog, write_log
+from rejoint.logs.runlog import LOG_MOST, RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, unused, unwritable
 
@@ -70,7 +70,7 @@ class Journal:
         """Write the run log and remove the journal; FileError."""
         self.close()
         try:
-            write_log(self.path, log)
+            log.save(self.path)
         except FileError as error:
             share = "What the arm did" if self.problem is None else "What was written of it before the disk was full"
             error.add_note(f"{share} is in {self.file}; the next command in this folder makes a log of it.")
@@ -139,7 +139,7 @@ def _convert(file: Path, path: Path) -> Path | None:
     made = None
     if log is not None and len(log):
         made = unused(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
-        write_log(made, log)
+        log.save(made)
     file.unlink(missing_ok=True)
     return made
 

@@ -199,11 +199,43 @@ class RunLog:
     @classmethod
     def load(cls, path: Path | str) -> RunLog:
         """Read a run log; FileError."""
-        return read_log(Path(path))
+        path, remedy = Path(path), "record it again or take another file"
+        with reading(path, "not a readable run log", remedy):
+            require_file(path, LOG_MOST, remedy)
+            table = read_parquet(path, remedy) if begins_with(path, b"PAR1") else None
+            if table is None or _METADATA_KEY not in (table.schema.metadata or {}):
+                raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
+            header = json.loads(table.schema.metadata[_METADATA_KEY])
+            if header["format"] != FORMAT:
+                raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
+            groups: dict[str, list[Array]] = {}
+            for column in table.column_names:
+                groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
+            (time,) = groups.pop("time")
+            arrays = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
+            log = cls(
+                arm=header["arm"],
+                joint_names=tuple(header["joints"]),
+                robot=header["robot"],
+                label=header["label"],
+                time=time,
+                extra=header["extra"],
+                units=header.get("units", {}),
+                **arrays,
+            )
+            if header.get("digest", _digest(log)) != _digest(log):
+                raise FileError(path, CHANGED, remedy)
+            return log
 
     def save(self, path: Path | str) -> None:
-        """Write a run log, whole or not at all; FileError."""
-        write_log(Path(path), self)
+        """Write a run log as Parquet, whole or not at all; FileError."""
+        columns = {"time": self.time}
+        for group in self.arrays[1:]:
+            named = zip(self.parts(group), getattr(self, group).T, strict=True)
+            columns |= {f"{group}.{name}": values for name, values in named}
+        header = {"format": FORMAT, **_about(self), "digest": _digest(self)}
+        table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
+        write_parquet(Path(path), table)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
         """Raise InputError unless arm, joints, times and angles fit."""
@@ -221,48 +253,6 @@ class RunLog:
                 raise InputError(
                     f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
                 )
-
-
-def write_log(path: Path, log: RunLog) -> None:
-    """Write a run log as Parquet."""
-    columns = {"time": log.time}
-    for group in log.arrays[1:]:
-        named = zip(log.parts(group), getattr(log, group).T, strict=True)
-        columns |= {f"{group}.{name}": values for name, values in named}
-    header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
-    table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
-    write_parquet(path, table)
-
-
-def read_log(path: Path) -> RunLog:
-    """Read a run log; FileError."""
-    remedy = "record it again or take another file"
-    with reading(path, "not a readable run log", remedy):
-        require_file(path, LOG_MOST, remedy)
-        table = read_parquet(path, remedy) if begins_with(path, b"PAR1") else None
-        if table is None or _METADATA_KEY not in (table.schema.metadata or {}):
-            raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
-        header = json.loads(table.schema.metadata[_METADATA_KEY])
-        if header["format"] != FORMAT:
-            raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
-        groups: dict[str, list[Array]] = {}
-        for column in table.column_names:
-            groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
-        (time,) = groups.pop("time")
-        arrays = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
-        log = RunLog(
-            arm=header["arm"],
-            joint_names=tuple(header["joints"]),
-            robot=header["robot"],
-            label=header["label"],
-            time=time,
-            extra=header["extra"],
-            units=header.get("units", {}),
-            **arrays,
-        )
-        if header.get("digest", _digest(log)) != _digest(log):
-            raise FileError(path, CHANGED, remedy)
-        return log
 
 
 def write_parquet(path: Path, table: pa.Table) -> None:

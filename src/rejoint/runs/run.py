@@ -19,7 +19,7 @@ from rejoint.control.robot import JointState, Robot, RobotWrapper
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
@@ -197,7 +197,7 @@ class Run(Readable):
     @property
     def logs(self) -> dict[str, RunLog]:
         """All run logs by name, sorted."""
-        return {name: read_log(path) for name, path in self.folder.logs().items()}
+        return {name: RunLog.load(path) for name, path in self.folder.logs().items()}
 
 
 def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> Path:

@@ -29,7 +29,7 @@ from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
 from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, cost, read_info
-from rejoint.logs.runlog import RunLog, read_log, read_parquet
+from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.figures import Gallery, in_base
@@ -146,7 +146,7 @@ class Contents:
         """One hold trial per controller."""
         tried = () if self.comparison is None else self.comparison.controllers
         files = {name: self.folder.log(f"hold/{name}/0/0") for name in tried}
-        return {name: read_log(file) for name, file in files.items() if file.exists()}
+        return {name: RunLog.load(file) for name, file in files.items() if file.exists()}
 
     def before_after(self) -> BeforeAfter | None:
         """Compare the uncorrected arm with the recommended controller; None: not compared."""
@@ -165,7 +165,7 @@ class Contents:
             return MeanErrors(encoders=None, tool=NOT_KNOWN)
         tool, log = open_loop.true_error, self.folder.log("targets")
         if tool.value is None and self.calibration is not None and log.exists():
-            tool = modelled_errors(read_log(log), self.calibration)
+            tool = modelled_errors(RunLog.load(log), self.calibration)
         return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=tool)
 
     def next_steps(self) -> dict[str, str]:

@@ -27,7 +27,7 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
@@ -207,7 +207,7 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
     try:
         with staged(None, LABEL, folder / LOG) as watch:
             ((log, warm),) = record_check(watch(robot), on_progress=on_progress)
-            write_log(folder / LOG, log)
+            log.save(folder / LOG)
     except BaseException:
         if not any(folder.iterdir()):
             folder.rmdir()
