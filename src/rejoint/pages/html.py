@@ -63,10 +63,9 @@ def write_page(path: Path, template: str, **values: object) -> Path:
     return path
 
 
-@cache
-def macros(template: str, **values: str) -> Any:  # noqa: ANN401 - what the template has
-    """Macros of a template, with ``values``."""
-    return _environment().get_template(template).make_module(values)
+def macros(template: str) -> Any:  # noqa: ANN401 - what the template has
+    """Macros of a template."""
+    return _environment().get_template(template).module
 
 
 @cache

@@ -25,7 +25,7 @@ from rejoint.arms import CATALOGUE, Array, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observers
 from rejoint.pages.html import macros
-from rejoint.pages.live.page import AMBER, GREEN, GREY, PACES, RED, SLOWER, TARGET, WebPage
+from rejoint.pages.live.page import PACES, SLOWER, TARGET, WebPage
 from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
@@ -125,7 +125,7 @@ class StudioPage(WebPage):
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
         self._parts: list[Any] = []
         self._marked: object = None
-        self._words = macros("studio.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self._words = macros("studio.html")
         super().__init__(host, port)
         if token:
             self.address += f"/?token={token}"

@@ -33,7 +33,6 @@ TRAIL: Colour = (235, 120, 30)
 TARGET: Colour = (30, 160, 90)
 TRUE: Colour = (200, 30, 160)
 """of the tool"""
-RED, AMBER, GREEN, GREY = "#c92a2a", "#b35c00", "#2b8a3e", "#868e96"
 TRAIL_POINTS = 400
 """(chosen: at `APART` that is 0.8 m)"""
 APART = 2e-3
@@ -157,7 +156,7 @@ class WebPage:
         self.shown: Shown | None = None
         """the run that is drawn"""
         self._count, self._recent = 0, list[SeenCycle]()
-        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self._panel = macros("live.html")
         self.furnish(gui)
 
     def serve(self, host: str, port: int) -> viser.ViserServer:
