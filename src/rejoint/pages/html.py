@@ -11,6 +11,7 @@ import numpy as np
 from rejoint.control.servogains import RIVALS, inner_name
 from rejoint.pages import words
 from rejoint.system.files import read_toml, write_text
+from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
     import jinja2
@@ -88,11 +89,7 @@ def _environment() -> jinja2.Environment:
         "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
         "quoted": lambda names: words.listed([f"“{name}”" for name in names]),
     }
-    theme = {
-        name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS.values()))
-        for name, key in (("light", "colour"), ("dark", "dark"))
-    }
-    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval}
-    found.globals |= {"theme": theme} | known
+    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "version": __version__}
+    found.globals |= {"looks": LOOKS.values()} | known
     found.globals["m"] = found.get_template("macros.html").module
     return found

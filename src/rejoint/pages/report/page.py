@@ -33,11 +33,11 @@ from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.figures import Gallery, in_base
-from rejoint.pages.words import number, plural
+from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, reading, write_json, write_text
-from rejoint.system.shell import __version__, command
+from rejoint.system.shell import command
 from rejoint.system.statistics import above_zero, spread
 from rejoint.twin import parameters
 from rejoint.twin.parameters import Parameter
@@ -226,9 +226,6 @@ def read_contents(path: Path) -> Contents:
     return Contents(folder=folder, info=info, arm=arm, **found)
 
 
-CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."
-
-
 def write_report(folder: Path) -> Path:
     """Write ``report.html`` and ``figures/*.png`` into a run folder; FileError if damaged or empty."""
     contents, gallery = read_contents(folder), Gallery()
@@ -241,22 +238,13 @@ def write_report(folder: Path) -> Path:
 def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) -> Path:
     """Write ``replay.html`` and ``replay.json``; returns the page."""
     write_json(folder / "replay.json", judgement)
-    return write_page(
-        folder / "replay.html",
-        "replay.html",
-        title=f"Replay: {judgement.arm}",
-        parts=(),
-        subtitle=f"{twin} on {plural(len(judgement.motions), 'motion')} of {logs}",
-        verdict=(*tables.answer(judgement)[:2], CAVEAT),
-        it={"judgement": judgement},
-        tables=tables,
-        footer=f"Made by rejoint {__version__}.",
-    )
+    page = folder / "replay.html"
+    return write_page(page, page.name, it={"judgement": judgement}, twin=twin, logs=logs, tables=tables)
 
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
     """Fill page and gallery."""
-    return render("report.html", it=contents, draw=gallery, logs=LOGS, version=__version__, **_NAMES)
+    return render("report.html", it=contents, draw=gallery, logs=LOGS, **_NAMES)
 
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
@@ -294,7 +282,6 @@ def write_datasheet(folder: Path, out: Path) -> Path:
         out,
         "datasheet.html",
         it=it,
-        version=__version__,
         reversal=spread(back, np.arange(len(back))) if len(back) else None,
         **_NAMES,
     )
