@@ -207,7 +207,6 @@ POINTS = ("target", "true_tcp")
 """Groups of places"""
 FEWEST = 2
 """Rows of a log"""
-RECORD_AGAIN = "record it again"
 _TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
 _TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
@@ -432,7 +431,9 @@ class _GroupedColumns:
         times, command, path = self.clock()[known], command[known], self.frame.path
         for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
             if len(clock) < FEWEST:
-                raise FileError(file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", RECORD_AGAIN)
+                raise FileError(
+                    file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", "record it again"
+                )
         late = ~(np.diff(times) >= 0)
         if late.any():
             where = f"command, {self.frame.place} {self.frame.number[known][1:][late][0]}"
@@ -447,9 +448,6 @@ class _GroupedColumns:
             )
         last = np.searchsorted(times, motion.time, side="right") - 1
         begun = last >= 0
-        if begun.sum() < FEWEST:
-            said = f"{int(begun.sum())} state(s) after the first command, a log needs {FEWEST}"
-            raise FileError(motion.path, said, RECORD_AGAIN)
         if not begun.all():
             self.notes.append(f"state: {int((~begun).sum())} samples before the first command left out")
         return replace(motion, command=command[last]).take(begun)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -152,8 +153,8 @@ class Imported:
     """failed logs with reasons"""
 
 
-TEXT = "table"
-READERS: dict[str, Reader] = {"sage": SAGE, TEXT: TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
+Format = Literal["sage", "table", "mcap", "rosbag", "lerobot"]
+READERS: dict[Format, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 """Importable formats"""
 
 _EXPECTED = (
@@ -167,7 +168,7 @@ def import_logs(
     arm: Arm,
     *,
     out: Path,
-    format: str | None = None,  # noqa: A002
+    format: Format | None = None,  # noqa: A002
     options: ImportOptions | None = None,
     on_progress: Progress = no_progress,
 ) -> Imported:
@@ -201,8 +202,6 @@ def import_logs(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     chosen = detect(source) if format is None else format
-    if chosen not in READERS:
-        raise InputError(f"--format {format!r} is unknown; choose from {', '.join(READERS)}")
     paths = READERS[chosen].found(source) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
@@ -251,14 +250,14 @@ def import_logs(
     )
 
 
-def detect(source: Path) -> str:
+def detect(source: Path) -> Format:
     """Format of the logs at a path; FileError unless exactly one fits."""
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         fitting = [name for name, reader in READERS.items() if reader.found(source)]
-        if len(fitting) > 1 and TEXT in fitting:  # first bytes and names are surer than that it is text
-            fitting.remove(TEXT)
+        if len(fitting) > 1 and "table" in fitting:  # first bytes and names are surer than that it is text
+            fitting.remove("table")
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")

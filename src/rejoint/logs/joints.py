@@ -10,7 +10,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,10 +20,11 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import JSON_MOST, TOML_MOST, read_bounded, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
 
-ANGLE_UNITS = ("rad", "deg", "normalised")
+AngleUnit = Literal["rad", "deg", "normalised"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+Stamp = Literal["header", "log"]
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Ticks per second"""
-STAMPS = ("header", "log")
 
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(
@@ -53,9 +54,9 @@ def read_linear(text: str, known: Collection[str]) -> tuple[str, float, float]:
 class ImportOptions:
     """Declarations about imported files; None: as in the file."""
 
-    angle_unit: str | None = None
+    angle_unit: AngleUnit | None = None
     """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
-    time_unit: str | None = None
+    time_unit: TimeUnit | None = None
     """``s``, ``ms``, ``us`` or ``ns``"""
     rate: float | None = None
     """[Hz] of rows without a time"""
@@ -67,7 +68,7 @@ class ImportOptions:
     """bags: measured joint states; default ``/joint_states``"""
     command_topic: str | None = None
     """bags: commanded joint states; default ``/joint_commands``"""
-    stamp: str | None = None
+    stamp: Stamp | None = None
     """bags: ``header`` (messages) or ``log`` (recording times)"""
     calibration: Path | None = None
     """LeRobot: of normalised values; default: by encoder steps"""
@@ -77,11 +78,6 @@ class ImportOptions:
     """import despite failed consistency checks, and store the reasons"""
 
     def __post_init__(self) -> None:
-        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", TIME_UNITS), ("stamp", STAMPS)):
-            value = getattr(self, name)
-            if value not in (None, *known):
-                option = f"--{name.replace('_', '-')}"
-                raise InputError(f"{option} {value!r} is unknown; choose from {', '.join(known)}")
         if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
             raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
         if self.rate is not None and not 0.0 < self.rate < float("inf"):

@@ -44,6 +44,7 @@ _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
 """Column names of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
+_ABOUT = ("arm", "robot", "label", "extra")
 _OPTIONAL = ("servo_load", "torque", "current", "gain", "aim")
 _POINTS = ("target", "true_tcp", "aim")
 
@@ -212,17 +213,10 @@ class RunLog:
             for column in table.column_names:
                 groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
             (time,) = groups.pop("time")
-            arrays = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
-            log = cls(
-                arm=header["arm"],
-                joint_names=tuple(header["joints"]),
-                robot=header["robot"],
-                label=header["label"],
-                time=time,
-                extra=header["extra"],
-                units=header.get("units", {}),
-                **arrays,
-            )
+            arrays: dict[str, Any] = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
+            about = {key: header[key] for key in _ABOUT}
+            joints, units = tuple(header["joints"]), header.get("units", {})
+            log = cls(joint_names=joints, units=units, time=time, **about, **arrays)
             if header.get("digest", _digest(log)) != _digest(log):
                 raise FileError(path, CHANGED, remedy)
             return log
@@ -279,7 +273,7 @@ def _load_pandas() -> None:
 
 
 def _about(log: RunLog) -> dict[str, Any]:
-    about = {key: getattr(log, key) for key in ("arm", "robot", "label", "extra")} | {"joints": list(log.joint_names)}
+    about = {key: getattr(log, key) for key in _ABOUT} | {"joints": log.joint_names}
     return about | ({"units": log.units} if log.units else {})
 
 

@@ -87,11 +87,7 @@ def unwritable(path: Path, error: OSError) -> FileError:
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
     """Read a file of at most ``most`` bytes; FileError, OSError."""
     require_file(path, most, remedy)
-    with path.open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise FileError(path, f"grew beyond {_size(most)} while it was read", remedy)
-    return data
+    return path.read_bytes()
 
 
 @contextmanager
@@ -224,8 +220,7 @@ _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 def write_sealed(path: Path, table: Mapping[str, Any], about: str = "") -> None:
     """Write TOML below comments ``about`` it, whole or not at all."""
     text = "".join(f"# {line}\n" for line in about.splitlines()) + tomlkit.dumps(table)
-    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, f"# digest of the text below: {digest(text.encode()).decode()}\n{text}")
 
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
