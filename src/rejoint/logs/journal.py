@@ -20,7 +20,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import LOG_MOST, RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_bounded, unused, unwritable
+from rejoint.system.files import read_bounded, unused, writing
 
 INTERVAL = 0.25
 """[s] between writes (chosen)"""
@@ -42,7 +42,7 @@ class Journal:
         self.problem: OSError | None = None
         """first write error"""
         self._rows, self._over = deque[bytes](), threading.Event()
-        try:
+        with writing(self.file):
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._handle = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
             try:
@@ -51,8 +51,6 @@ class Journal:
                 os.close(self._handle)
                 self.file.unlink(missing_ok=True)
                 raise
-        except OSError as error:
-            raise unwritable(self.file, error) from error
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
         self._thread.start()
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.logs.journal import recover
 from rejoint.system.errors import FileError
-from rejoint.system.files import UNFINISHED, UNWRITABLE, read_json, unwritable, write_json
+from rejoint.system.files import UNFINISHED, read_json, write_json, writing
 
 
 class FilePlace:
@@ -134,21 +134,17 @@ def read_info(path: Path) -> RunInfo:
 def locked(folder: RunFolder) -> Iterator[None]:
     """Lock a run folder, and repair what a killed process left; FileError if locked or not writable."""
     path = folder.path / ".lock"
-    try:
+    with writing(folder.path, "nothing can be written there"):
         folder.path.mkdir(parents=True, exist_ok=True)
         file = path.open("a+")
-    except OSError as error:
-        raise FileError(folder.path, f"nothing can be written there ({error.strerror})", UNWRITABLE) from error
     with file:
         has_locks = _lock(file.fileno(), folder)
-        try:
+        with writing(path):
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
             if has_locks:
                 _put_right(folder)
-        except OSError as error:
-            raise unwritable(path, error) from error
         mine = os.getpid()
         try:
             yield

@@ -54,9 +54,18 @@ MALFORMED = (
 _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
 
 
+@contextmanager
+def writing(path: Path, problem: str = "cannot be written") -> Iterator[None]:
+    """Turn what the system raises into a FileError with this ``problem``."""
+    try:
+        yield
+    except OSError as error:
+        raise FileError(path, f"{problem} ({error.strerror or first_line(error)})", UNWRITABLE) from error
+
+
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a file, and move it whole to ``path``; FileError."""
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
         temporary = Path(name)
@@ -70,18 +79,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise unwritable(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text as `write_whole`."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def unwritable(path: Path, error: OSError) -> FileError:
-    """Error of a file that cannot be written."""
-    return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
@@ -125,10 +127,8 @@ def begins_with(path: Path, first: bytes) -> bool:
 
 def require_space(folder: Path) -> None:
     """Raise FileError unless `SPACE` is free at ``folder``."""
-    try:
+    with writing(folder):
         free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise unwritable(folder, error) from error
     if free < SPACE:
         raise FileError(folder, f"{_size(free)} free on that disk, {_size(SPACE)} needed", UNWRITABLE)
 

@@ -19,7 +19,7 @@ from rejoint.robots.wireserver import (
     Server,
     TcpServer,
 )
-from rejoint.system.files import unwritable
+from rejoint.system.files import writing
 from rejoint.system.shell import listen_tcp
 from rejoint_lab.emulator.faults import (
     NONE,
@@ -36,10 +36,8 @@ class TruthLog:
 
     def __init__(self, path: Path, joints: int) -> None:
         self._path = path
-        try:
+        with writing(path):
             self._stream = path.open("a", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise unwritable(path, error) from error
         names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
         self._titles = ["time", "x", "y", "z", *names]
 
@@ -57,10 +55,8 @@ class TruthLog:
         self._stream.close()
 
     def _put(self, row: Iterable[str]) -> None:
-        try:
+        with writing(self._path):
             self._stream.write(",".join(row) + "\n")
-        except OSError as error:
-            raise unwritable(self._path, error) from error
 
 
 R = TypeVar("R")
