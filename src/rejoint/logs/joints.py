@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import JSON_MOST, TOML_MOST, read_bounded, reading, write_text
+from rejoint.system.files import JSON_MOST, read_bounded, read_toml, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
 
 AngleUnit = Literal["rad", "deg", "normalised"]
@@ -89,9 +88,8 @@ def read_map(texts: Iterable[str]) -> dict[str, str]:
     pairs: list[tuple[str, str]] = []
     for text in texts:
         if text.endswith(".toml"):
-            path, remedy = Path(text), 'write lines such as joint1 = "6.33*m0-0.646"'
-            with reading(path, "no map", remedy):
-                pairs += msgspec.toml.decode(read_bounded(path, TOML_MOST, remedy), type=dict[str, str]).items()
+            remedy = 'write lines such as joint1 = "6.33*m0-0.646"'
+            pairs += read_toml(Path(text), dict[str, str], remedy).items()
             continue
         for part in text.split(","):
             ours, _, theirs = (one.strip() for one in part.partition("="))
