@@ -122,13 +122,13 @@ def import_(
         angle_unit=angle_unit,
         time_unit=time_unit,
         rate=rate,
-        columns=read_map(columns) if columns else None,
-        names=listed(order or "") or None,
+        columns=read_map(columns or ()),
+        names=listed(order or ""),
         state_topic=state_topic,
         command_topic=command_topic,
         stamp=stamp,
         calibration=calibration,
-        torque_off=listed(torque_off or "") or None,
+        torque_off=listed(torque_off or ""),
         force=force,
     )
     chosen = call.arm()

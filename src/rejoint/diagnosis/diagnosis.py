@@ -178,7 +178,7 @@ def diagnose_logs(
             "table and stops"
         )
     on_progress(0.1, "joints")
-    measurement = Measurement(joints=measure_joints(data), period_s=float(np.median(np.diff(data.log.time))))
+    measurement = Measurement(joints=measure_joints(data), period_s=data.log.period)
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, data.effort_unit, grown)

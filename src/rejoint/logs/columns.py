@@ -239,7 +239,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     frames = motion.frames
     tables = [_GroupedColumns(frame, arm, options) for frame in frames]
     first = frames[0]
-    for ours, theirs in (options.columns or {}).items():
+    for ours, theirs in options.columns.items():
         if not any(ours in table.mapped for table in tables):
             said = f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}"
             raise FileError(first.path, said, "name one of these")
@@ -289,7 +289,7 @@ class _GroupedColumns:
         self.implied = dict.fromkeys(MOTION, frame.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
         self.implied |= next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), {})
         self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
-        mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
+        mapped = [(ours, column) for pair in options.columns.items() for ours, column in self._mapped(*pair)]
         self.mapped = {ours for ours, _ in mapped}
         own = {column.place: column for _, column in mapped}
         if len(own) < len(mapped):

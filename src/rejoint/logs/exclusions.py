@@ -107,7 +107,7 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
         counted &= ~_stale(log, usual)
         heights.append(tip[counted])
         held.append((tip - asked)[counted] > HELD_UP)
-        weights.append(np.full(int(counted.sum()), float(np.median(np.diff(log.time)))))
+        weights.append(np.full(int(counted.sum()), log.period))
     height, up, seconds = (np.concatenate(parts) for parts in (heights, held, weights))
     if not up.any():
         return None

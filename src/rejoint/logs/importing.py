@@ -121,7 +121,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         take(check_agreement(motion.take(powered)))
         if not powered.all():
             notes.append(f"state: {int((~powered).sum())} rows without torque")
-    off, unknown = options.torque_off or (), np.full((rows, 3), np.nan)
+    off, unknown = options.torque_off, np.full((rows, 3), np.nan)
     told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(off)}
     log = RunLog(
         arm=arm.name,
@@ -197,7 +197,7 @@ def import_logs(
     An error leaves nothing behind.
     """
     options = options or ImportOptions()
-    if unknown := [joint for joint in options.torque_off or () if joint not in arm.joint_names]:
+    if unknown := [joint for joint in options.torque_off if joint not in arm.joint_names]:
         raise InputError(f"--torque-off {unknown[0]!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -59,9 +59,9 @@ class ImportOptions:
     """``s``, ``ms``, ``us`` or ``ns``"""
     rate: float | None = None
     """[Hz] of rows without a time"""
-    columns: Mapping[str, str] | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
     """name in the log -> column: ``{"time": "t", "elbow": "-q3"}``; see `rejoint.logs.columns`"""
-    names: tuple[str, ...] | None = None
+    names: tuple[str, ...] = ()
     """of columns without names"""
     state_topic: str | None = None
     """bags: measured joint states; default ``/joint_states``"""
@@ -71,7 +71,7 @@ class ImportOptions:
     """bags: ``header`` (messages) or ``log`` (recording times)"""
     calibration: Path | None = None
     """LeRobot: of normalised values; default: by encoder steps"""
-    torque_off: tuple[str, ...] | None = None
+    torque_off: tuple[str, ...] = ()
     """joints without torque"""
     force: bool = False
     """import despite failed consistency checks, and store the reasons"""
@@ -209,7 +209,7 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
     """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
     motors = read_homing(source, turned=True)
-    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in (options.columns or {}).items()}
+    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in options.columns.items()}
     names = [mapped.get(name, name) for name in motors]
     chosen = [[*motors.values()][column] for column in match_joints(names, arm, source, "calibration").columns]
     counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]

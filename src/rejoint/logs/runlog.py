@@ -100,6 +100,11 @@ class RunLog:
         """[s] from the first to the last row."""
         return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
 
+    @property
+    def period(self) -> float:
+        """[s] from row to row, in the median."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
     def __post_init__(self) -> None:
         rows = np.size(self.time)
         for name in self.arrays:
@@ -238,9 +243,8 @@ class RunLog:
         if self.joint_names != joint_names:
             found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
-        apart = float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
-        if apart > LONGEST_PERIOD:
-            raise InputError(f"run log {self.label}: its rows are {apart:.4g} s apart; give times in seconds")
+        if self.period > LONGEST_PERIOD:
+            raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
             farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
             if farthest > TWO_TURNS:
