@@ -84,9 +84,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
     ends = reached.min(axis=0), reached.max(axis=0)
     found = []
     for log in logs:
-        contact = np.zeros(len(log), dtype=bool)
-        if table is not None:
-            contact = tcp_position(arm, log.position)[:, 2] < table + MARGIN
+        contact = tcp_position(arm, log.position)[:, 2] < MARGIN + (-np.inf if table is None else table)
         stopped = _stopped(log, ends, usual) & ~contact  # a table stops joints too, at the end of what they show
         found.append(
             Exclusions(

@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 import shutil
-import stat
 import tempfile
 import tomllib
 import zipfile
@@ -105,13 +104,12 @@ def reading(path: Path, problem: str, remedy: str) -> Iterator[None]:
 
 def require_file(path: Path, most: int, remedy: str) -> None:
     """Raise FileError unless ``path`` is such a file; FileNotFoundError."""
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise FileError(path, "cannot be read: it is a folder", "give a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise FileError(path, "cannot be read: it is a pipe or a device", "give a file")
-    if found.st_size > most:
-        raise FileError(path, f"{_size(found.st_size)} large, expected at most {_size(most)}", remedy)
+    size = path.stat().st_size
+    if not path.is_file():
+        kind = "a folder" if path.is_dir() else "a pipe or a device"
+        raise FileError(path, f"cannot be read: it is {kind}", "give a file")
+    if size > most:
+        raise FileError(path, f"{_size(size)} large, expected at most {_size(most)}", remedy)
 
 
 def begins_with(path: Path, first: bytes) -> bool:
