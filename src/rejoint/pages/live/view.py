@@ -100,9 +100,10 @@ class LiveView(Observer):
     ...     rejoint.deploy("emulated:worn", observer=view)
     """
 
+    shows = True
+
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
         """Serve at ``host`` and ``port`` (0: any free one), without a password."""
-        self.shows = True
         self._host, self._port = host, port
         self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
