@@ -160,7 +160,7 @@ def diagnose_logs(
 ) -> Diagnosis:
     """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
     for log in logs:
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
     refuse_copies(logs, "diagnosis")
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):

@@ -80,7 +80,7 @@ class ExcitationLog:
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
         """Read a log; InputError for another arm or no segments."""
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
         try:
@@ -203,7 +203,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
     segments: list[Segment] = []
     times, begin = [], 0.0
     for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
         time = log.time - log.time[0] + begin
         segments += _spans(number, log, rows.free, time)
         times.append(time)

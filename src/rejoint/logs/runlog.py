@@ -236,12 +236,12 @@ class RunLog:
         table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
         write_parquet(Path(path), table)
 
-    def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
+    def require(self, arm: Arm) -> None:
         """Raise InputError unless arm, joints, times and angles fit."""
-        if self.arm != arm:
-            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
-        if self.joint_names != joint_names:
-            found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
+        if self.arm != arm.name:
+            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm.name}; name its arm with --arm")
+        if self.joint_names != arm.joint_names:
+            found, expected = ", ".join(self.joint_names), ", ".join(arm.joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
         if self.period > LONGEST_PERIOD:
             raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
