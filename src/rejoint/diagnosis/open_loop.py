@@ -61,9 +61,8 @@ def settled_rows(log: RunLog) -> list[Index]:
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
-    change = (log.target[1:] != log.target[:-1]).any(axis=1)
-    parts = np.split(np.arange(len(log)), np.flatnonzero(change) + 1)
-    return [part[log.time[part] >= log.time[part[-1]] - SETTLED] for part in parts if known[part[0]]]
+    visits = (visit for visit in log.visits() if known[visit[0]])
+    return [visit[log.time[visit] >= log.time[visit[-1]] - SETTLED] for visit in visits]
 
 
 def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:

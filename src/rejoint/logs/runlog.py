@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms import Arm, Array, Index, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
@@ -133,6 +133,12 @@ class RunLog:
     def rows(self, which: slice) -> RunLog:
         """Return some rows."""
         return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
+
+    def visits(self) -> list[Index]:
+        """Rows of each target in turn, and of each stretch without one."""
+        filled = np.nan_to_num(self.target, nan=np.inf)  # NaN differs from itself
+        changed = (filled[1:] != filled[:-1]).any(axis=1)
+        return np.split(np.arange(len(self)), np.flatnonzero(changed) + 1)
 
     @property
     def arrays(self) -> tuple[str, ...]:

@@ -221,7 +221,7 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
     if run is None or not (path := run.folder.log("targets")).exists():
         return stance
     log, then = RunLog.load(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
-    rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)
+    rests = [visit[-1] for visit in log.visits()]
     return replace(stance, off=then.away(laden(run), log.position[rests], log.command[rests]).max(axis=0))
 
 

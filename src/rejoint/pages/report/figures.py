@@ -6,7 +6,6 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,13 +41,11 @@ def aims(log: RunLog) -> Array:
 def visits(arm: Arm, log: RunLog) -> Iterator[tuple[Array, Array]]:
     """Time since each target (T,) [s], from 0, and encoder TCP from the corrected target (T,) [m]."""
     tcp, aim = tcp_position(arm, log.position), aims(log)
-    filled = np.nan_to_num(log.target, nan=np.inf)  # NaN differs from itself
-    cuts = np.flatnonzero((filled[1:] != filled[:-1]).any(axis=1)) + 1
-    for start, stop in pairwise([0, *cuts.tolist(), len(log)] if len(log) else []):
-        if np.isfinite(log.target[start]).all():
+    for visit in log.visits():
+        if len(visit) and np.isfinite(log.target[visit[0]]).all():
             # The target was set when the last row of the previous one was read.
-            rows = np.arange(max(start - 1, 0), stop)
-            error = np.linalg.norm(tcp[rows] - aim[np.maximum(rows, start)], axis=1)
+            rows = np.arange(max(visit[0] - 1, 0), visit[-1] + 1)
+            error = np.linalg.norm(tcp[rows] - aim[np.maximum(rows, visit[0])], axis=1)
             yield log.time[rows] - log.time[rows[0]], error
 
 
