@@ -32,7 +32,7 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -207,7 +207,7 @@ POINTS = ("target", "true_tcp")
 """Groups of places"""
 FEWEST = 2
 """Rows of a log"""
-_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
+_TABLES = read_shipped(__file__, "columns.toml", dict[str, dict[str, Any]])
 _TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))

@@ -10,7 +10,7 @@ import numpy as np
 
 from rejoint.control.servogains import RIVALS, inner_name
 from rejoint.pages import words
-from rejoint.system.files import read_toml, write_text
+from rejoint.system.files import read_shipped, write_text
 from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Look(NamedTuple):
     """whose it is"""
 
 
-LOOKS = read_toml(Path(__file__).with_name("looks.toml"), dict[str, Look], "install rejoint again")
+LOOKS = read_shipped(__file__, "looks.toml", dict[str, Look])
 CONTROLLERS = {look.controller: look for look in LOOKS.values() if look.controller}
 
 

@@ -31,9 +31,9 @@ from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 
-_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
+_TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
 SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
 """What a finding says at its joint; seconds, and turns of all joints, of stages before their own pace is known"""
 LEAST = 1.0

@@ -80,9 +80,14 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write bytes as `write_whole`."""
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text as `write_whole`."""
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_bytes(path, text.encode())
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
@@ -136,7 +141,7 @@ def write_json(path: Path, value: object) -> None:
     data = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("tolist")), indent=2)
     if data.endswith(b"\n}"):
         data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
-    write_whole(path, lambda temporary: temporary.write_bytes(data))
+    write_bytes(path, data)
 
 
 def array_of(kind: Any, rows: object) -> NDArray[Any]:  # noqa: ANN401 - such as NDArray[np.int64]
@@ -210,6 +215,11 @@ def read_toml(path: Path, kind: type[T], remedy: str) -> T:
         return msgspec.toml.decode(text, type=kind)
     except (RecursionError, ValueError) as error:
         raise FileError(path, first_line(error), "correct the file") from error
+
+
+def read_shipped(module: str, name: str, kind: type[T]) -> T:
+    """Read the TOML file ``name`` that comes with the program, beside the file of a ``module``."""
+    return read_toml(Path(module).with_name(name), kind, "install rejoint again")
 
 
 _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")

@@ -30,7 +30,7 @@ from rejoint.control.controllers.policy import (
     seal,
 )
 from rejoint.system.errors import ContractError
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_bytes
 from rejoint.training.presets import Preset
 
 OPSET, IR_VERSION = 18, 8
@@ -47,7 +47,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     answers = session.run((OUTPUT,), {INPUT: probe_observations(contract.observation_size).astype(np.float32)})[0]
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
-    write_whole(path, lambda temporary: temporary.write_bytes(seal(model.SerializeToString())))
+    write_bytes(path, seal(model.SerializeToString()))
     return complete
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -30,7 +29,7 @@ from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint.training.ranges import Ranges
 from rejoint.twin.chain.batch import ChainBatch
@@ -52,7 +51,7 @@ from rejoint_lab.research.reproduction.campaign import (
 
 POSTURES = 1000
 
-_TABLES = read_toml(Path(__file__).with_name("dh.toml"), dict[str, list[list[float]]], "install rejoint again")
+_TABLES = read_shipped(__file__, "dh.toml", dict[str, list[list[float]]])
 PAPER_DH_TABLE, DH_TABLE = (
     np.array(_TABLES[whose]) * [1.0, 1.0, np.pi / 180, np.pi / 180] for whose in ("paper", "vendor")
 )
