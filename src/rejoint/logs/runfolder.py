@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.logs.journal import recover
-from rejoint.system.errors import FileError
+from rejoint.system.errors import LOGGER, FileError
 from rejoint.system.files import UNFINISHED, read_json, write_json, writing
 
 
@@ -37,8 +36,6 @@ FORMAT = 2
 
 LOGS = "logs:"
 """Robot of a run made from logs, before their folder"""
-
-_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +173,7 @@ def _put_right(folder: RunFolder) -> None:
         for unfinished in place.glob(f".*{UNFINISHED}"):
             unfinished.unlink()
     for log in recover(logs):
-        _LOGGER.warning("A run that was cut short is kept: %s", log)
+        LOGGER.warning("A run that was cut short is kept: %s", log)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import threading
 import time
@@ -17,14 +16,13 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Cycle, Look, Observer
 from rejoint.control.robot import JointState, Robot, RobotWrapper, WallClock
 from rejoint.robots import is_virtual
-from rejoint.system.errors import first_line
+from rejoint.system.errors import LOGGER, first_line
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
     from rejoint.pages.live.page import WebPage
     from rejoint.twin.twin import Twin
 
-_LOGGER = logging.getLogger("rejoint")
 
 HOST, PORT = "127.0.0.1", 8080
 RATE = 25.0
@@ -184,7 +182,7 @@ class LiveView(Observer):
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on, and the next frame is tried
                 failure = f"{type(error).__name__}: {first_line(error)}"
                 if failure != self.failure:
-                    _LOGGER.warning("the page misses a frame (%s); the arm goes on", failure)
+                    LOGGER.warning("the page misses a frame (%s); the arm goes on", failure)
                 self.failure = failure
             self._over.wait(max(began + pause - time.monotonic(), 0.0))
 

@@ -8,7 +8,6 @@ maker does not say. With it off, a servo whose computer is gone holds its last g
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, read_calibration, trouble
 from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
-from rejoint.system.errors import InputError, RejointError, RobotError
+from rejoint.system.errors import LOGGER, InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
 
 TABLE = KIND.registers
@@ -136,7 +135,7 @@ MEASURED = ("load", "position")
 @cache
 def say(text: str) -> None:
     """Tell the owner, once."""
-    logging.getLogger("rejoint").warning(text)
+    LOGGER.warning(text)
 
 
 def counted(arm: Arm) -> list[tuple[int, ...]]:
