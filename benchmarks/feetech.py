@@ -28,7 +28,7 @@ from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.logs import import_logs
+from rejoint.logs.importing import import_logs
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech import KIND
 from rejoint.robots.feetech.bus import FRAME, MEASURED, FeetechBus

@@ -22,8 +22,8 @@ import numpy as np
 import typer
 
 from rejoint.arms import Arm, load_arm
-from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
+from rejoint.logs.importing import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs

@@ -36,7 +36,7 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder, locked
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run
 
 STAGES = {
@@ -215,7 +215,7 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
             kill(child, rng.uniform(0.0, took - motion if early else 1.05 * motion))
             rows, first, last = counter
             with locked(folder):  # so does the next command: nobody holds it any more, and it puts things right
-                logs = [read_log(path) for path in folder.logs().values()]
+                logs = [RunLog.load(path) for path in folder.logs().values()]
             if leftovers(folder.path):
                 raise WrongError(f"not put right: {leftovers(folder.path)}")
             if rows:

@@ -25,7 +25,7 @@ sys.path.extend(str(Path(__file__).parents[1] / "tests" / room) for room in ("",
 from browser import chromium
 from hand import Hand
 
-from rejoint.pages.live.page import RED
+from rejoint.pages.html import macros
 
 STILL = np.radians(2.0)
 """[rad] by which the links of a held arm swing on their gears (chosen: worn ones swing by 1.3)"""
@@ -140,7 +140,7 @@ def lead(hand: Hand, page: str, address: str, arm: str, *, quick: bool, pictures
 
 def ends(hand: Hand, following: str, seconds: float) -> None:
     """Wait for the end of a job, and press what follows it; an error on the page ends the benchmark."""
-    error = f"(document.querySelector('span[style=\"color:{RED}\"]') || {{}}).innerText"
+    error = f"(document.querySelector('span[style=\"color:{macros('live.html').red}\"]') || {{}}).innerText"
     button = (
         f"[...document.querySelectorAll('button')].some((b) => b.innerText.trim() === '{following}' && !b.disabled)"
     )

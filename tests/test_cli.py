@@ -17,7 +17,7 @@ import rejoint
 from commandline import python
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder import RunInfo
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
@@ -70,7 +70,7 @@ def test_deploy_logs_what_it_did(finished, tmp_path, cli):
     errors = cli(*words, "--dwell", "6", "--json").last["error_mm"]
     assert len(errors) == 2
     assert max(errors) < 5.0
-    log = read_log(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
+    log = RunLog.load(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
     assert log.time[-1] - log.time[0] == pytest.approx(13.2, abs=1.2)
 
 
@@ -81,7 +81,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     assert [one["encoder"]["rms"] < 5e-3 for one in cli(*words).last["passes"]] == [True, True]
     logs = {name: path for name, path in finished.logs().items() if name.startswith("follow-0")}
     assert len(logs) == 2
-    log = read_log(next(iter(logs.values())))
+    log = RunLog.load(next(iter(logs.values())))
     assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
     assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
     words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default")
@@ -137,7 +137,7 @@ def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     monkeypatch.setattr(EmulatedRobot, "step", hot)
     words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator")
     path = Path(re.search(r"What was recorded until then: (.+)", cli(*words, code=3).err)[1])
-    log = read_log(path)
+    log = RunLog.load(path)
     path.unlink()
     assert log.label == "deploy/begin/stopped"
     assert 15 < len(log.time) <= 21

@@ -10,7 +10,6 @@ from commandline import python
 from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
-from rejoint.logs.runlog import write_log
 from rejoint.session.context import ControllerMaker
 
 ARM = mycobot280()
@@ -107,7 +106,7 @@ def test_controllers_come_in_every_form():
 
 def test_a_command_and_its_function_write_the_same_files(motion, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
-    write_log(tmp_path / "logs" / "motion.parquet", motion)
+    motion.save(tmp_path / "logs" / "motion.parquet")
     cli("diagnose", "--logs", "logs", "--run", "command")
     run = rejoint.Run.plan("function", "logs:logs", ARM)
     assert rejoint.diagnose(Path("logs"), run=run).verdict == run.diagnosis.verdict

@@ -11,7 +11,6 @@ from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.moving.drive import Deployment, deployed_of, judge_targets
-from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
@@ -95,7 +94,7 @@ def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(
     assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
-        write_log(run.folder.log(name), recording.log(0, name))
+        recording.log(0, name).save(run.folder.log(name))
     monkeypatch.setattr(Run, "diagnosis", diagnosed())
     bands = guard_limits(run, ARM, "emulated:worn").bands
     assert bands.width.shape == (6,)
@@ -117,7 +116,7 @@ def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, m
     run = Run.create(tmp_path / "run", own, ARM, 0)
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
-        write_log(run.folder.log(name), recording.log(0, name))
+        recording.log(0, name).save(run.folder.log(name))
     limits = guard_limits(run, ARM, driven)
     assert (limits.bands is not None) == used
 

@@ -10,7 +10,7 @@ from rejoint.arms import gravity_torque, load_arm, mycobot280
 from rejoint.control.loop import say_faulty
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready, look_at_servos
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
@@ -154,7 +154,7 @@ def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
     command[2, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
     command[3, 2] += np.radians(50.0)
     log = RunLog.of(0.05 * np.arange(6.0), command, position, arm=ARM, label="targets", target=rows, true_tcp=rows)
-    write_log(run.folder.log("targets"), log)
+    log.save(run.folder.log("targets"))
     np.testing.assert_allclose(np.degrees(stance_of(twin, run).off), [0.0, 0.0, 0.0, 20.0, 0.0, 0.0], atol=1e-9)
 
 

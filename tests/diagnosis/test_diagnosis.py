@@ -9,7 +9,7 @@ from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, judge
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.healthy import load_healthy, reference_from
-from rejoint.logs.runlog import read_log, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
 from rejoint_lab.emulated import EmulatedRobot
@@ -143,8 +143,8 @@ def test_written_and_read_and_judged_again(tmp_path, logs, found):
     write_json(tmp_path / "diagnosis.json", found["worn"])
     assert read_json(tmp_path / "diagnosis.json", Diagnosis) == found["worn"]
     for name in ("targets", "excitation"):
-        write_log(tmp_path / f"{name}.parquet", getattr(logs["worn"], name))
-    again = DiagnosisLogs(**{n: read_log(tmp_path / f"{n}.parquet") for n in ("targets", "excitation")})
+        getattr(logs["worn"], name).save(tmp_path / f"{name}.parquet")
+    again = DiagnosisLogs(**{n: RunLog.load(tmp_path / f"{n}.parquet") for n in ("targets", "excitation")})
     assert judge(ARM, again, load_healthy(ARM)) == found["worn"]
 
 

@@ -11,7 +11,6 @@ import rejoint
 from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo
-from rejoint.logs.runlog import write_log
 from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin, run_of_logs
 from rejoint.system.errors import InputError
@@ -32,7 +31,7 @@ def motions():
 def logs(motions, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     for log in motions:
-        write_log(folder / f"{log.label}.parquet", log)
+        log.save(folder / f"{log.label}.parquet")
     return folder
 
 
@@ -73,7 +72,7 @@ def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkey
     arm, name = tmp_path / "mine.toml", "mine"
     write_arm_toml(arm, dataclasses.replace(ARM, name=name))
     for log in motions[:2]:
-        write_log(tmp_path / "recorded" / f"{log.label}.parquet", dataclasses.replace(log, arm=name))
+        dataclasses.replace(log, arm=name).save(tmp_path / "recorded" / f"{log.label}.parquet")
     Run.create("one", f"{LOGS}recorded", load_arm(arm))
     arm.unlink()
     assert run_of_logs("one", "recorded", None)[1].name == name

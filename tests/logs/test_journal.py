@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from rejoint.logs import journal as module
 from rejoint.logs.journal import CUT_SHORT, Journal, read_journal, recover
 from rejoint.logs.runfolder import RunFolder, locked
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog
 
 pytestmark = pytest.mark.realtime
 
@@ -25,7 +26,7 @@ ROWS = [(0.025 * k, *RNG.normal(size=(2, 2)), np.full(3, np.nan), RNG.normal(siz
 
 def begin(folder: Path, name: str = "deploy-1") -> Journal:
     path = folder / "logs" / f"{name}.parquet"
-    return Journal(path, arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy")
+    return Journal(path, SimpleNamespace(name="planar", joint_names=JOINTS), "tcp://x", "deploy/policy")
 
 
 def written(folder: Path, count: int = len(ROWS)) -> Journal:
@@ -57,7 +58,7 @@ def whole(rows: list[tuple] = ROWS) -> RunLog:
 def test_what_a_killed_process_wrote_becomes_a_log_of_its_own(tmp_path: Path) -> None:
     written(tmp_path)
     (found,) = recover(tmp_path / "logs")
-    log = read_log(found)
+    log = RunLog.load(found)
     same(log, ROWS)
     assert (found.name, log.label) == (f"deploy-1-{CUT_SHORT}.parquet", f"deploy/policy/{CUT_SHORT}")
     assert (log.arm, log.joint_names, log.robot) == ("planar", JOINTS, "tcp://x")
@@ -71,7 +72,7 @@ def test_what_a_killed_process_wrote_becomes_a_log_of_its_own(tmp_path: Path) ->
 def test_a_log_that_came_to_its_end_leaves_no_journal(tmp_path: Path) -> None:
     journal = written(tmp_path)
     journal.finish(whole())
-    same(read_log(journal.path), ROWS)
+    same(RunLog.load(journal.path), ROWS)
     assert list(journal.path.parent.iterdir()) == [journal.path]
     other = written(tmp_path)  # killed after the log was written and before the journal was removed
     assert other.file.exists()
@@ -130,6 +131,7 @@ def test_what_is_written_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 import sys, time
 from pathlib import Path
+from types import SimpleNamespace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_journal import ROWS, begin
 journal = begin(Path(sys.argv[1]))
@@ -148,7 +150,7 @@ time.sleep(600)
         process.send_signal(signal.SIGKILL)
     with locked(RunFolder(tmp_path)):
         (path,) = (tmp_path / "logs").iterdir()
-        same(read_log(path), ROWS)
+        same(RunLog.load(path), ROWS)
 
 
 def test_a_disk_that_fills_meanwhile_neither_ends_the_run_nor_hides_the_error(
@@ -169,4 +171,4 @@ def test_a_disk_that_fills_meanwhile_neither_ends_the_run_nor_hides_the_error(
         journal.append(*row)  # raises nothing
     monkeypatch.undo()
     journal.finish(whole())  # by then there may be room again, and all of it is in memory
-    same(read_log(journal.path), ROWS)
+    same(RunLog.load(journal.path), ROWS)

@@ -7,8 +7,9 @@ import pytest
 from log_samples import ARM, worn_sample, write_table
 
 import rejoint
-from rejoint.logs import export_log, import_logs
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 
 FOUND = worn_sample(seconds=2)
@@ -20,7 +21,7 @@ def test_states_survive_the_disk_and_an_export(tmp_path: Path):
     imported = import_logs(source, ARM, out=tmp_path / "logs")
     assert len(imported.notes) == 1
     assert "holds no commands" in imported.notes[0]
-    log = read_log(tmp_path / "logs/wave.parquet")
+    log = RunLog.load(tmp_path / "logs/wave.parquet")
     assert np.isnan(log.command).all()
     for ending in ("csv", "mcap"):
         export_log(log, tmp_path / f"again.{ending}")

@@ -12,8 +12,10 @@ from log_samples import ARM, sample, write_sage, write_table
 from test_logs_lerobot import DATA, DATASET
 from test_logs_mcap import write_foxglove, write_json
 
-from rejoint.logs import ImportOptions, export_log, import_logs
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError
 
 EXAMPLES = int(os.environ.get("REJOINT_EXAMPLES", "100"))
@@ -73,7 +75,7 @@ def test_damage_never_crashes_and_never_leaves_half(tmp_path: Path, kind: str):
             fates["imported"] += 1
             assert len(imported.logs) == len(list(out.iterdir())) > 0
             for path in out.iterdir():
-                read_log(path)
+                RunLog.load(path)
             shutil.rmtree(out)
 
     attempt()
@@ -83,17 +85,15 @@ def test_damage_never_crashes_and_never_leaves_half(tmp_path: Path, kind: str):
 def test_a_failing_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for name, rows in (("a", 60), ("b", 61)):
         write_sage(tmp_path / "in" / name, sample(rows))
-    import rejoint.logs.importing as importing
-
     written = []
 
-    def full_disk(path: Path, log: RunLog) -> None:
+    def full_disk(log: RunLog, path: Path) -> None:
         written.append(path)
         if len(written) == 2:
             raise OSError("No space left on device")
         path.write_bytes(b"log")
 
-    monkeypatch.setattr(importing, "write_log", full_disk)
+    monkeypatch.setattr(RunLog, "save", full_disk)
     with pytest.raises(OSError, match="No space"):
         import_logs(tmp_path / "in", ARM, out=tmp_path / "logs")
     assert len(written) == 2

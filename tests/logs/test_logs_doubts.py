@@ -12,9 +12,9 @@ from log_samples import ARM, Sample, worn_sample, write_table
 from test_logs_checks import motion
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.columns import read_motion
-from rejoint.logs.importing import READERS, to_log
+from rejoint.logs.importing import READERS, import_logs, to_log
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
 
 FORCE = ImportOptions(force=True)

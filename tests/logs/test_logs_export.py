@@ -8,7 +8,8 @@ from log_samples import ARM, sample
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from rejoint.logs import export_log, import_logs
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 

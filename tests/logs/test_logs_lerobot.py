@@ -9,7 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM
 
-from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.logs.importing import detect, import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
 
 DATASET = Path(__file__).parent / "lerobot_v3" / "dataset"

@@ -12,7 +12,8 @@ from foxglove.messages import JointState, JointStates, Timestamp
 from log_samples import ARM, Sample, rows_of, sample
 from mcap.writer import CompressionType, Writer
 
-from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.logs.importing import detect, import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
 
 EPOCH_NS = 1_750_000_000_123_456_789

@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 
 from rejoint.arms import Arm, load_arm
 from rejoint.cli import app
-from rejoint.logs import ImportOptions, import_logs, read_map
-from rejoint.logs.runlog import read_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions, read_map
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 
 FOUND = worn_sample(seconds=8)
@@ -100,4 +101,4 @@ def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path: Path):
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout.splitlines()[-1])
     assert (told["logs"], len(told["skipped"])) == (3, 1)
-    assert [len(read_log(tmp_path / f"logs/a-{k}of3.parquet")) for k in (1, 2, 3)] == [200, 99, 97]
+    assert [len(RunLog.load(tmp_path / f"logs/a-{k}of3.parquet")) for k in (1, 2, 3)] == [200, 99, 97]

@@ -9,7 +9,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.logs.importing import detect, import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

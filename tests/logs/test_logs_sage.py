@@ -11,8 +11,9 @@ import pytest
 from log_samples import ARM, sample, worn_sample, write_sage
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs import ImportOptions, import_logs
-from rejoint.logs.runlog import read_log
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError
 
 
@@ -24,7 +25,7 @@ def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):
     assert [share for share, _ in steps] == [k / 44 for k in range(1, 45)]
     assert sum(len(log) for log in imported.logs) == 198040
     for motion in ("multisine", "hold_under_gravity"):
-        log = read_log(tmp_path / "logs" / f"{motion}.parquet")
+        log = RunLog.load(tmp_path / "logs" / f"{motion}.parquet")
         for file, values in (("state_motor", log.position), ("control", log.command)):
             with (FOLDER / motion / f"{file}.csv").open(newline="") as lines:
                 rows = list(csv.DictReader(lines))

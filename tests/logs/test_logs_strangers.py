@@ -9,9 +9,9 @@ from log_samples import ARM, Sample, worn_sample, write_table
 from test_logs_checks import motion
 
 import rejoint
-from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.consistency import copies
-from rejoint.logs.importing import to_log
+from rejoint.logs.importing import import_logs, to_log
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError, InputError
 
 FOUND = worn_sample(seconds=20)

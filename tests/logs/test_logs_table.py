@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from log_samples import ARM, sample, write_table
 
-from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError, InputError
 
 

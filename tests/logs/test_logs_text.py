@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from log_samples import ARM, worn_sample
 
-from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.importing import import_logs
+from rejoint.logs.joints import ImportOptions
 
 FOUND = worn_sample(seconds=5)
 NAMES = ["time_s", *(f"{group}.{name}_rad" for group in ("position", "command") for name in ARM.joint_names)]

@@ -75,7 +75,7 @@ def test_virtual_time_is_slowed_down_to_the_pace_which_may_change(monkeypatch):
 
 def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monkeypatch):
     view = LiveView()
-    view._page = SimpleNamespace(watched=True, shown=None, show=lambda _: 1 / 0)
+    view._page = SimpleNamespace(watched=True, draw=lambda *_: 1 / 0)
     robot = view.watch(open_robot("emulated:worn", seed=4), paced=False)
     view._thread.start()
     done = run(

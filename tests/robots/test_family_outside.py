@@ -14,7 +14,7 @@ from madetwin import made_twin
 from rejoint.arms import mycobot280
 from rejoint.control.robot import Robot
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.training import task
 from rejoint.training.task import DEFAULT, PpoSettings, TaskSettings
@@ -86,7 +86,7 @@ def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch)
     points.write_text("x,y,z\n170,0,200\n180,30,210\n")
     cli("diagnose", ADDRESS, "--run", folder.path)
     assert line.lost - lost > 50
-    targets = read_log(folder.log("targets"))
+    targets = RunLog.load(folder.log("targets"))
     assert targets.robot == ADDRESS
     assert json.loads(folder.diagnosis.read_text())["condition"] == "bad", "its line ends at a worn arm"
     deployed = cli("deploy", ADDRESS, folder.path, "--controller", "integrator", "--targets", points, "--json")

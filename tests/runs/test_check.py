@@ -149,7 +149,7 @@ def test_a_history_grows_and_begins_anew(tmp_path):
 @pytest.mark.usefixtures("stood_in")
 def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path, caplog):
     log = tmp_path / "checks" / "mine" / "1" / "check.parquet"
-    journal = Journal(log, arm="a", joint_names=ARM.joint_names, robot="emulated:healthy", label="check")
+    journal = Journal(log, ARM, "emulated:healthy", "check")
     for number in range(50):
         journal.append(float(number), *(np.zeros(size) for size in (ARM.joints, ARM.joints, 3, 3)))
     journal.close()

@@ -21,7 +21,7 @@ from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import read_targets
 from rejoint.logs import runlog
 from rejoint.logs.runfolder import FORMAT, RunInfo, read_info
-from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.pages.report.page import read_curves
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
@@ -71,7 +71,7 @@ def log():
 
 
 def plain_log(path):
-    found = read_log(path)
+    found = RunLog.load(path)
     return {
         name: np.array(value).tolist() if isinstance(value, np.ndarray) else value
         for name, value in vars(found).items()
@@ -106,7 +106,7 @@ def make_curves(path):
 
 
 KINDS = (
-    Kind("log.parquet", lambda path: write_log(path, log()), plain_log),
+    Kind("log.parquet", lambda path: log().save(path), plain_log),
     Kind("curves.parquet", make_curves, lambda path: read_curves(path).error_mm.tolist(), sealed=False),
     Kind("twin.toml", make_twin, plain_twin, deep=b"a = " + b"[" * 200_000),
     Kind("run.json", lambda path: write_json(path, INFO), read_info, deep=b'{"a":' + b"[" * 200_000),
@@ -194,7 +194,7 @@ def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path, monkeypatch
     assert path.stat().st_size < 10_000
     monkeypatch.setattr(runlog, "VALUES_MOST", 200_000)
     with pytest.raises(FileError, match="300000 numbers, expected at most 200000"):
-        read_log(path)
+        RunLog.load(path)
 
 
 def test_a_folder_of_another_version_is_named(tmp_path):

@@ -11,7 +11,7 @@ import rejoint
 from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder import locked
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run
 from rejoint.system.errors import UnsavedError
 from rejoint.system.files import saving, write_json
@@ -71,7 +71,7 @@ def test_a_deployment_is_shown_and_kept_on_a_disk_that_filled_meanwhile(folder, 
     assert "the next command in this folder makes a log of it" in done.err
     with locked(folder):  # as it would
         ((name, path),) = folder.logs().items()
-    log = read_log(path)
+    log = RunLog.load(path)
     assert name.endswith("-cut-short")
     assert log.label == "deploy/integrator/cut-short"
     assert log.time[-1] - log.time[0] == pytest.approx(4.2, abs=0.3)
@@ -98,7 +98,7 @@ def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(folder,
     monkeypatch.undo()
     with locked(folder):
         ((_, path),) = folder.logs().items()
-    assert read_log(path).time[-1] > 0.4
+    assert RunLog.load(path).time[-1] > 0.4
 
 
 def test_an_unsaved_result_comes_with_the_error(tmp_path):

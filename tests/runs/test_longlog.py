@@ -38,7 +38,7 @@ def test_motions_of_one_connection_come_in_pieces(run, monkeypatch):
 
 def test_a_full_disk_is_told_once_and_the_next_piece_tries_again(run, monkeypatch):
     said: list[str] = []
-    begin = driver.start_journal
+    begin = driver.Journal
     full = FileError(run.path, "49 MB free on that disk, 50 MB needed", "free some space")
     outcomes = iter([None, full, full, None])
 
@@ -47,7 +47,7 @@ def test_a_full_disk_is_told_once_and_the_next_piece_tries_again(run, monkeypatc
             raise error
         return begin(*given)
 
-    monkeypatch.setattr(driver, "start_journal", sometimes)
+    monkeypatch.setattr(driver, "Journal", sometimes)
     robot = open_robot("emulated:worn", arm=ARM)
     log = RunRecorder(run, said.append)
     log.begin(robot, "serve", "serve/posture")

@@ -8,7 +8,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, locked
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
@@ -68,7 +68,7 @@ def example():
 )
 def test_every_command_that_writes_in_a_run_waits_for_nobody(words, tmp_path, cli):
     logs, path = tmp_path / "logs", tmp_path / "run"
-    write_log(logs / "one.parquet", example())
+    example().save(logs / "one.parquet")
     folder = folder_of(path, robot=f"{LOGS}{logs}" if "--logs" in words else "emulated:worn")
     with locked(folder):
         before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}

@@ -12,9 +12,8 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.logs.journal import CUT_SHORT, recover
+from rejoint.logs.journal import CUT_SHORT, Journal, recover
 from rejoint.logs.runfolder import RunFolder, locked
-from rejoint.robots import open_robot
 from rejoint.runs import run as running
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
@@ -98,9 +97,7 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
             settings=rejoint.Settings(controller="integrator", dwell=0.5),
         )
     assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
-    whole = running.start_journal(
-        run.folder.log("deploy-20260101-120005-3"), open_robot("emulated:worn"), "deploy/killed"
-    )
+    whole = Journal(run.folder.log("deploy-20260101-120005-3"), mycobot280(), "emulated:worn", "deploy/killed")
     whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))
     whole.close()  # as `kill -9` leaves it
     (found,) = recover(run.path / "logs")

@@ -68,8 +68,8 @@ def test_a_signal_while_arrow_imports_pandas_is_heard(tmp_path):
     log = RunLog.of(np.arange(3.0), np.zeros((3, 6)), np.zeros((3, 6)), arm="mycobot280")
     log.save(tmp_path / "one.parquet")
     ended = run(
-        f"{SWALLOWED}from rejoint.logs.runlog import read_log\nfrom pathlib import Path\n"
-        f"try:\n    read_log(Path({str(tmp_path / 'one.parquet')!r}))\n    print('read')\n"
+        f"{SWALLOWED}from rejoint.logs.runlog import RunLog\nfrom pathlib import Path\n"
+        f"try:\n    RunLog.load(Path({str(tmp_path / 'one.parquet')!r}))\n    print('read')\n"
         "except stopping.Interrupted as error: print(error)\n"
     )
     assert ended.stdout == "interrupted by SIGTERM\n", ended.stderr

@@ -8,8 +8,8 @@ import pytest
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
-from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
+from rejoint.logs.importing import import_logs
 from rejoint.twin.identify import FITTED, HEALTHY, LogSettings, identify_logs
 from rejoint.twin.twin import NO_TWIN
 

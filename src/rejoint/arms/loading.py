@@ -25,7 +25,7 @@ from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
-from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, write_whole
+from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, write_text
 
 
 class _FrameTable(Table):
@@ -113,7 +113,7 @@ def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
     else:
         own = {"rest_deg": np.degrees(arm.rest).tolist(), "targets": _bounds(arm.targets)}
     text = "\n".join([*lines, tomlkit.dumps(_table(arm) | own)])
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def read_draft(path: Path) -> Loaded:
@@ -231,7 +231,7 @@ def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
             _add(joint, "limit", lower=arm.lower[i], upper=arm.upper[i], velocity=arm.max_speed[i], effort=EFFORT)
     ET.indent(root)
     text = f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:

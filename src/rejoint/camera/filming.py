@@ -29,7 +29,7 @@ from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
-from rejoint.system.files import set_aside, write_whole
+from rejoint.system.files import set_aside, write_bytes
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import check
 
@@ -205,7 +205,7 @@ class _Shooting:
         self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
         if self.folder is not None:
             data = cv2.imencode(".png", picture)[1].tobytes()
-            write_whole(self.folder.pictures / seen.name, lambda temporary: temporary.write_bytes(data))
+            write_bytes(self.folder.pictures / seen.name, data)
             write_postures(self.folder.pictures / POSTURES, self.drive.robot.arm, self.film)
         if number == 1 and isinstance(seen, Unusable):
             raise UnseenBoardError(

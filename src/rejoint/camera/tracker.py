@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from rejoint.arms import Arm
 from rejoint.camera.board import BoardView, Detector, Picture, Unusable
 from rejoint.camera.rig import Rig, place, point_sigma, read_rig
 from rejoint.control.seeing import Sighting
-from rejoint.system.errors import InputError, RejointError
+from rejoint.system.errors import LOGGER, InputError, RejointError
 
 SIZE = (1920, 1080)
 """[px] wanted width and height"""
@@ -142,7 +141,7 @@ class LiveEye:
         self._thread.join()
         if self.why and (self._newest is None or self._gone):
             told = "%s: %s; the arm was driven by its calibration alone from then on"
-            logging.getLogger("rejoint").warning(told, self.name, self.why)
+            LOGGER.warning(told, self.name, self.why)
 
     def sighting(self, now: float) -> Sighting | None:
         """Newest detection on the robot's clock, ``now`` [s], or None."""

@@ -13,10 +13,12 @@ import rejoint
 from rejoint.arms import Arm
 from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
-from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
+from rejoint.logs.exporting import export_log
+from rejoint.logs.importing import Format, import_logs
+from rejoint.logs.joints import AngleUnit, ImportOptions, Stamp, TimeUnit, read_map
 from rejoint.logs.runfolder import RunFolder, read_info
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
 from rejoint.robots.family import SerialAddress
@@ -57,9 +59,9 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
 
     found = []
     for given in published or []:
-        name, named, path = given.rpartition("=")
+        name, _, path = given.rpartition("=")
         one = read_published(Path(path), arm)
-        found.append(changed(one, name=name.strip()) if named and name.strip() else one)
+        found.append(changed(one, name=name.strip()) if name.strip() else one)
     return found
 
 
@@ -67,8 +69,8 @@ def by_motion(given: list[str] | None) -> dict[str, str]:
     """Read MOTION=VALUE; InputError for anything else."""
     found: dict[str, str] = {}
     for one in given or []:
-        name, named, value = one.rpartition("=")
-        if not named or not name or not value:
+        name, _, value = one.rpartition("=")
+        if not (name and value):
             raise InputError(f"{one!r}: expected MOTION=VALUE")
         found[name] = f"{found[name]} {value}" if name in found else value
     return found
@@ -79,22 +81,22 @@ def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
     from rejoint.pages.report.tables import answer
 
     names = list(judgement.mean)
-    headers = ["motion", "s", *names]
     rows = [
         [motion.motion, f"{motion.seconds:.0f}", *(_cell(motion.errors[name]) for name in names)]
         for motion in judgement.motions
     ]
     rows.append(["mean over motions", "", *(_cell(judgement.mean[name]) for name in names)])
     title = "Open-loop error of the tool, rms by encoders: free / contact / all [mm]"
-    call.table(title, headers, rows, len(rows) - 1)
+    call.table(title, ["motion", "s", *names], rows, len(rows) - 1)
     for line in answer(judgement):
         call.result(line)
     return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def _cell(errors: Errors) -> str:
-    parts = (errors.free, errors.contact, errors.all)
-    return " / ".join("-" if part is None else f"{1e3 * part.tcp:.2f}" for part in parts)
+    return " / ".join(
+        "-" if part is None else f"{1e3 * part.tcp:.2f}" for part in (errors.free, errors.contact, errors.all)
+    )
 
 
 @takes("arm", "part")
@@ -102,16 +104,16 @@ def import_(
     call: Call,
     source: Path,
     out: Path,
-    kind: str | None = None,
-    angle_unit: str | None = None,
-    time_unit: str | None = None,
+    kind: Format | None = None,
+    angle_unit: AngleUnit | None = None,
+    time_unit: TimeUnit | None = None,
     rate: float | None = None,
     columns: list[str] | None = None,
     order: str | None = None,
     torque_off: str | None = None,
     state_topic: str | None = None,
     command_topic: str | None = None,
-    stamp: str | None = None,
+    stamp: Stamp | None = None,
     calibration: Path | None = None,
     force: bool = False,
 ) -> object:
@@ -120,13 +122,13 @@ def import_(
         angle_unit=angle_unit,
         time_unit=time_unit,
         rate=rate,
-        columns=read_map(columns) if columns else None,
-        names=listed(order or "") or None,
+        columns=read_map(columns or ()),
+        names=listed(order or ""),
         state_topic=state_topic,
         command_topic=command_topic,
         stamp=stamp,
         calibration=calibration,
-        torque_off=listed(torque_off or "") or None,
+        torque_off=listed(torque_off or ""),
         force=force,
     )
     chosen = call.arm()
@@ -162,7 +164,7 @@ def export(
             "urdf, mjcf, isaaclab, lerobot, datasheet, onnx or ros2"
         )
     else:
-        export_log(read_log(source), out)
+        export_log(RunLog.load(source), out)
     call.result(str(out))
     return {"out": out}
 

@@ -117,10 +117,10 @@ def repair(
     page = Path(os.path.relpath(found.page))
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
-    from rejoint.pages.report.page import before_after, next_steps, read_contents
+    from rejoint.pages.report.page import read_contents
 
     contents = read_contents(job.path)
-    errors, steps = before_after(contents), next_steps(contents)
+    errors, steps = contents.before_after(), contents.next_steps()
     spent = read_effort(job.folder)
     show.effort(call, spent)
     if errors is not None and errors.sentence:

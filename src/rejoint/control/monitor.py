@@ -329,7 +329,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
 
 def _lifted(log: RunLog, balance: Array) -> Array:
     """Largest lead (n,) [rad] against gravity at which a joint moved on."""
-    span = max(1, round(SPAN / float(np.median(np.diff(log.time)))))
+    span = max(1, round(SPAN / log.period))
     way = log.position[span:] - log.position[:-span]
     against = np.where(np.abs(way) > LIFTED, np.sign(way) * balance[span // 2 :][: len(way)], 0.0)
     return against.max(axis=0, initial=0.0)
@@ -355,7 +355,7 @@ def _push(lead: Array, balance: Array, reach: float) -> Array:
 
 def _held(log: RunLog, push: Array) -> Array:
     """Largest push (n,) [rad] of joints stationary for `HELD`."""
-    readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time)))))
+    readings = 1 + max(1, round(HELD / log.period))
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0)

@@ -168,7 +168,7 @@ def diagnose_logs(
 ) -> Diagnosis:
     """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
     for log in logs:
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
     refuse_copies(logs, "diagnosis")
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
@@ -186,7 +186,7 @@ def diagnose_logs(
             "table and stops"
         )
     on_progress(0.1, "joints")
-    measurement = Measurement(joints=measure_joints(data), period_s=float(np.median(np.diff(data.log.time))))
+    measurement = Measurement(joints=measure_joints(data), period_s=data.log.period)
     findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, data.effort_unit, grown)

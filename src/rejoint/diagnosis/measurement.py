@@ -151,7 +151,7 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
         damping = None if dynamics is None else _damping_ratio(dynamics)
         inertia = None if motor is None else motor.value
         joints.append(replace(row, damping_ratio=damping, motor_inertia_kg_m2=inertia, **torque))
-    return Measurement(joints=tuple(joints), period_s=float(np.median(np.diff(log.time))))
+    return Measurement(joints=tuple(joints), period_s=log.period)
 
 
 def measure_joints(data: ExcitationLog) -> tuple[JointMetrics, ...]:

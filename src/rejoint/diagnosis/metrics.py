@@ -227,7 +227,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 
     None with too little motion, one direction only, or readings further apart than `COARSEST`.
     """
-    if not data.log.commanded or float(np.median(np.diff(data.log.time))) > COARSEST:
+    if not data.log.commanded or data.log.period > COARSEST:
         return None
     motion = _motion(data, joint, np.array([delay]), fast=fast)
     if not motion.enough:

@@ -16,11 +16,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.arms.kinematics import frames
 from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.diagnosis.regression import mean_of
-from rejoint.logs.exclusions import Exclusions, Rows, free_runs, joint_speed
+from rejoint.logs.exclusions import Exclusions, free_runs, joint_speed
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
@@ -80,7 +80,7 @@ class ExcitationLog:
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
         """Read a log; InputError for another arm or no segments."""
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
         try:
@@ -199,7 +199,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
     segments: list[Segment] = []
     times, begin = [], 0.0
     for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
         time = log.time - log.time[0] + begin
         segments += _spans(number, log, rows.free, time)
         times.append(time)
@@ -224,7 +224,7 @@ def log_of(segment: Segment) -> int:
     return int(segment.name.partition("/")[0])
 
 
-def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segment]:
+def _spans(number: int, log: RunLog, free: Mask, time: Array) -> Iterator[Segment]:
     def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
         name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
         return Segment(name=name, kind=kind, start=float(time[first]), stop=float(time[last - 1]), joints=joints)
@@ -243,7 +243,7 @@ def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segmen
             yield segment(STEP, first, last, (joint,))
 
 
-def _steps(log: RunLog, free: Rows, still: Rows, joint: int) -> Iterator[tuple[int, int]]:
+def _steps(log: RunLog, free: Mask, still: Mask, joint: int) -> Iterator[tuple[int, int]]:
     for arrived, last in free_runs(still, log.time, QUIET):
         first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))
@@ -302,9 +302,8 @@ def settled_rows(log: RunLog) -> list[Index]:
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
-    change = (log.target[1:] != log.target[:-1]).any(axis=1)
-    parts = np.split(np.arange(len(log)), np.flatnonzero(change) + 1)
-    return [part[log.time[part] >= log.time[part[-1]] - SETTLED] for part in parts if known[part[0]]]
+    visits = (visit for visit in log.visits() if known[visit[0]])
+    return [visit[log.time[visit] >= log.time[visit[-1]] - SETTLED] for visit in visits]
 
 
 def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:

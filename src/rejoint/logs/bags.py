@@ -193,7 +193,7 @@ _FIELDS = {
 def _message(content: Any, group: str, logged: int, options: ImportOptions) -> Message:  # noqa: ANN401
     """Joints of a decoded message; TypeError or ValueError for one of another kind."""
     held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
-    names, stamp = [*map(str, held["names"] or options.names or ())], _nanoseconds(held["stamp"])
+    names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
     given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
     if len(names) != len(given[group]):
         raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")

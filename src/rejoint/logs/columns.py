@@ -32,6 +32,7 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_shipped
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -40,16 +41,18 @@ FEWEST_STEPS = 10
 """Steps spanned by readings"""
 ON, OFF = 0.9, 0.6
 """on a grid, and off it (1: all readings)"""
-BITS = range(10, 22)
+BITS = np.arange(10, 22)
 """of encoders"""
 SPANS = np.arange(1000, 4097)
 """[counts] of calibrated ranges"""
+ROUND = np.array([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])
+"""Steps of rounded values"""
 
 
-def on_grid(values: Array, *steps: float) -> float:
-    """Largest share of values on multiples of one of ``steps``; 0: few steps."""
-    counted = [step for step in steps if np.ptp(values) >= FEWEST_STEPS * step]
-    return max((float(np.abs(np.mean(np.exp(2j * np.pi * values / step)))) for step in counted), default=0.0)
+def grid_shares(values: Array, steps: Array) -> Array:
+    """Shares (k,) of ``values`` (T,) on multiples of each of ``steps`` (k,); 0: few steps."""
+    shares = np.abs(np.mean(np.exp(2j * np.pi * values[:, None] / steps), axis=0))
+    return np.where(np.ptp(values) >= FEWEST_STEPS * steps, shares, 0.0)
 
 
 def readings(values: Array, decimals: int) -> list[Array]:
@@ -59,8 +62,9 @@ def readings(values: Array, decimals: int) -> list[Array]:
 
 def turn_bits(values: Array) -> int | None:
     """Return encoder bits of readings (T, n) [rad], or None."""
-    found = readings(values, 12)
-    return next((b for b in BITS if found and np.median([on_grid(one, 2 * np.pi / 2**b) for one in found]) > ON), None)
+    shares = [grid_shares(one, 2 * np.pi / 2**BITS) for one in readings(values, 12)]
+    fitting = BITS[np.median(shares, axis=0) > ON].tolist() if shares else []
+    return fitting[0] if fitting else None
 
 
 def unit_by_steps(raw: Array) -> tuple[str | None, str]:
@@ -68,8 +72,8 @@ def unit_by_steps(raw: Array) -> tuple[str | None, str]:
 
     LeRobot counts 4095 steps per turn, others 4096.
     """
-    turn = [360.0 / (COUNTS_PER_TURN - less) for less in (0, 1)]
-    joints = [(on_grid(values, *turn), _normalised_step(values)) for values in readings(raw, 4)]
+    turn = 360.0 / (COUNTS_PER_TURN - np.arange(2))
+    joints = [(grid_shares(values, turn).max(), _normalised_step(values)) for values in readings(raw, 4)]
     degrees = sum(share > ON for share, _ in joints)
     steps = [f"{step:.4f}" for share, step in joints if step and share < OFF]
     if degrees > len(joints) / 2:
@@ -81,11 +85,10 @@ def unit_by_steps(raw: Array) -> tuple[str | None, str]:
 
 def _normalised_step(values: Array) -> float | None:
     """Step of normalised values; None for others, and for round numbers."""
-    chosen = values[:: max(len(values) // 300, 1)]
-    fit = np.abs(np.mean(np.exp(2j * np.pi * chosen[:, None] * SPANS / 200.0), axis=0))
-    best = int(np.argmax(fit))
-    rounded = on_grid(values, 0.05, 0.1, 0.2, 0.25, 0.5, 1.0) > ON
-    return 200.0 / float(SPANS[best]) if fit[best] > ON and not rounded else None
+    steps = 200.0 / SPANS
+    shares = grid_shares(values[:: max(len(values) // 300, 1)], steps)
+    rounded = grid_shares(values, ROUND).max() > ON
+    return float(steps[np.argmax(shares)]) if shares.max() > ON and not rounded else None
 
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
@@ -184,7 +187,7 @@ class RawMotion(NamedTuple):
 
 
 UNITS: dict[str, dict[str, float]] = {
-    "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
+    "time": TIME_UNITS,
     "position": ANGLES,
     "command": ANGLES,
     "target": LENGTHS,
@@ -194,7 +197,7 @@ UNITS: dict[str, dict[str, float]] = {
     "gain": {},
     "powered": {},
 }
-"""SI units per unit of each group"""
+"""SI units per unit of each group; of times, units per second"""
 SI = {"torque": "N m", "current": "A"}
 NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
@@ -204,22 +207,9 @@ POINTS = ("target", "true_tcp")
 """Groups of places"""
 FEWEST = 2
 """Rows of a log"""
-RECORD_AGAIN = "record it again"
-_TITLES = {
-    "time": ("time", "t", "timestamp"),
-    "position": ("position", "pos", "q", "actual", "act", "present_position", "actual_q", "state.q"),
-    "command": ("command", "cmd", "goal", "goal_position", "tgt", "q_cmd", "positioncmptd", "target_q", "state.q_d"),
-    "torque": ("torque", "effort", "tau", "tau_measured", "state.tau_j"),
-    "current": ("current", "cur", "actual_current"),
-    "gain": ("gain", "kp"),
-    "powered": ("torque_enable",),
-    "target": ("target",),
-    "true_tcp": ("true_tcp",),
-}
-"""Beginnings of titles"""
-_RECORDERS = {"actual_q": ("rad", "s"), "state.q": ("rad", "ms"), "positioncmptd": ("rad", "ms")}
-"""Implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic- identification (Kinova
-Gen3)"""
+_TABLES = read_shipped(__file__, "columns.toml", dict[str, dict[str, Any]])
+_TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
+"""Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
@@ -249,7 +239,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     frames = motion.frames
     tables = [_GroupedColumns(frame, arm, options) for frame in frames]
     first = frames[0]
-    for ours, theirs in (options.columns or {}).items():
+    for ours, theirs in options.columns.items():
         if not any(ours in table.mapped for table in tables):
             said = f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}"
             raise FileError(first.path, said, "name one of these")
@@ -287,18 +277,19 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         found = found.take(seen)
     if sent is not None and sent is not state:
         found = sent.held(found, half)
-    notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
+    notes = (note for table in tables for note in table.notes)
     return replace(found, notes=(*notes, *found.notes))
 
 
 class _GroupedColumns:
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
         self.frame, self.arm, self.options = frame, arm, options
-        self.notes: list[str] = []
+        self.notes = [*frame.notes]
         known = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
-        self.recorder = next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), (None, None))
+        self.implied = dict.fromkeys(MOTION, frame.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
+        self.implied |= next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), {})
         self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
-        mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
+        mapped = [(ours, column) for pair in options.columns.items() for ours, column in self._mapped(*pair)]
         self.mapped = {ours for ours, _ in mapped}
         own = {column.place: column for _, column in mapped}
         if len(own) < len(mapped):
@@ -346,17 +337,15 @@ class _GroupedColumns:
         return found
 
     def _unit(self, column: Column) -> str:
-        kind = {"time": "time"}.get(column.group, "angle" * (column.group in MOTION))
+        kind = "angle" if column.group in MOTION else column.group
         option, declared = f"--{kind}-unit", getattr(self.options, f"{kind}_unit", None)
         if column.unit and declared and column.unit != declared:
             said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
             raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
-        usual = {"time": self.recorder[1], "angle": self.recorder[0] or self.frame.angle_unit}
-        other = None if column.group in POINTS else next(iter(UNITS[column.group]), "") if self.recorder[0] else ""
-        unit = column.unit or declared or usual.get(kind, other)
+        unit = column.unit or declared or self.implied.get(column.group)
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
-            remedy = f"rename it {endings}" + f" or set {option}" * bool(kind)
+            remedy = f"rename it {endings}" + f" or set {option}" * (kind in ("angle", "time"))
             raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
 
@@ -442,7 +431,9 @@ class _GroupedColumns:
         times, command, path = self.clock()[known], command[known], self.frame.path
         for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
             if len(clock) < FEWEST:
-                raise FileError(file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", RECORD_AGAIN)
+                raise FileError(
+                    file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", "record it again"
+                )
         late = ~(np.diff(times) >= 0)
         if late.any():
             where = f"command, {self.frame.place} {self.frame.number[known][1:][late][0]}"
@@ -457,9 +448,6 @@ class _GroupedColumns:
             )
         last = np.searchsorted(times, motion.time, side="right") - 1
         begun = last >= 0
-        if begun.sum() < FEWEST:
-            said = f"{int(begun.sum())} state(s) after the first command, a log needs {FEWEST}"
-            raise FileError(motion.path, said, RECORD_AGAIN)
         if not begun.all():
             self.notes.append(f"state: {int((~begun).sum())} samples before the first command left out")
         return replace(motion, command=command[last]).take(begun)

@@ -15,8 +15,6 @@ import numpy as np
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.logs.runlog import RunLog
 
-Rows = Mask
-
 HELD_UP = 0.005
 """[m] of a held tip above its command (a free low-cost arm: at most 4 mm)"""
 SLOW = 0.05
@@ -62,20 +60,20 @@ RESTING = 1e-3
 class Exclusions:
     """Rows (T,) without the free arm, with recovery."""
 
-    contact: Rows
+    contact: Mask
     """tip on the table"""
-    stop: Rows
+    stop: Mask
     """joint at a stop"""
-    stale: Rows
+    stale: Mask
     """readings that should change"""
 
     @property
-    def free(self) -> Rows:
+    def free(self) -> Mask:
         """(T,) rows of the free arm."""
         return ~(self.contact | self.stop | self.stale)
 
     @property
-    def readable(self) -> Rows:
+    def readable(self) -> Mask:
         """(T,) rows for a twin with a table."""
         return ~(self.stop | self.stale)
 
@@ -86,9 +84,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
     ends = reached.min(axis=0), reached.max(axis=0)
     found = []
     for log in logs:
-        contact = np.zeros(len(log), dtype=bool)
-        if table is not None:
-            contact = tcp_position(arm, log.position)[:, 2] < table + MARGIN
+        contact = tcp_position(arm, log.position)[:, 2] < MARGIN + (-np.inf if table is None else table)
         stopped = _stopped(log, ends, usual) & ~contact  # a table stops joints too, at the end of what they show
         found.append(
             Exclusions(
@@ -109,7 +105,7 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
         counted &= ~_stale(log, usual)
         heights.append(tip[counted])
         held.append((tip - asked)[counted] > HELD_UP)
-        weights.append(np.full(int(counted.sum()), float(np.median(np.diff(log.time)))))
+        weights.append(np.full(int(counted.sum()), log.period))
     height, up, seconds = (np.concatenate(parts) for parts in (heights, held, weights))
     if not up.any():
         return None
@@ -158,7 +154,7 @@ def answered(log: RunLog) -> RunLog:
     return replace(log, command=command, extra=log.extra | {UNPOWERED: ",".join(names)}) if names else log
 
 
-def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:
+def free_runs(free: Mask, time: Array, shortest: float) -> list[tuple[int, int]]:
     """Gapless free runs (first, last exclusive) of ``shortest`` [s] or more."""
     if len(time) < 2:
         return []
@@ -175,33 +171,29 @@ def _usual_error(logs: Sequence[RunLog]) -> Array:
     return np.median(errors, axis=0) if len(errors) else np.zeros(errors.shape[1])
 
 
-def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:
+def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Mask:
     error = np.where(ends[1] - ends[0] > LEAST_TRAVEL, log.command - log.position, 0.0)
     least = np.maximum(STOP_ERROR, USUAL * usual)
     low = (log.position < ends[0] + STOP_BAND) & (error < -least)
     high = (log.position > ends[1] - STOP_BAND) & (error > least)
-    return _lasting((low | high).any(axis=1), log.time, STOP_TIME)
+    stopped = np.zeros(len(log), dtype=bool)
+    for first, last in free_runs((low | high).any(axis=1), log.time, STOP_TIME):
+        stopped[first:last] = True
+    return stopped
 
 
-def _stale(log: RunLog, usual: Array) -> Rows:
+def _stale(log: RunLog, usual: Array) -> Mask:
     still = np.concatenate([[False], (log.position[1:] == log.position[:-1]).all(axis=1)])
     dead = np.zeros(len(log), dtype=bool)
     for first, last in free_runs(still, log.time, STALE_TIME):
         # A joint may well rest though its command moves; not for long once the command has left it.
         moved = np.abs(log.command[first:last] - log.command[first])
         left = (moved > np.maximum(STALE_MOTION, USUAL * usual)).any(axis=1)
-        dead[first:last] = _lasting(left, log.time[first:last], STALE_TIME).any()
+        dead[first:last] = bool(free_runs(left, log.time[first:last], STALE_TIME))
     return dead
 
 
-def _lasting(rows: Rows, time: Array, seconds: float) -> Rows:
-    kept = np.zeros(len(rows), dtype=bool)
-    for first, last in free_runs(rows, time, seconds):
-        kept[first:last] = True
-    return kept
-
-
-def _recovering(time: Array, rows: Rows) -> Rows:
+def _recovering(time: Array, rows: Mask) -> Mask:
     latest = np.maximum.accumulate(np.where(rows, time, -np.inf))
     return time - latest <= RECOVERY
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import typing
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
@@ -145,10 +144,10 @@ class HistoryRow:
         return limit is not None and counts is not None and counts >= limit
 
 
-_ARROW = {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}
-_KINDS = typing.get_type_hints(HistoryRow)
+_ARROW = {"str": pa.string(), "float": pa.float64(), "datetime": pa.timestamp("us")}
 SCHEMA = pa.schema(
-    [(item.name, _ARROW[(*typing.get_args(_KINDS[item.name]), _KINDS[item.name])[0]]) for item in fields(HistoryRow)]
+    [(item.name, _ARROW[str(item.type).removesuffix(" | None")]) for item in fields(HistoryRow)],
+    metadata={_FORMAT_KEY: str(FORMAT).encode()},
 )
 """Columns"""
 
@@ -160,9 +159,7 @@ def utc_now() -> datetime:
 
 def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
     """Write summary rows, whole or not at all; FileError."""
-    schema = SCHEMA.with_metadata({_FORMAT_KEY: str(FORMAT).encode()})
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
-    write_parquet(path, table)
+    write_parquet(path, pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA))
 
 
 def read_rows(path: Path) -> list[HistoryRow]:

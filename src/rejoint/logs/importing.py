@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from rejoint.logs.consistency import (
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
-from rejoint.logs.runlog import TWO_TURNS, RunLog, describe, write_log
+from rejoint.logs.runlog import TWO_TURNS, RunLog, describe
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
@@ -120,7 +121,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         take(check_agreement(motion.take(powered)))
         if not powered.all():
             notes.append(f"state: {int((~powered).sum())} rows without torque")
-    off, unknown = options.torque_off or (), np.full((rows, 3), np.nan)
+    off, unknown = options.torque_off, np.full((rows, 3), np.nan)
     told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(off)}
     log = RunLog(
         arm=arm.name,
@@ -152,9 +153,8 @@ class Imported:
     """failed logs with reasons"""
 
 
-TEXT = "table"
-READERS: dict[str, Reader] = {"sage": SAGE, TEXT: TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
-FORMATS = tuple(READERS)
+Format = Literal["sage", "table", "mcap", "rosbag", "lerobot"]
+READERS: dict[Format, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 """Importable formats"""
 
 _EXPECTED = (
@@ -168,7 +168,7 @@ def import_logs(
     arm: Arm,
     *,
     out: Path,
-    format: str | None = None,  # noqa: A002
+    format: Format | None = None,  # noqa: A002
     options: ImportOptions | None = None,
     on_progress: Progress = no_progress,
 ) -> Imported:
@@ -181,7 +181,7 @@ def import_logs(
     out
         new or empty folder of ``MOTION.parquet``
     format
-        one of `FORMATS`; None detects it
+        a key of `READERS`; None detects it
     options
         units, joint names, topics
     on_progress
@@ -197,13 +197,11 @@ def import_logs(
     An error leaves nothing behind.
     """
     options = options or ImportOptions()
-    if unknown := [joint for joint in options.torque_off or () if joint not in arm.joint_names]:
+    if unknown := [joint for joint in options.torque_off if joint not in arm.joint_names]:
         raise InputError(f"--torque-off {unknown[0]!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     chosen = detect(source) if format is None else format
-    if chosen not in READERS:
-        raise InputError(f"--format {format!r} is unknown; choose from {', '.join(READERS)}")
     paths = READERS[chosen].found(source) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
@@ -252,14 +250,14 @@ def import_logs(
     )
 
 
-def detect(source: Path) -> str:
+def detect(source: Path) -> Format:
     """Format of the logs at a path; FileError unless exactly one fits."""
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         fitting = [name for name, reader in READERS.items() if reader.found(source)]
-        if len(fitting) > 1 and TEXT in fitting:  # first bytes and names are surer than that it is text
-            fitting.remove(TEXT)
+        if len(fitting) > 1 and "table" in fitting:  # first bytes and names are surer than that it is text
+            fitting.remove("table")
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
@@ -279,7 +277,7 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
         for name, log in logs.items():
-            write_log(temporary / f"{name}.parquet", log)
+            log.save(temporary / f"{name}.parquet")
         temporary.chmod(0o755)
         if out.exists():
             out.rmdir()

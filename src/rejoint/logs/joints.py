@@ -8,22 +8,22 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import JSON_MOST, TOML_MOST, read_bounded, reading, write_text
+from rejoint.system.files import JSON_MOST, read_bounded, read_toml, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
 
-ANGLE_UNITS = ("rad", "deg", "normalised")
+AngleUnit = Literal["rad", "deg", "normalised"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+Stamp = Literal["header", "log"]
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Ticks per second"""
-STAMPS = ("header", "log")
 
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(
@@ -53,35 +53,30 @@ def read_linear(text: str, known: Collection[str]) -> tuple[str, float, float]:
 class ImportOptions:
     """Declarations about imported files; None: as in the file."""
 
-    angle_unit: str | None = None
+    angle_unit: AngleUnit | None = None
     """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
-    time_unit: str | None = None
+    time_unit: TimeUnit | None = None
     """``s``, ``ms``, ``us`` or ``ns``"""
     rate: float | None = None
     """[Hz] of rows without a time"""
-    columns: Mapping[str, str] | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
     """name in the log -> column: ``{"time": "t", "elbow": "-q3"}``; see `rejoint.logs.columns`"""
-    names: tuple[str, ...] | None = None
+    names: tuple[str, ...] = ()
     """of columns without names"""
     state_topic: str | None = None
     """bags: measured joint states; default ``/joint_states``"""
     command_topic: str | None = None
     """bags: commanded joint states; default ``/joint_commands``"""
-    stamp: str | None = None
+    stamp: Stamp | None = None
     """bags: ``header`` (messages) or ``log`` (recording times)"""
     calibration: Path | None = None
     """LeRobot: of normalised values; default: by encoder steps"""
-    torque_off: tuple[str, ...] | None = None
+    torque_off: tuple[str, ...] = ()
     """joints without torque"""
     force: bool = False
     """import despite failed consistency checks, and store the reasons"""
 
     def __post_init__(self) -> None:
-        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", TIME_UNITS), ("stamp", STAMPS)):
-            value = getattr(self, name)
-            if value not in (None, *known):
-                option = f"--{name.replace('_', '-')}"
-                raise InputError(f"{option} {value!r} is unknown; choose from {', '.join(known)}")
         if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
             raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
         if self.rate is not None and not 0.0 < self.rate < float("inf"):
@@ -93,9 +88,8 @@ def read_map(texts: Iterable[str]) -> dict[str, str]:
     pairs: list[tuple[str, str]] = []
     for text in texts:
         if text.endswith(".toml"):
-            path, remedy = Path(text), 'write lines such as joint1 = "6.33*m0-0.646"'
-            with reading(path, "no map", remedy):
-                pairs += msgspec.toml.decode(read_bounded(path, TOML_MOST, remedy), type=dict[str, str]).items()
+            remedy = 'write lines such as joint1 = "6.33*m0-0.646"'
+            pairs += read_toml(Path(text), dict[str, str], remedy).items()
             continue
         for part in text.split(","):
             ours, _, theirs = (one.strip() for one in part.partition("="))
@@ -215,7 +209,7 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
     """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
     motors = read_homing(source, turned=True)
-    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in (options.columns or {}).items()}
+    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in options.columns.items()}
     names = [mapped.get(name, name) for name in motors]
     chosen = [[*motors.values()][column] for column in match_joints(names, arm, source, "calibration").columns]
     counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Array
-from rejoint.logs.runlog import LOG_MOST, RunLog, write_log
+from rejoint.arms import Arm, Array
+from rejoint.logs.runlog import LOG_MOST, RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_bounded, unused, unwritable
+from rejoint.system.files import read_bounded, unused, writing
 
 INTERVAL = 0.25
 """[s] between writes (chosen)"""
@@ -35,14 +35,14 @@ _MAGIC = "rejoint journal 1"
 class Journal:
     """Writes rows of one arm, until `finish` or `discard`."""
 
-    def __init__(self, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> None:
-        """Open the journal of the run log at ``path``; FileError."""
-        about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
+    def __init__(self, path: Path, arm: Arm, robot: str, label: str) -> None:
+        """Open the journal of the run log at ``path``, of the ``robot`` at this address; FileError."""
+        about = {"arm": arm.name, "joints": arm.joint_names, "robot": robot, "label": label}
         self.path, self.file = path, path.with_name(f".{path.stem}{_ENDING}")
         self.problem: OSError | None = None
         """first write error"""
         self._rows, self._over = deque[bytes](), threading.Event()
-        try:
+        with writing(self.file):
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._handle = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
             try:
@@ -51,8 +51,6 @@ class Journal:
                 os.close(self._handle)
                 self.file.unlink(missing_ok=True)
                 raise
-        except OSError as error:
-            raise unwritable(self.file, error) from error
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
         self._thread.start()
 
@@ -70,7 +68,7 @@ class Journal:
         """Write the run log and remove the journal; FileError."""
         self.close()
         try:
-            write_log(self.path, log)
+            log.save(self.path)
         except FileError as error:
             share = "What the arm did" if self.problem is None else "What was written of it before the disk was full"
             error.add_note(f"{share} is in {self.file}; the next command in this folder makes a log of it.")
@@ -139,7 +137,7 @@ def _convert(file: Path, path: Path) -> Path | None:
     made = None
     if log is not None and len(log):
         made = unused(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
-        write_log(made, log)
+        log.save(made)
     file.unlink(missing_ok=True)
     return made
 

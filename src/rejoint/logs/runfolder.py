@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rejoint.logs.journal import recover
-from rejoint.system.errors import FileError
-from rejoint.system.files import UNFINISHED, UNWRITABLE, read_json, unwritable, write_json
+from rejoint.system.errors import LOGGER, FileError
+from rejoint.system.files import UNFINISHED, read_json, write_json, writing
 
 
 class FilePlace:
@@ -37,8 +36,6 @@ FORMAT = 2
 
 LOGS = "logs:"
 """Robot of a run made from logs, before their folder"""
-
-_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,21 +131,17 @@ def read_info(path: Path) -> RunInfo:
 def locked(folder: RunFolder) -> Iterator[None]:
     """Lock a run folder, and repair what a killed process left; FileError if locked or not writable."""
     path = folder.path / ".lock"
-    try:
+    with writing(folder.path, "nothing can be written there"):
         folder.path.mkdir(parents=True, exist_ok=True)
         file = path.open("a+")
-    except OSError as error:
-        raise FileError(folder.path, f"nothing can be written there ({error.strerror})", UNWRITABLE) from error
     with file:
         has_locks = _lock(file.fileno(), folder)
-        try:
+        with writing(path):
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
             if has_locks:
                 _put_right(folder)
-        except OSError as error:
-            raise unwritable(path, error) from error
         mine = os.getpid()
         try:
             yield
@@ -180,7 +173,7 @@ def _put_right(folder: RunFolder) -> None:
         for unfinished in place.glob(f".*{UNFINISHED}"):
             unfinished.unlink()
     for log in recover(logs):
-        _LOGGER.warning("A run that was cut short is kept: %s", log)
+        LOGGER.warning("A run that was cut short is kept: %s", log)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms import Arm, Array, Index, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
@@ -44,6 +44,7 @@ _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
 """Column names of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
+_ABOUT = ("arm", "robot", "label", "extra")
 _OPTIONAL = ("servo_load", "torque", "current", "gain", "aim")
 _POINTS = ("target", "true_tcp", "aim")
 
@@ -99,6 +100,11 @@ class RunLog:
         """[s] from the first to the last row."""
         return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
 
+    @property
+    def period(self) -> float:
+        """[s] from row to row, in the median."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
     def __post_init__(self) -> None:
         rows = np.size(self.time)
         for name in self.arrays:
@@ -127,6 +133,12 @@ class RunLog:
     def rows(self, which: slice) -> RunLog:
         """Return some rows."""
         return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
+
+    def visits(self) -> list[Index]:
+        """Rows of each target in turn, and of each stretch without one."""
+        filled = np.nan_to_num(self.target, nan=np.inf)  # NaN differs from itself
+        changed = (filled[1:] != filled[:-1]).any(axis=1)
+        return np.split(np.arange(len(self)), np.flatnonzero(changed) + 1)
 
     @property
     def arrays(self) -> tuple[str, ...]:
@@ -199,70 +211,52 @@ class RunLog:
     @classmethod
     def load(cls, path: Path | str) -> RunLog:
         """Read a run log; FileError."""
-        return read_log(Path(path))
+        path, remedy = Path(path), "record it again or take another file"
+        with reading(path, "not a readable run log", remedy):
+            require_file(path, LOG_MOST, remedy)
+            table = read_parquet(path, remedy) if begins_with(path, b"PAR1") else None
+            if table is None or _METADATA_KEY not in (table.schema.metadata or {}):
+                raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
+            header = json.loads(table.schema.metadata[_METADATA_KEY])
+            if header["format"] != FORMAT:
+                raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
+            groups: dict[str, list[Array]] = {}
+            for column in table.column_names:
+                groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
+            (time,) = groups.pop("time")
+            arrays: dict[str, Any] = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
+            about = {key: header[key] for key in _ABOUT}
+            joints, units = tuple(header["joints"]), header.get("units", {})
+            log = cls(joint_names=joints, units=units, time=time, **about, **arrays)
+            if header.get("digest", _digest(log)) != _digest(log):
+                raise FileError(path, CHANGED, remedy)
+            return log
 
     def save(self, path: Path | str) -> None:
-        """Write a run log, whole or not at all; FileError."""
-        write_log(Path(path), self)
+        """Write a run log as Parquet, whole or not at all; FileError."""
+        columns = {"time": self.time}
+        for group in self.arrays[1:]:
+            named = zip(self.parts(group), getattr(self, group).T, strict=True)
+            columns |= {f"{group}.{name}": values for name, values in named}
+        header = {"format": FORMAT, **_about(self), "digest": _digest(self)}
+        table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
+        write_parquet(Path(path), table)
 
-    def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
+    def require(self, arm: Arm) -> None:
         """Raise InputError unless arm, joints, times and angles fit."""
-        if self.arm != arm:
-            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
-        if self.joint_names != joint_names:
-            found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
+        if self.arm != arm.name:
+            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm.name}; name its arm with --arm")
+        if self.joint_names != arm.joint_names:
+            found, expected = ", ".join(self.joint_names), ", ".join(arm.joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
-        apart = float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
-        if apart > LONGEST_PERIOD:
-            raise InputError(f"run log {self.label}: its rows are {apart:.4g} s apart; give times in seconds")
+        if self.period > LONGEST_PERIOD:
+            raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
             farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
             if farthest > TWO_TURNS:
                 raise InputError(
                     f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
                 )
-
-
-def write_log(path: Path, log: RunLog) -> None:
-    """Write a run log as Parquet."""
-    columns = {"time": log.time}
-    for group in log.arrays[1:]:
-        named = zip(log.parts(group), getattr(log, group).T, strict=True)
-        columns |= {f"{group}.{name}": values for name, values in named}
-    header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
-    table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
-    write_parquet(path, table)
-
-
-def read_log(path: Path) -> RunLog:
-    """Read a run log; FileError."""
-    remedy = "record it again or take another file"
-    with reading(path, "not a readable run log", remedy):
-        require_file(path, LOG_MOST, remedy)
-        table = read_parquet(path, remedy) if begins_with(path, b"PAR1") else None
-        if table is None or _METADATA_KEY not in (table.schema.metadata or {}):
-            raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
-        header = json.loads(table.schema.metadata[_METADATA_KEY])
-        if header["format"] != FORMAT:
-            raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
-        groups: dict[str, list[Array]] = {}
-        for column in table.column_names:
-            groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
-        (time,) = groups.pop("time")
-        arrays = {group: np.stack(parts, axis=-1) for group, parts in groups.items()}
-        log = RunLog(
-            arm=header["arm"],
-            joint_names=tuple(header["joints"]),
-            robot=header["robot"],
-            label=header["label"],
-            time=time,
-            extra=header["extra"],
-            units=header.get("units", {}),
-            **arrays,
-        )
-        if header.get("digest", _digest(log)) != _digest(log):
-            raise FileError(path, CHANGED, remedy)
-        return log
 
 
 def write_parquet(path: Path, table: pa.Table) -> None:
@@ -289,7 +283,7 @@ def _load_pandas() -> None:
 
 
 def _about(log: RunLog) -> dict[str, Any]:
-    about = {key: getattr(log, key) for key in ("arm", "robot", "label", "extra")} | {"joints": list(log.joint_names)}
+    about = {key: getattr(log, key) for key in _ABOUT} | {"joints": log.joint_names}
     return about | ({"units": log.units} if log.units else {})
 
 

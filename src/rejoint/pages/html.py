@@ -1,7 +1,4 @@
-"""Pages from ``templates/``, and one look per controller in every figure and theme.
-
-Colours: Okabe and Ito, "Color Universal Design" (2008), and three more.
-"""
+"""Pages from ``templates/``, and one look per controller in every figure and theme."""
 
 from __future__ import annotations
 
@@ -13,7 +10,8 @@ import numpy as np
 
 from rejoint.control.servogains import RIVALS, inner_name
 from rejoint.pages import words
-from rejoint.system.files import write_text
+from rejoint.system.files import read_shipped, write_text
+from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
     import jinja2
@@ -30,41 +28,23 @@ class Look(NamedTuple):
     dark: str
     """on dark ground"""
     dash: str | tuple[float, tuple[float, ...]]
+    controller: str = ""
+    """whose it is"""
 
 
-GREY = Look("#6b7280", "#a3abb8", (0, (1, 1.4)))
-ORANGE = Look("#c47a00", "#f0ad33", (0, (5, 1.5)))
-RED = Look("#c44e00", "#f57c3a", (0, (4, 1.2, 1, 1.2)))
-GREEN = Look("#00815f", "#2cc79b", (0, (7, 1.5)))
-PURPLE = Look("#a8487c", "#df8fbb", (0, (3, 1, 1, 1, 1, 1)))
-BLUE = Look("#0069a8", "#56b4e9", "-")
-BROWN = Look("#7a5c2e", "#c9a56b", (0, (2, 1)))
-INDIGO = Look("#5a52c4", "#a9a3f5", (0, (6, 1, 1, 1)))
-TEAL = Look("#0f7c86", "#4cc3cd", (0, (2, 1, 4, 1)))
-
-LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL)
-
-CONTROLLERS = {
-    "default": GREY,
-    "pid-sum": ORANGE,
-    "pid-literal": RED,
-    "integrator": GREEN,
-    "feedforward": PURPLE,
-    "shelf": INDIGO,
-    "policy": BLUE,
-    "predictive": TEAL,
-}
+LOOKS = read_shipped(__file__, "looks.toml", dict[str, Look])
+CONTROLLERS = {look.controller: look for look in LOOKS.values() if look.controller}
 
 
 def look_of(controller: str) -> Look:
     """Look of a controller, under tuned servo gains with other dashes; unknown: brown."""
-    look = CONTROLLERS.get(inner_name(controller), BROWN)
+    look = CONTROLLERS.get(inner_name(controller), LOOKS["brown"])
     return look._replace(dash=(0, (9, 2, 1.5, 2))) if controller in RIVALS else look
 
 
 def colour_number(controller: str) -> int:
     """Index in `LOOKS` of a controller's colours."""
-    return [look.colour for look in LOOKS].index(look_of(controller).colour)
+    return [look.colour for look in LOOKS.values()].index(look_of(controller).colour)
 
 
 def render(template: str, **values: object) -> str:
@@ -84,10 +64,9 @@ def write_page(path: Path, template: str, **values: object) -> Path:
     return path
 
 
-@cache
-def macros(template: str, **values: str) -> Any:  # noqa: ANN401 - what the template has
-    """Macros of a template, with ``values``."""
-    return _environment().get_template(template).make_module(values)
+def macros(template: str) -> Any:  # noqa: ANN401 - what the template has
+    """Macros of a template."""
+    return _environment().get_template(template).module
 
 
 @cache
@@ -110,11 +89,7 @@ def _environment() -> jinja2.Environment:
         "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
         "quoted": lambda names: words.listed([f"“{name}”" for name in names]),
     }
-    theme = {
-        name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
-        for name, key in (("light", "colour"), ("dark", "dark"))
-    }
-    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval}
-    found.globals |= {"theme": theme} | known
+    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "version": __version__}
+    found.globals |= {"looks": LOOKS.values()} | known
     found.globals["m"] = found.get_template("macros.html").module
     return found

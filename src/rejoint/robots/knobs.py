@@ -18,7 +18,7 @@ from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung,
 from rejoint.robots.family import BAUD, SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint.system.stopping import ending
 
 LIMIT = "limit"
@@ -75,7 +75,7 @@ class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @classmethod
     def beside(cls, module: str) -> Self:
         """Read the file beside a ``module``; FileError."""
-        return read_toml(Path(module).with_name("servo.toml"), cls, "install rejoint again")
+        return read_shipped(module, "servo.toml", cls)
 
     @property
     def strides(self) -> dict[str, int]:

@@ -50,7 +50,7 @@ from rejoint.robots.mycobot.mover import (
 from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Computer, Frame, answer, encode, flag
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError
-from rejoint.system.files import unwritable
+from rejoint.system.files import writing
 
 IN_PLACE = PostureGains.close
 """[m] of the tool at the end of a move: where the controller rests"""
@@ -301,11 +301,9 @@ class OrderLog:
         self.path, self._say = path, say
         self.orders = 0
         """so far"""
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: FileIO | None = path.open("ab", buffering=0)
-        except OSError as error:
-            raise unwritable(path, error) from error
 
     def ordered(self, command: int, payload: bytes, *, done: bool, why: str = "") -> int:
         """Write an order, whether it is carried out and why not; returns its number."""

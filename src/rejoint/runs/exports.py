@@ -26,7 +26,7 @@ from rejoint.session.context import ControllerMaker, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import write_text, write_whole
+from rejoint.system.files import write_bytes, write_text
 from rejoint.system.shell import __version__
 from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
@@ -172,7 +172,7 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
         "sha256": hashlib.sha256(data).hexdigest(),
         "slots": [one if size == 1 else f"{one}[{k}]" for one, size in sizes for k in range(size)],
     }
-    write_whole(path, lambda temporary: temporary.write_bytes(data))
+    write_bytes(path, data)
     write_text(path.with_suffix(".yaml"), render("export/controller.yaml.txt", **words))
     if kind == "ros2":
         for template in templates(ROS2):

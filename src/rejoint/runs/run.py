@@ -19,7 +19,7 @@ from rejoint.control.robot import JointState, Robot, RobotWrapper
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
@@ -197,7 +197,7 @@ class Run(Readable):
     @property
     def logs(self) -> dict[str, RunLog]:
         """All run logs by name, sorted."""
-        return {name: read_log(path) for name, path in self.folder.logs().items()}
+        return {name: RunLog.load(path) for name, path in self.folder.logs().items()}
 
 
 def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> Path:
@@ -299,7 +299,7 @@ class _StageRobot(RobotWrapper):
         if motion.journal is None and motion.path is not None:
             if motion.run is not None:
                 motion.run.begin()
-            motion.journal = start_journal(motion.path, self.robot, motion.stage)
+            motion.journal = Journal(motion.path, self.arm, self.address, motion.stage)
         motion.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
         motion.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
         if motion.journal is not None:
@@ -327,12 +327,6 @@ def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Ca
     finally:
         if run is not None and motion.moving > 0.0:
             add(run.folder, StageCost(name=stage, moving=motion.moving, travel=motion.travel))
-
-
-def start_journal(path: Path, robot: Robot, label: str) -> Journal:
-    """Start the journal of a run log."""
-    arm = robot.arm
-    return Journal(path, arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
 
 
 def dated(run: Run, name: str) -> Path:

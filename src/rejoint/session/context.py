@@ -49,7 +49,7 @@ from rejoint.control.servogains import (
     stiffness_under,
 )
 from rejoint.control.start import Stance
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.session.inputs import (
@@ -201,7 +201,7 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     paths = [run.folder.log(name) for name in ("excitation", "targets")]
     if not all(path.exists() for path in paths):
         return limits
-    bands = standing_bands(laden(run), [read_log(path) for path in paths], *told.measurement.balance)
+    bands = standing_bands(laden(run), [RunLog.load(path) for path in paths], *told.measurement.balance)
     return replace(limits, bands=bands, gains=told.servo_gains)
 
 
@@ -220,8 +220,8 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
     stance = _expected(twin)
     if run is None or not (path := run.folder.log("targets")).exists():
         return stance
-    log, then = read_log(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
-    rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)
+    log, then = RunLog.load(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
+    rests = [visit[-1] for visit in log.visits()]
     return replace(stance, off=then.away(laden(run), log.position[rests], log.command[rests]).max(axis=0))
 
 

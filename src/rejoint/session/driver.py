@@ -41,7 +41,7 @@ from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import is_virtual, open_robot
-from rejoint.runs.run import Run, dated, exclusive, staged, start_journal
+from rejoint.runs.run import Run, dated, exclusive, staged
 from rejoint.session.context import (
     ControllerMaker,
     Factory,
@@ -168,7 +168,7 @@ class RunRecorder:
         if self._run is not None:
             require_space(self._run.path)  # some is left for other programs
             robot, name, label = kind
-            self._journal = start_journal(dated(self._run, name), robot, label)
+            self._journal = Journal(dated(self._run, name), robot.arm, robot.address, label)
 
 
 def _log(kind: LogKind, cycles: list[Cycle], end: str = "", extra: Mapping[str, str] | None = None) -> RunLog:

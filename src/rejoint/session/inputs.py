@@ -16,7 +16,7 @@ from rejoint.arms.inertia import Payload, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
-from rejoint.logs.runlog import RunLog, describe, read_log
+from rejoint.logs.runlog import RunLog, describe
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
@@ -121,14 +121,14 @@ def as_logs(given: LogsLike) -> list[RunLog]:
         return [log for one in given for log in as_logs(one)]
     path = Path(given)
     if path.is_file():
-        return [read_log(path)]
+        return [RunLog.load(path)]
     files = sorted(path.glob("*.parquet")) if path.is_dir() else []
     if not files:
         found = describe(path) if path.exists() else "nothing there"
         raise FileError(
             path, f"no folder with run logs (.parquet): {found}", "make one with: rejoint import SOURCE FOLDER"
         )
-    return [read_log(file) for file in files]
+    return [RunLog.load(file) for file in files]
 
 
 def source_of(logs: LogsLike) -> str:

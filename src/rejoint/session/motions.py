@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -49,16 +48,13 @@ from rejoint.session.context import correction_of, say_heavy, say_noticed
 from rejoint.session.driver import ArmMotion
 from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Settings, Targets, as_targets
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import InputError
+from rejoint.system.errors import LOGGER, InputError
 from rejoint.system.files import saving
 from rejoint.system.numbers import as_floats, as_seconds, as_within
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
-
-
-_LOGGER = logging.getLogger("rejoint")
 
 
 def deploy(
@@ -201,7 +197,7 @@ def with_sightings(done: Deployed, seen: Seen | None) -> Deployed:
         return done
     far = seen.shifted() if seen.displacement.play.any() else None  # without a calibration all of the sag is seen
     if far is not None:
-        _LOGGER.warning(
+        LOGGER.warning(
             "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: were "
             "camera or board moved? Then calibrate with the camera again, the arm went where it says",
             1e3 * far,

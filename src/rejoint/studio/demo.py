@@ -18,7 +18,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.control.recording import LookedAt, cycle_at_rest
 from rejoint.control.robot import JointState, Robot
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.session.inputs import FIRST_ROBOT
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ MISS = Path(__file__).with_name("miss.parquet")
 
 def play(view: LiveView, over: Callable[[], bool]) -> None:
     """Show the recorded miss, at least once and until ``over``: the simulation may still have to be compiled."""
-    log = read_log(MISS)
+    log = RunLog.load(MISS)
     arm = load_arm(log.arm)
     told = SimpleNamespace(arm=arm, address="a recording, while the simulation is prepared", count=1)
     seen = view.watch(cast(Robot, told), paced=False)

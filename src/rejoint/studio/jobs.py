@@ -31,9 +31,9 @@ from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 
-_TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
+_TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
 SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
 """What a finding says at its joint; seconds, and turns of all joints, of stages before their own pace is known"""
 LEAST = 1.0
@@ -180,9 +180,9 @@ def repair(studio: Studio, *, quick: bool = False) -> None:
     done = rejoint.repair(
         status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
     )
-    from rejoint.pages.report.page import before_after, read_contents  # late: a repair has asked for what it needs
+    from rejoint.pages.report.page import read_contents  # late: a repair has asked for what it needs
 
-    errors, advice = before_after(read_contents(run.path)), done.recommendation
+    errors, advice = read_contents(run.path).before_after(), done.recommendation
     sentence = "" if errors is None else errors.sentence
     if quick:
         sentence = f"A quick try, which is no result. {sentence}"

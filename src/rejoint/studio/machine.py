@@ -23,7 +23,7 @@ from rejoint.control.recording import Observer
 from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.run import RUNS, Run, newest_or_new
-from rejoint.system.errors import InputError, NotReadyError, RejointError, first_line
+from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, ending, interrupt
 
@@ -105,7 +105,7 @@ class Studio(Observer):
         """newest reading of the arm"""
         self.travel = 0.0
         """[rad] of all joints in this job"""
-        logging.getLogger("rejoint").addHandler(_Messages(self.message))
+        LOGGER.addHandler(_Messages(self.message))
         self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
         self._thread.start()
 

@@ -25,7 +25,7 @@ from rejoint.arms import CATALOGUE, Array, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observers
 from rejoint.pages.html import macros
-from rejoint.pages.live.page import AMBER, GREEN, GREY, PACES, RED, SLOWER, TARGET, WebPage
+from rejoint.pages.live.page import PACES, SLOWER, TARGET, WebPage
 from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
@@ -125,7 +125,7 @@ class StudioPage(WebPage):
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
         self._parts: list[Any] = []
         self._marked: object = None
-        self._words = macros("studio.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self._words = macros("studio.html")
         super().__init__(host, port)
         if token:
             self.address += f"/?token={token}"
@@ -141,14 +141,13 @@ class StudioPage(WebPage):
         self._stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP)
         self._stop.hint = "The arm stops and keeps its position, powered."
         self._stop.on_click(lambda _: self.studio.stop())
-        self.texts["now"] = gui.add_html("")
+        self._now = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal", visible=False)
         self._step = gui.add_dropdown("Step", list(TITLES.values()))
         self._step.on_update(lambda event: self._go(event.client is not None))
         self._panel_of_step = gui.add_folder("Find the arm")
         with gui.add_folder("The arm now", expand_by_default=False):
-            for name in ("error", "guard", "joints", "legend"):
-                self.texts[name] = gui.add_html("")
+            self.state = gui.add_html("")
             self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
         with gui.add_folder("When the browser is closed", expand_by_default=False):
             self._closed = gui.add_dropdown("The arm", [HOLDS, "goes on"])
@@ -227,25 +226,23 @@ class StudioPage(WebPage):
             self._alone = np.inf
             self.studio.stop("the studio, as its page was closed")
 
-    def draw(self, doing: Doing, stopped: str) -> None:
+    def draw(self, shown: Shown | None, doing: Doing) -> None:
         """Draw new cycles, and what has changed in the studio."""
         self._alone = None
-        super().draw(doing, stopped)
+        super().draw(shown, doing)
         if self._frames % SLOWER == 0:
             self.render()
         self._frames += 1
 
-    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what follows the arm."""
-        texts = self.words(shown, seen, doing, stopped)
-        for name in ("error", "guard", "joints", "legend"):
-            self.texts[name].content = str(texts[name])
+        self.write_state(shown, seen, doing)
 
     def render(self) -> None:
         """Show the status."""
         status, studio = self.studio.status, self.studio
         left = jobs.left(studio)
-        self.texts["now"].content = str(self._words.now(status, left, TITLES))
+        self._now.content = str(self._words.now(status, left, TITLES))
         self._bar.visible = status.busy
         self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
         self._stop.label = "Stopping ..." if status.stopping else "STOP"
@@ -259,10 +256,10 @@ class StudioPage(WebPage):
         found = status.found.get("diagnosis")
         if self.shown is not None and self._marked is not found:
             self._marked = found
-            self.mark(jobs.marks(self.shown.robot.arm, found))
+            self.limbs.mark(jobs.marks(self.shown.robot.arm, found))
         seen = studio.seen  # the job may forget it meanwhile
         if self.shown is not None and not self._recent and seen is not None:
-            self.pose(seen.position[0])
+            self.limbs.pose(seen.position[0])
 
     def _furnish_step(self, status: Status) -> None:
         self._busy = status.busy

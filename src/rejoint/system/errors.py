@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import ClassVar
+
+LOGGER = logging.getLogger("rejoint")
+"""Receives what is worth a word and no error"""
 
 
 class RejointError(Exception):

@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 import shutil
-import stat
 import tempfile
 import tomllib
 import zipfile
@@ -54,9 +53,18 @@ MALFORMED = (
 _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
 
 
+@contextmanager
+def writing(path: Path, problem: str = "cannot be written") -> Iterator[None]:
+    """Turn what the system raises into a FileError with this ``problem``."""
+    try:
+        yield
+    except OSError as error:
+        raise FileError(path, f"{problem} ({error.strerror or first_line(error)})", UNWRITABLE) from error
+
+
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a file, and move it whole to ``path``; FileError."""
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
         temporary = Path(name)
@@ -70,28 +78,22 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise unwritable(path, error) from error
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write bytes as `write_whole`."""
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text as `write_whole`."""
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def unwritable(path: Path, error: OSError) -> FileError:
-    """Error of a file that cannot be written."""
-    return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)
+    write_bytes(path, text.encode())
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
     """Read a file of at most ``most`` bytes; FileError, OSError."""
     require_file(path, most, remedy)
-    with path.open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise FileError(path, f"grew beyond {_size(most)} while it was read", remedy)
-    return data
+    return path.read_bytes()
 
 
 @contextmanager
@@ -107,13 +109,12 @@ def reading(path: Path, problem: str, remedy: str) -> Iterator[None]:
 
 def require_file(path: Path, most: int, remedy: str) -> None:
     """Raise FileError unless ``path`` is such a file; FileNotFoundError."""
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise FileError(path, "cannot be read: it is a folder", "give a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise FileError(path, "cannot be read: it is a pipe or a device", "give a file")
-    if found.st_size > most:
-        raise FileError(path, f"{_size(found.st_size)} large, expected at most {_size(most)}", remedy)
+    size = path.stat().st_size
+    if not path.is_file():
+        kind = "a folder" if path.is_dir() else "a pipe or a device"
+        raise FileError(path, f"cannot be read: it is {kind}", "give a file")
+    if size > most:
+        raise FileError(path, f"{_size(size)} large, expected at most {_size(most)}", remedy)
 
 
 def begins_with(path: Path, first: bytes) -> bool:
@@ -129,10 +130,8 @@ def begins_with(path: Path, first: bytes) -> bool:
 
 def require_space(folder: Path) -> None:
     """Raise FileError unless `SPACE` is free at ``folder``."""
-    try:
+    with writing(folder):
         free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise unwritable(folder, error) from error
     if free < SPACE:
         raise FileError(folder, f"{_size(free)} free on that disk, {_size(SPACE)} needed", UNWRITABLE)
 
@@ -142,7 +141,7 @@ def write_json(path: Path, value: object) -> None:
     data = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("tolist")), indent=2)
     if data.endswith(b"\n}"):
         data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
-    write_whole(path, lambda temporary: temporary.write_bytes(data))
+    write_bytes(path, data)
 
 
 def array_of(kind: Any, rows: object) -> NDArray[Any]:  # noqa: ANN401 - such as NDArray[np.int64]
@@ -218,14 +217,18 @@ def read_toml(path: Path, kind: type[T], remedy: str) -> T:
         raise FileError(path, first_line(error), "correct the file") from error
 
 
+def read_shipped(module: str, name: str, kind: type[T]) -> T:
+    """Read the TOML file ``name`` that comes with the program, beside the file of a ``module``."""
+    return read_toml(Path(module).with_name(name), kind, "install rejoint again")
+
+
 _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
 def write_sealed(path: Path, table: Mapping[str, Any], about: str = "") -> None:
     """Write TOML below comments ``about`` it, whole or not at all."""
     text = "".join(f"# {line}\n" for line in about.splitlines()) + tomlkit.dumps(table)
-    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, f"# digest of the text below: {digest(text.encode()).decode()}\n{text}")
 
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:

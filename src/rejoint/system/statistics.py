@@ -107,8 +107,6 @@ def spread(values: Array, labels: Labels) -> Spread | None:
 
 def wilson(hits: float, trials: float) -> Estimate:
     """Share ``hits / trials`` with Wilson's interval; ``trials`` may be fractional."""
-    if not 0 <= hits <= trials or trials <= 0:
-        raise ValueError(f"a share needs 0 <= hits <= trials and trials > 0, got {hits} of {trials}")
     share, z2 = hits / trials, NORMAL95**2
     centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
     half = NORMAL95 * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)

@@ -132,7 +132,7 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
     return (found["name"], unit) if found is not None and found["name"] and unit in units else (title, None)
 
 
-def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
+def read_sheet(path: Path, *, names: Sequence[str] = (), whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
     ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is left out; damaged cells are
@@ -196,7 +196,7 @@ def head(path: Path) -> Sheet | None:
         text, encoding = _decoded(data, path, cut=cut)
         if text.lstrip().startswith(("{", "[", "<")):
             return None
-        sheet = _parsed(text.rpartition("\n")[0] if cut else text, encoding, path, None)
+        sheet = _parsed(text.rpartition("\n")[0] if cut else text, encoding, path)
     except (OSError, FileError):
         return None
     return sheet if len(sheet.titles) > 1 else None
@@ -217,7 +217,7 @@ def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
     raise FileError(path, "no text: it holds control characters", "save it as text, or take another file")
 
 
-def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *, whole: bool = True) -> Sheet:
+def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, whole: bool = True) -> Sheet:
     lines = text.splitlines()
     ends = len(f"{text}.".splitlines()) > len(lines)
     chosen = [i for i, line in enumerate(lines) if line.strip() and not _ASIDE.match(line)]
@@ -240,7 +240,7 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
         comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
         named = len(comment) == width
         numbered = [str(i) for i in range(1, width + 1)]
-        titles = comment if named else list(names) if names and len(names) == width else numbered
+        titles = comment if named else list(names) if len(names) == width else numbered
     if not (whole or ends):
         rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true

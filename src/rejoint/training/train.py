@@ -38,7 +38,7 @@ from rejoint.control.controllers.policy import (
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import write_parquet
 from rejoint.system.errors import ContractError
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_bytes
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
 from rejoint.training.learner import CurvePoint, Learner
@@ -238,7 +238,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     answers = session.run((OUTPUT,), {INPUT: probe_observations(contract.observation_size).astype(np.float32)})[0]
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
-    write_whole(path, lambda temporary: temporary.write_bytes(seal(model.SerializeToString())))
+    write_bytes(path, seal(model.SerializeToString()))
     return complete
 
 

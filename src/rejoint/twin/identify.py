@@ -305,7 +305,7 @@ def identify_logs(
     the motions ``fitted``. InputError for another arm or too little motion.
     """
     for log in logs:
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
     logs = powered(logs)
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
     logs = at_gain(logs, gain)

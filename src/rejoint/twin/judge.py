@@ -95,7 +95,7 @@ def predict_logs(
 ) -> dict[str, list[Array]]:
     """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
-        log.require(arm.name, arm.joint_names)
+        log.require(arm)
     still = [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]  # row k is sent after its answer
     return {NO_TWIN: still} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
 

@@ -73,7 +73,7 @@ class Replay:
 
     def __post_init__(self) -> None:
         for log in self._shown.values():
-            log.require(self.arm.name, self.arm.joint_names)
+            log.require(self.arm)
         if not self.windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
 

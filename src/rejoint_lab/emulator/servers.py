@@ -18,7 +18,7 @@ from rejoint.robots.wireserver import (
     Server,
     TcpServer,
 )
-from rejoint.system.files import unwritable
+from rejoint.system.files import writing
 from rejoint.system.shell import listen_tcp
 from rejoint_lab.emulator.faults import (
     NONE,
@@ -35,22 +35,18 @@ class TruthLog:
 
     def __init__(self, path: Path, joints: int) -> None:
         self._path = path
-        try:
+        with writing(path):
             self._stream = path.open("a", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise unwritable(path, error) from error
         names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
         self._titles = ",".join(["time", "x", "y", "z", *names]) + "\n"
 
     def write(self, now: float, arm: EmulatedArm) -> None:
         """Add a row: [s], [m], [rad]; the first one replaces what the file held."""
         row = [now, *arm.plant.true_tcp()[0], *arm.angles, *arm.plant.link_position()[0]]
-        try:
+        with writing(self._path):
             if self._titles:
                 self._stream.truncate(0)
             self._stream.write(self._titles + ",".join(f"{value:.6f}" for value in row) + "\n")
-        except OSError as error:
-            raise unwritable(self._path, error) from error
         self._titles = ""
 
     def close(self) -> None:

@@ -17,7 +17,6 @@ twins, by the time to stay within 2 mm plus the settled error.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -33,7 +32,7 @@ from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.loop import run
 from rejoint.control.robot import ControlInput, Controller, JointState
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ class Rival(NamedTuple):
         return {name: gain.tuned for name, gain in self.gains.items()}
 
 
-_TABLE = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Gain]], "install rejoint again")
+_TABLE = read_shipped(__file__, "rivals.toml", dict[str, dict[str, Gain]])
 RIVALS = {
     "pid-sum": Rival(lambda *_: PidController(literal=False), {}),
     "pid-literal": Rival(lambda *_: PidController(literal=True), {}),

@@ -15,7 +15,6 @@ from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import read_effort
-from rejoint.logs.runlog import write_log
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
 from rejoint.runs.stages.compare import open_loop_trials
@@ -266,7 +265,7 @@ def test_what_was_measured_open_loop_is_not_driven_again():
 def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_path):
     log = run(SaggingRobot(1, 3), DefaultController(ARM), TWENTY[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
     about = Run.create(tmp_path / "run", SaggingRobot.address, ARM, seed=2)
-    write_log(about.folder.log("targets"), log)
+    log.save(about.folder.log("targets"))
     quick = rejoint.TrialPlan(protocol=QUICK)
     found = rejoint.compare(SaggingRobot(), run=about, plan=quick).comparison
     assert found.controllers == ("default", "integrator", "feedforward", "shelf"), "the paper's PIDs only on request"

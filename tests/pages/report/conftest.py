@@ -27,7 +27,6 @@ from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.segments import OpenLoop, TargetError
 from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runfolder import RunFolder, RunInfo
-from rejoint.logs.runlog import write_log
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
 from rejoint.twin.parameters import nominal_parameters, prior
@@ -137,5 +136,5 @@ def fill(folder, arm, diagnosis, twin, comparison):
     targets = np.array(comparison.targets[0])
     for name in comparison.controllers:
         for kind in ("crossing", "hold"):
-            write_log(folder.log(f"{kind}/{name}/0/0"), trial_log(arm, name, kind, targets))
+            trial_log(arm, name, kind, targets).save(folder.log(f"{kind}/{name}/0/0"))
     return folder

@@ -33,7 +33,7 @@ def test_error_over_time_draws_every_line_on_a_log_axis():
 
 def make():
     value = np.arange(1.0, 11.0)
-    series = Series(label='a <worn> & "old" arm', look=palette.GREY, value=value)
+    series = Series(label='a <worn> & "old" arm', look=palette.LOOKS["grey"], value=value)
     return curves({"": [series]}, value, "target", (10.4, 3.2))
 
 
@@ -42,7 +42,7 @@ def test_svg_is_deterministic_wellformed_and_follows_the_theme():
     assert first == again
     assert palette.INK not in first
     assert "currentColor" in first
-    assert palette.GREY.colour not in first
+    assert palette.LOOKS["grey"].colour not in first
     assert "var(--look-0)" in first
     assert "http" not in first
     root = ET.fromstring(str(first).replace("xlink:href", "href"))

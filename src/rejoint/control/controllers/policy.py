@@ -26,7 +26,7 @@ from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import Layout, Observation, Observer, Slot, layout_slots
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import ContractError, FileError, InputError, first_line
-from rejoint.system.files import MEGABYTE, read_bounded, reading, write_whole
+from rejoint.system.files import MEGABYTE, read_bounded, reading, write_bytes
 from rejoint.system.results import Readable
 from rejoint.system.shell import Late
 
@@ -342,7 +342,7 @@ class Policy(Readable):
 
     def save(self, path: Path | str) -> None:
         """Write the policy file, whole or not at all; FileError."""
-        write_whole(Path(path), lambda temporary: temporary.write_bytes(self.content))
+        write_bytes(Path(path), self.content)
 
     def controller(self, arm: Arm) -> PolicyController:
         """Return the controller of ``arm``; ContractError for another arm, FileError for a damaged network."""

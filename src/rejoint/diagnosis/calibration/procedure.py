@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ from rejoint.control.start import Stance, begin, move
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion, before
 from rejoint.logs.runfolder import RunFolder
-from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, reading, require_file
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
@@ -247,7 +246,7 @@ def kept(file: Path | None, *, fresh: bool, more: str = "") -> Iterator[None]:
 def log_resumed(file: Path, done: str) -> None:
     """Log that a session resumes, and how to restart it."""
     written = datetime.fromtimestamp(file.stat().st_mtime)
-    logging.getLogger("rejoint").warning(
+    LOGGER.warning(
         "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
         f"{written:%Y-%m-%d %H:%M}",
         done,
@@ -332,7 +331,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
         try:
             position = drive.stand(plan.postures[number], number)
         except PlanningError as error:
-            logging.getLogger("rejoint").warning("posture %d is left out: %s", number + 1, error)
+            LOGGER.warning("posture %d is left out: %s", number + 1, error)
             return None
         stop = Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again)
         point = gauge.measure(robot, stop)

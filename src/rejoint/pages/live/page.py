@@ -6,7 +6,6 @@ import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
-from typing import cast
 
 import numpy as np
 import trimesh
@@ -34,7 +33,6 @@ TRAIL: Colour = (235, 120, 30)
 TARGET: Colour = (30, 160, 90)
 TRUE: Colour = (200, 30, 160)
 """of the tool"""
-RED, AMBER, GREEN, GREY = "#c92a2a", "#b35c00", "#2b8a3e", "#868e96"
 TRAIL_POINTS = 400
 """(chosen: at `APART` that is 0.8 m)"""
 APART = 2e-3
@@ -92,6 +90,46 @@ class Ghost:
         return self._simulation.measured[0]
 
 
+class Limbs:
+    """Base, links and tool of an arm, each a capsule from its frame's origin to the next."""
+
+    def __init__(self, scene: viser.SceneApi, arm: Arm, root: str, *, ghost: bool = False) -> None:
+        """Draw them below ``root``, at rest; a ``ghost`` is thinner, and lets one see through it."""
+        whole = LINK_RADIUS_RATIO * reach(arm)
+        self._scene, self._arm, self._aside = scene, arm, 1.5 * whole * SIDE
+        self._meshes, self._marks = list[viser.MeshHandle](), dict[int, viser.LabelHandle]()
+        colours, share, opacity = ((GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY) if ghost else (LINKS, 1.0, None)
+        for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
+            radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
+            if link == arm.joints:  # the tool, whose round end is its tip
+                radius = TOOL_SHARE * whole
+                end = end * max(1.0 - radius / max(length, radius), 0.0)
+            turn, _ = Rotation.align_vectors(end if np.any(end) else UP, UP)
+            shape = trimesh.creation.capsule(np.linalg.norm(end), share * radius, count=(12, 20))
+            vertices, name, colour = turn.apply(shape.vertices) + 0.5 * end, f"{root}/{link}", colours[link % 2]
+            mesh = scene.add_mesh_simple(name, vertices, shape.faces, color=colour, opacity=opacity)
+            mesh.cast_shadow = mesh.receive_shadow = not ghost
+            self._meshes.append(mesh)
+        self.pose(arm.rest)
+
+    def pose(self, position: Array) -> None:
+        """Put the joints at ``position`` (n,) [rad]."""
+        self._position, found = position, frames(self._arm, position)
+        turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
+        for mesh, place, turn in zip(self._meshes[1:], found.position, turns, strict=True):
+            mesh.position, mesh.wxyz = place, turn
+        for joint, label in self._marks.items():
+            label.position = found.position[joint] + self._aside
+
+    def mark(self, words: Mapping[int, str]) -> None:
+        """Write words at joints, by their number from 0, in place of others."""
+        for label in self._marks.values():
+            label.remove()
+        add = self._scene.add_label
+        self._marks = {joint: add(f"/marks/{joint}", text, anchor="center-left") for joint, text in words.items()}
+        self.pose(self._position)
+
+
 class WebPage:
     """A page for any number of browsers."""
 
@@ -118,10 +156,7 @@ class WebPage:
         self.shown: Shown | None = None
         """the run that is drawn"""
         self._count, self._recent = 0, list[SeenCycle]()
-        self._marks: list[tuple[int, viser.LabelHandle]] = []
-        self.texts: dict[str, viser.GuiHtmlHandle] = {}
-        """parts of the panel that follow the arm"""
-        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self._panel = macros("live.html")
         self.furnish(gui)
 
     def serve(self, host: str, port: int) -> viser.ViserServer:
@@ -130,12 +165,13 @@ class WebPage:
 
     def furnish(self, gui: viser.GuiApi) -> None:
         """Put everything into the panel."""
-        self.texts["head"] = gui.add_html("")
+        self._head = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
         self._hold.on_click(lambda _: self._ask_to_hold())
         self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
-        self.texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
+        self.state = gui.add_html("")
+        """what follows the arm"""
 
     @property
     def pace(self) -> float:
@@ -159,7 +195,7 @@ class WebPage:
             shown.cycles.popleft()
         self._pace.visible = shown.paced
         arm, within = shown.robot.arm, shown.within
-        if self._built is None or self._built[0] is not arm or self._built[1] != within:
+        if self._built != (arm, within):
             self.build(arm, within)
         for trail in (self._tool, self._aims):
             trail.points.clear()
@@ -168,15 +204,14 @@ class WebPage:
         """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
         scene, size = self.server.scene, reach(arm)
         scene.reset()
-        self._built, self._marks = (arm, within), []
+        self._built = arm, within
         scene.add_light_ambient("/light", intensity=0.8)
         look, camera = size * np.array([0.25, 0.0, 0.28]), self.server.initial_camera
         camera.fov, camera.up, camera.look_at = np.radians(45.0), UP, look
         camera.position = look + size * np.array([0.8, -1.0, 0.55])
         cell, dot = cell_of(size), max(size, 0.3) / 0.3
         scene.add_grid("/ground", cell_size=cell, section_size=2 * cell, infinite_grid=True, fade_distance=4 * size)
-        self._limbs = self._add_limbs(arm, "/arm", LINKS, 1.0, None)
-        self._ghosts = self._add_limbs(arm, "/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
+        self.limbs, self._ghosts = Limbs(scene, arm, "/arm"), Limbs(scene, arm, "/ghost", ghost=True)
         self._target = scene.add_icosphere("/target", 0.0025 * dot, TARGET, visible=False)
         scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
@@ -185,54 +220,17 @@ class WebPage:
         for k, box in enumerate(arm.keep_out):
             place, extent = 0.5 * (box.lower + box.upper), box.upper - box.lower
             scene.add_box(f"/keep_out/{k}", GHOST, extent, position=place, opacity=GHOST_OPACITY)
-        self.pose(arm.rest)
-        _pose(arm, self._ghosts, arm.rest)
 
-    def mark(self, words: Mapping[int, str]) -> None:
-        """Write words at joints, by their number from 0."""
-        for _, label in self._marks:
-            label.remove()
-        add = self.server.scene.add_label
-        self._marks = [(j, add(f"/marks/{j}", text, anchor="center-left")) for j, text in words.items()]
-        if self._built is not None:
-            self.pose(self._built[0].rest if not self._recent else self._recent[-1].cycle.position)
-
-    def pose(self, position: Array) -> None:
-        """Draw the arm with its joints at ``position`` (n,) [rad]."""
-        arm = cast("tuple[Arm, float]", self._built)[0]
-        _pose(arm, self._limbs, position)
-        if self._marks:
-            places = frames(arm, position).position
-            for j, label in self._marks:
-                label.position = places[j] + 1.5 * LINK_RADIUS_RATIO * reach(arm) * SIDE
-
-    def _add_limbs(
-        self, arm: Arm, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
-    ) -> list[viser.MeshHandle]:
-        """Add base and links, each a capsule from its frame's origin to the next, and the tool."""
-        scene, whole, found = self.server.scene, LINK_RADIUS_RATIO * reach(arm), []
-        for link, end in enumerate([*arm.offset[:, :3, 3], arm.tip[:3, 3]]):
-            radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
-            if link == arm.joints:  # the tool, whose round end is its tip
-                radius = TOOL_SHARE * whole
-                end = end * max(1.0 - radius / max(length, radius), 0.0)
-            turn, _ = Rotation.align_vectors(end if np.any(end) else UP, UP)
-            shape = trimesh.creation.capsule(np.linalg.norm(end), share * radius, count=(12, 20))
-            vertices = turn.apply(shape.vertices) + 0.5 * end
-            name, colour, solid = f"{root}/{link}", colours[link % 2], opacity is None
-            found.append(scene.add_mesh_simple(name, vertices, shape.faces, color=colour, opacity=opacity))
-            found[-1].cast_shadow = found[-1].receive_shadow = solid
-        return found
-
-    def draw(self, doing: Doing, stopped: str) -> None:
+    def draw(self, shown: Shown | None, doing: Doing) -> None:
         """Draw new cycles of the run, if there is one."""
-        shown = self.shown
         if shown is None:
             return
-        arm, cycles, ghost = shown.robot.arm, shown.cycles, None
+        if shown is not self.shown:
+            self.show(shown)
+        cycles, ghost = shown.cycles, None
         for seen in [SeenCycle.of(*cycles.popleft()) for _ in range(len(cycles))]:
             ghost = seen.cycle.command if self._ghost is None else self._ghost.follow(seen)
-            self._tool.extend(tcp_position(arm, seen.cycle.position))
+            self._tool.extend(tcp_position(shown.robot.arm, seen.cycle.position))
             self._aims.extend(seen.cycle.aim)
             self._recent.append(seen)
         newest = self._recent[-1] if self._recent else None
@@ -242,41 +240,39 @@ class WebPage:
                 now, since = newest.cycle, newest.cycle.time - KEPT
                 self._recent = [one for one in self._recent if one.arm == newest.arm and one.cycle.time > since]
                 known = np.isfinite(now.target).all()
-                self.pose(now.position)
-                _pose(arm, self._ghosts, ghost)
+                self.limbs.pose(now.position)
+                self._ghosts.pose(ghost)
                 _place(self._target, now.aim)
                 _place(self._true, now.aim + now.true_tcp - now.target if known else now.true_tcp)
                 self._label.text = "target" if moves else f"target {int(now.target_index) + 1}"
             if self._count % SLOWER == 0:
                 self._tool.draw(1)
                 self._aims.draw(MOVES)
-                self.write(shown, newest, doing, stopped)
+                self.write(shown, newest, doing)
         self._count += 1
 
-    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> None:
+    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what changed into the panel."""
-        for name, text in self.words(shown, seen, doing, stopped).items():
-            self.texts[name].content = str(text)  # viser sends no subclass, such as a template's
+        robot = shown.robot
+        several = f", arm {seen.arm + 1} of {robot.count} side by side" if seen is not None and robot.count > 1 else ""
+        # viser sends no subclass of str, such as a template's
+        self._head.content = str(self._panel.head(f"{robot.address}{several}", shown.controller, doing))
         self._bar.value = 100.0 * doing.share  # type: ignore[misc]  # declared read-only, and is not
+        self.write_state(shown, seen, doing)
 
-    def words(self, shown: Shown, seen: SeenCycle | None, doing: Doing, stopped: str) -> dict[str, str]:
-        """Return what to read of a cycle, by the parts of the panel."""
-        write, robot, names = self._panel, shown.robot, shown.robot.arm.joint_names
-        error, true, title, joints = np.nan, np.nan, robot.address, ""
+    def write_state(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
+        """Write what follows the arm: its errors, the guard, the joints, and what colours mean."""
+        arm, write = shown.robot.arm, self._panel
+        error, true, joints = np.nan, np.nan, ""
         if seen is not None:
             now = seen.cycle
-            error = float(np.linalg.norm(now.aim - tcp_position(robot.arm, now.position)))
+            error = float(np.linalg.norm(now.aim - tcp_position(arm, now.position)))
             true = float(np.linalg.norm(now.target - now.true_tcp))
-            title += f", arm {seen.arm + 1} of {robot.count} side by side" if robot.count > 1 else ""
-            joints = write.joints(names, now, seen.temperature, HOT)
+            joints = write.joints(arm.joint_names, now, seen.temperature, HOT)
+        guarded = write.guard(guard_actions(self._recent, arm.joint_names), MEANINGS, doing.stopped)
         colours = [f"rgb{colour}" for colour in (LINKS[1], GHOST, TRAIL, TARGET, TRUE)]
-        return {
-            "head": write.head(title, shown.controller, doing),
-            "error": write.error(error, true, shown.within),
-            "guard": write.guard(guard_actions(self._recent, names), MEANINGS, stopped),
-            "joints": joints,
-            "legend": write.legend(colours, self._ghost is not None, cell_of(reach(robot.arm))),
-        }
+        legend = write.legend(colours, self._ghost is not None, cell_of(reach(arm)))
+        self.state.content = f"{write.error(error, true, shown.within)}{guarded}{joints}{legend}"
 
     def _ask_to_hold(self) -> None:
         self._hold.label, self._hold.disabled = "Asked to hold", True
@@ -292,14 +288,6 @@ class WebPage:
 def cell_of(size: float) -> float:
     """[m] edge of a ground square under an arm of reach ``size`` [m]."""
     return 0.05 if size < 1.0 else 0.1
-
-
-def _pose(arm: Arm, limbs: Sequence[viser.MeshHandle], position: Array) -> None:
-    """Put the joints at ``position`` (n,) [rad]."""
-    found = frames(arm, position)
-    turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
-    for limb, place, turn in zip(limbs[1:], found.position, turns, strict=True):
-        limb.position, limb.wxyz = place, turn
 
 
 def _place(handle: viser.IcosphereHandle, point: Array) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import threading
 import time
@@ -17,14 +16,13 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Cycle, Look, Observer
 from rejoint.control.robot import JointState, Robot, RobotWrapper, WallClock
 from rejoint.robots import is_virtual
-from rejoint.system.errors import first_line
+from rejoint.system.errors import LOGGER, first_line
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
     from rejoint.pages.live.page import WebPage
     from rejoint.twin.twin import Twin
 
-_LOGGER = logging.getLogger("rejoint")
 
 HOST, PORT = "127.0.0.1", 8080
 RATE = 25.0
@@ -84,6 +82,8 @@ class Doing:
     """label"""
     share: float = 0.0
     """0 to 1"""
+    stopped: str = ""
+    """why it ended early"""
 
 
 class LiveView(Observer):
@@ -98,9 +98,10 @@ class LiveView(Observer):
     ...     rejoint.deploy("emulated:worn", observer=view)
     """
 
+    shows = True
+
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
         """Serve at ``host`` and ``port`` (0: any free one), without a password."""
-        self.shows = True
         self._host, self._port = host, port
         self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
@@ -108,7 +109,6 @@ class LiveView(Observer):
         self.shown: Shown | None = None
         """the newest run"""
         self._doing = Doing()
-        self._stopped = ""
         self.failure = ""
         """why the newest missed frame was not drawn, or empty"""
 
@@ -125,7 +125,7 @@ class LiveView(Observer):
         """Show the last frame, and end."""
         if error is not None:
             said = first_line(error) or type(error).__name__
-            self._stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
+            self._doing.stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
         elif self._doing.title:
             self.progress(1.0, "done")
         page = cast("WebPage", self._page)
@@ -170,28 +170,21 @@ class LiveView(Observer):
         self._doing.share, self._doing.what = min(max(share, 0.0), 1.0), what
 
     def _run(self) -> None:
+        page = cast("WebPage", self._page)
         while not self._over.is_set():
+            began, pause = time.monotonic(), ASLEEP
             try:
-                self._draw(cast("WebPage", self._page))
+                if page.watched:
+                    page.draw(self.shown, self._doing)
+                    pause = 1.0 / RATE
+                else:
+                    page.rest()
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on, and the next frame is tried
                 failure = f"{type(error).__name__}: {first_line(error)}"
                 if failure != self.failure:
-                    _LOGGER.warning("the page misses a frame (%s); the arm goes on", failure)
+                    LOGGER.warning("the page misses a frame (%s); the arm goes on", failure)
                 self.failure = failure
-                self._over.wait(ASLEEP)
-
-    def _draw(self, page: WebPage) -> None:
-        while not self._over.is_set():
-            shown = self.shown
-            if not page.watched:
-                page.rest()
-                self._over.wait(ASLEEP)
-                continue
-            began = time.monotonic()
-            if shown is not None and page.shown is not shown:
-                page.show(shown)
-            page.draw(self._doing, self._stopped)
-            self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
+            self._over.wait(max(began + pause - time.monotonic(), 0.0))
 
 
 class _LiveRobot(RobotWrapper):

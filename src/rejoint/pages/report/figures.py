@@ -6,13 +6,13 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup, escape
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
@@ -25,7 +25,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
-from rejoint.pages.html import BLUE, GREY, INK, LOOKS, ORANGE, RED, Look, look_of
+from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.words import MM, cycles, number, short
 from rejoint.system.files import write_whole
 
@@ -41,13 +41,11 @@ def aims(log: RunLog) -> Array:
 def visits(arm: Arm, log: RunLog) -> Iterator[tuple[Array, Array]]:
     """Time since each target (T,) [s], from 0, and encoder TCP from the corrected target (T,) [m]."""
     tcp, aim = tcp_position(arm, log.position), aims(log)
-    filled = np.nan_to_num(log.target, nan=np.inf)  # NaN differs from itself
-    cuts = np.flatnonzero((filled[1:] != filled[:-1]).any(axis=1)) + 1
-    for start, stop in pairwise([0, *cuts.tolist(), len(log)] if len(log) else []):
-        if np.isfinite(log.target[start]).all():
+    for visit in log.visits():
+        if len(visit) and np.isfinite(log.target[visit[0]]).all():
             # The target was set when the last row of the previous one was read.
-            rows = np.arange(max(start - 1, 0), stop)
-            error = np.linalg.norm(tcp[rows] - aim[np.maximum(rows, start)], axis=1)
+            rows = np.arange(max(visit[0] - 1, 0), visit[-1] + 1)
+            error = np.linalg.norm(tcp[rows] - aim[np.maximum(rows, visit[0])], axis=1)
             yield log.time[rows] - log.time[rows[0]], error
 
 
@@ -62,6 +60,8 @@ def spread_over_time(found: Sequence[tuple[Array, Array]], time: Array) -> Array
     return result
 
 
+STYLED = style.context(Path(__file__).with_suffix(".mplstyle"))
+"""Inside, and in functions that it decorates, Matplotlib draws in the style of the page"""
 PNG_DPI = 160
 """[1/inch] (chosen)"""
 
@@ -71,43 +71,33 @@ _SIZE = re.compile(r'^.*?<svg [^>]*viewBox="([^"]+)"[^>]*>', re.DOTALL)
 _NOISE = re.compile(r" font-family: [^;]*;|\s*<style type=\"text/css\">.*?</style>|(?<=[\dz]) (?=\n)", re.DOTALL)
 
 
+def lay_out(figure: Figure) -> None:
+    """Find the layout of a figure for good: any engine would draw it twice for every file."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine(None)
+
+
+@STYLED
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     """Figure as SVG in the page's colours; ``key`` makes identifiers unique, ``alt`` is read out."""
     buffer = io.StringIO()
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)  # the layout is found now; any engine has every file drawn twice
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+    lay_out(figure)
+    with mpl.rc_context({"svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = _ID.sub(lambda match: f"{match[1]}{key}-", _NOISE.sub("", buffer.getvalue()))
     text = text.replace(INK, "currentColor")
-    for i, look in enumerate(LOOKS):
+    for i, look in enumerate(LOOKS.values()):
         text = text.replace(look.colour, f"var(--look-{i})")
     label, width = str(escape(alt)).replace("\\", "\\\\"), f"{figure.get_figwidth() * 96:.0f}px"
     head = f'<svg class="figure" role="img" aria-label="{label}" viewBox="\\1" style="max-width:{width}">'
     return Markup(_SIZE.sub(head, text, count=1))  # noqa: S704  (made by matplotlib, which escapes its text)
 
 
-FONT = 9.5
-"""[pt] (chosen: legible at half size)"""
 WIDE = 10.4
 """[inch] figure width"""
 VIEWS = {"from above": (1, 0), "from the side": (0, 2), "from the front": (1, 2)}
 """Axes drawn to the right and upwards; y points left, as one sees it over the base"""
 _DASHED = (0, (4, 3))
-TITLE: dict[str, Any] = {"loc": "left", "fontsize": FONT + 0.5, "fontweight": "bold", "color": INK}
-LEGEND: dict[str, Any] = {"frameon": False, "fontsize": FONT, "labelcolor": INK}
-_STYLE = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": (INK, 0.45),
-    "axes.facecolor": "none",
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.labelsize": FONT,
-    "axes.linewidth": 0.8,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "figure.facecolor": "none",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,6 +121,7 @@ class Series:
             axes.fill_between(across, self.low, self.high, color=colour, alpha=0.16, linewidth=0)
 
 
+@STYLED
 def canvas(
     size: tuple[float, float],
     rows: int = 1,
@@ -138,22 +129,19 @@ def canvas(
     **grid: Any,  # noqa: ANN401 - of Matplotlib
 ) -> tuple[Figure, NDArray[Any]]:
     """Figure of ``size`` [inch] with styled axes (rows, columns); ``grid`` as for `Figure.subplots`."""
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="compressed")
-        found = figure.subplots(rows, columns, squeeze=False, **grid)
-    for axes in found.flat:
-        axes.tick_params(which="both", colors=INK, labelsize=FONT, length=3, width=0.7)
-        axes.tick_params(which="both", grid_color=INK, grid_alpha=0.12, grid_linewidth=0.6)
-    return figure, found
+    figure = Figure(figsize=size, layout="compressed")
+    return figure, figure.subplots(rows, columns, squeeze=False, **grid)
 
 
+@STYLED
 def legend(figure: Figure, axes: Axes) -> None:
     """Put labels above the figure."""
     handles, labels = axes.get_legend_handles_labels()
     spacing = {"handlelength": 2.6, "columnspacing": 1.4, "borderpad": 0.1}
-    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(labels), 6), **spacing, **LEGEND)
+    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(labels), 6), **spacing)
 
 
+@STYLED
 def curves(
     panels: Mapping[str, Sequence[Series]], across: Array, xlabel: str, size: tuple[float, float], *, rows: bool = False
 ) -> Figure:
@@ -162,7 +150,7 @@ def curves(
     for axes, (title, series) in zip(grid.flat, panels.items(), strict=True):
         for one in series:
             one.line(axes, across)
-        axes.set_title(title, **TITLE)
+        axes.set_title(title)
         axes.set_xlim(across[0], across[-1])
         if rows:
             axes.yaxis.set_major_locator(MaxNLocator(4))
@@ -173,6 +161,7 @@ def curves(
     return figure
 
 
+@STYLED
 def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
     """Draw encoder errors [mm] over ``time`` (K,) [s], log axis, with spread."""
     figure = curves({"": series}, time, "time since the target was set [s]", (WIDE, 3.8))
@@ -190,15 +179,24 @@ Stroke = tuple[Array, dict[str, Any]]
 """Points (T, 3) [m], and their look as for `Axes.plot`"""
 
 
+@STYLED
 def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str = "") -> None:
     """Draw strokes as seen in one of `VIEWS`."""
     across, up = VIEWS[view]
     for points, look in strokes:
         axes.plot(*(MM * points[:, VIEWS[view]].T), **look)
-    axes.set_title(title, **TITLE)
+    axes.set_title(title)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
     if across == 1 and not axes.xaxis_inverted():
         axes.invert_xaxis()
+
+
+@STYLED
+def write_png(path: Path, figure: Figure) -> Path:
+    """Write a figure on white, whole or not at all; returns its ``path``."""
+    how: dict[str, Any] = {"format": "png", "dpi": PNG_DPI, "facecolor": "white", "metadata": {"Software": None}}
+    write_whole(path, lambda temporary: figure.savefig(temporary, **how))
+    return path
 
 
 STEP, LONGEST = 0.02, 8.0
@@ -226,13 +224,10 @@ class Gallery:
         self._figures[key] = figure
         return Picture(svg=inline_svg(figure, key, alt), caption=caption)
 
-    def save(self, folder: Path) -> list[Path]:
-        """Write figures as ``folder/KEY.png``, on white."""
-        how = {"format": "png", "dpi": PNG_DPI, "facecolor": "white", "metadata": {"Software": None}}
-        found = {folder / f"{key}.png": figure for key, figure in self._figures.items()}
-        for path, figure in found.items():
-            write_whole(path, lambda temporary, figure=figure: figure.savefig(temporary, **how))  # type: ignore[misc]
-        return list(found)
+    def save(self, folder: Path) -> None:
+        """Write figures as ``folder/KEY.png``."""
+        for key, figure in self._figures.items():
+            write_png(folder / f"{key}.png", figure)
 
     def tool_places(self, found: Calibration, measured: Measurements) -> Picture | None:
         """Draw arrows from the encoders' tool to the measured one; None without a whole point."""
@@ -276,7 +271,7 @@ class Gallery:
             "success rate [%]": 100 * found.success_rate,
             "median error at the end of a target [mm]": found.error_mm,
         }
-        panels = {name: [Series(label="", look=BLUE, value=values)] for name, values in drawn.items()}
+        panels = {name: [Series(label="", look=LOOKS["blue"], value=values)] for name, values in drawn.items()}
         figure = curves(panels, found.step / 1e6, "environment steps [million]", (WIDE, 4.55), rows=True)
         words = f"Reward, success rate and error over {cycles(found.step[-1])}; at the end: {found.outcome}."
         return self.show("training", figure, alt=words)
@@ -292,7 +287,10 @@ def arrows(seen: Array, way: Array, wrong: Mask) -> Figure:
     point = {"linestyle": "", "markersize": 4}
     hollow = point | {"marker": "o", "color": INK, "markerfacecolor": "none"}
     strokes = [(seen, hollow | {"label": "where the encoders saw the tool"})]
-    for label, rows, look in (("measured point", ~wrong, ORANGE), ("does not fit to the others", wrong, GREY)):
+    for label, rows, look in (
+        ("measured point", ~wrong, LOOKS["orange"]),
+        ("does not fit to the others", wrong, LOOKS["grey"]),
+    ):
         if rows.any():
             ends = seen[rows] + way[rows]
             lines = np.stack([seen[rows], ends, np.full_like(ends, np.nan)], axis=1).reshape(-1, 3)
@@ -306,12 +304,13 @@ def arrows(seen: Array, way: Array, wrong: Mask) -> Figure:
     return figure
 
 
+@STYLED
 def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
     """Draw the first and last repetition of a path as ``figures/follow-NAME.png``; returns its path."""
     logs = [one.log for one in done.passes if one.log is not None]
     figure, ((*planes, errors),) = canvas((WIDE, 3.6), 1, 3, width_ratios=(1.0, 1.0, 1.6))
     strokes = [(aims(logs[-1]), {"color": INK, "linewidth": 2.2, "alpha": 0.35})]
-    for label, log, look in [("first", logs[0], RED), ("last", logs[-1], BLUE)][-len(logs) :]:
+    for label, log, look in [("first", logs[0], LOOKS["red"]), ("last", logs[-1], LOOKS["blue"])][-len(logs) :]:
         tool, time, line = tcp_position(arm, log.position), log.time - log.time[0] - LEAD_IN, {"color": look.colour}
         strokes.append((tool, line | {"linewidth": 1.0}))
         error = MM * np.linalg.norm(aims(log) - tool, axis=-1)
@@ -319,8 +318,7 @@ def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
     for axes, view in zip(planes, ("from above", "from the front"), strict=True):
         plane(axes, view, strokes, view)
     errors.set(xlabel="time [s]", ylabel="encoder error [mm]", ylim=(0.0, None))
-    errors.set_title("along the way", **TITLE)
-    errors.legend(**LEGEND)
-    gallery = Gallery()
-    gallery.show(_UNSAFE.sub("-", f"follow-{done.path}"), figure, alt=f"the path {done.path} and where the arm was")
-    return gallery.save(folder.figures)[0]
+    errors.set_title("along the way")
+    errors.legend()
+    lay_out(figure)
+    return write_png(folder.figures / f"{_UNSAFE.sub('-', f'follow-{done.path}')}.png", figure)

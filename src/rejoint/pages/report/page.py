@@ -29,15 +29,15 @@ from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
 from rejoint.diagnosis.segments import modelled_errors
 from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, cost, read_info
-from rejoint.logs.runlog import RunLog, read_log, read_parquet
+from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.figures import Gallery, in_base
-from rejoint.pages.words import number, plural
+from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, reading, write_json, write_text
-from rejoint.system.shell import __version__, command
+from rejoint.system.shell import command
 from rejoint.system.statistics import above_zero, spread
 from rejoint.twin import parameters
 from rejoint.twin.parameters import Parameter
@@ -80,53 +80,6 @@ def read_curves(path: Path) -> Curves:
     return Curves(**columns)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Contents:
-    """Results of a run."""
-
-    folder: RunFolder
-    info: RunInfo
-    arm: Arm
-    diagnosis: Diagnosis | None = None
-    twin: Twin | None = None
-    judgement: Judgement | None = None
-    """of twins fitted to logs alone"""
-    curves: Curves | None = None
-    policy: Policy | None = None
-    comparison: Comparison | None = None
-    calibration: Calibration | None = None
-    measurements: Measurements | None = None
-    """external, of the tool"""
-    effort: Effort | None = None
-
-    @cached_property
-    def hold(self) -> dict[str, RunLog]:
-        """One hold trial per controller."""
-        tried = () if self.comparison is None else self.comparison.controllers
-        files = {name: self.folder.log(f"hold/{name}/0/0") for name in tried}
-        return {name: read_log(file) for name, file in files.items() if file.exists()}
-
-
-def read_contents(path: Path) -> Contents:
-    """Read a run folder; FileError."""
-    folder = RunFolder(path)
-    info = read_info(folder.info)
-    arm = load_arm(folder.arm(info.arm))
-    readers: dict[str, Callable[[Path], Any]] = {
-        "diagnosis": partial(read_json, kind=Diagnosis),
-        "twin": read_twin,
-        "judgement": partial(read_json, kind=Judgement),
-        "curves": read_curves,
-        "policy": Policy.load,
-        "comparison": partial(read_json, kind=Comparison),
-        "calibration": partial(read_calibration, arm=arm),
-        "measurements": partial(read_measurements, arm=arm),
-        "effort": partial(read_json, kind=Effort),
-    }
-    found = {name: read(file) for name, read in readers.items() if (file := getattr(folder, name)).exists()}
-    return Contents(folder=folder, info=info, arm=arm, **found)
-
-
 @dataclass(frozen=True, kw_only=True)
 class MeanErrors:
     """Mean distance from the targets."""
@@ -164,76 +117,113 @@ def _tool(error: TrueError, what: str) -> str:
     return f"{error.millimetres} mm ({what}{'' if error.how == 'known' else f', {error.how}'}{ends})"
 
 
-def before_after(contents: Contents) -> BeforeAfter | None:
-    """Compare the uncorrected arm with the recommended controller; None: not compared."""
-    if contents.comparison is None:
-        return None
-    controller = recommend.recommend(contents.comparison).controller
-    return BeforeAfter(controller=controller, before=as_found(contents), after=_errors(contents.comparison, controller))
-
-
-def as_found(contents: Contents) -> MeanErrors:
-    """Errors of the uncorrected arm: in the diagnosis, else under its own controller in the comparison."""
-    own, comparison, known = DefaultController.name, contents.comparison, contents.calibration
-    open_loop = None if contents.diagnosis is None else contents.diagnosis.open_loop
-    if open_loop is None:
-        if comparison is not None and own in comparison.controllers and not comparison.calibration:
-            return _errors(comparison, own)
-        return MeanErrors(encoders=None, tool=NOT_KNOWN)
-    tool, log = open_loop.true_error, contents.folder.log("targets")
-    if tool.value is None and known is not None and log.exists():
-        tool = modelled_errors(read_log(log), known)
-    return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=tool)
-
-
 def _errors(comparison: Comparison, controller: str) -> MeanErrors:
     row = comparison.row(controller)
     return MeanErrors(encoders=None if row.settled is None else row.settled.mean.value, tool=row.true_error)
 
 
-def next_steps(contents: Contents) -> dict[str, str]:
-    """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
-    run, info, targets = contents.folder.path, contents.info, contents.arm.targets
-    if contents.comparison is None or info is None or info.robot.startswith(LOGS):
-        return {}
-    robot, middle = info.robot, (f"{value:.0f}" for value in 500.0 * (targets.lower + targets.upper))
-    steps = {
-        "go to a point (mm)": command("goto", robot, *middle, "--run", run),
-        "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contents:
+    """Results of a run."""
+
+    folder: RunFolder
+    info: RunInfo
+    arm: Arm
+    diagnosis: Diagnosis | None = None
+    twin: Twin | None = None
+    judgement: Judgement | None = None
+    """of twins fitted to logs alone"""
+    curves: Curves | None = None
+    policy: Policy | None = None
+    comparison: Comparison | None = None
+    calibration: Calibration | None = None
+    measurements: Measurements | None = None
+    """external, of the tool"""
+    effort: Effort | None = None
+
+    @cached_property
+    def hold(self) -> dict[str, RunLog]:
+        """One hold trial per controller."""
+        tried = () if self.comparison is None else self.comparison.controllers
+        files = {name: self.folder.log(f"hold/{name}/0/0") for name in tried}
+        return {name: RunLog.load(file) for name, file in files.items() if file.exists()}
+
+    def before_after(self) -> BeforeAfter | None:
+        """Compare the uncorrected arm with the recommended controller; None: not compared."""
+        if self.comparison is None:
+            return None
+        controller = recommend.recommend(self.comparison).controller
+        return BeforeAfter(controller=controller, before=self.as_found(), after=_errors(self.comparison, controller))
+
+    def as_found(self) -> MeanErrors:
+        """Errors of the uncorrected arm: in the diagnosis, else under its own controller in the comparison."""
+        own, comparison = DefaultController.name, self.comparison
+        open_loop = None if self.diagnosis is None else self.diagnosis.open_loop
+        if open_loop is None:
+            if comparison is not None and own in comparison.controllers and not comparison.calibration:
+                return _errors(comparison, own)
+            return MeanErrors(encoders=None, tool=NOT_KNOWN)
+        tool, log = open_loop.true_error, self.folder.log("targets")
+        if tool.value is None and self.calibration is not None and log.exists():
+            tool = modelled_errors(RunLog.load(log), self.calibration)
+        return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=tool)
+
+    def next_steps(self) -> dict[str, str]:
+        """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
+        run, robot, targets = self.folder.path, self.info.robot, self.arm.targets
+        if self.comparison is None or robot.startswith(LOGS):
+            return {}
+        middle = (f"{value:.0f}" for value in 500.0 * (targets.lower + targets.upper))
+        steps = {
+            "go to a point (mm)": command("goto", robot, *middle, "--run", run),
+            "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
+        }
+        if not is_virtual(robot):
+            steps["let your own programs drive it"] = command("serve", robot, run)
+        if self.calibration is None:
+            steps["measure where the tool really is"] = self.commands()["calibrate"]
+        return steps | {"see later whether it has become worse": command("check", robot, "--repeat", 5)}
+
+    def commands(self) -> dict[str, str]:
+        """Command lines of every stage."""
+        run, robot, built = self.folder.path, self.info.robot, self.folder.arm(self.info.arm)
+        options = [*([] if self.info.arm == DEFAULT_ARM else ["--arm", built]), "--seed", self.info.seed]
+        seen = self.calibration is not None and self.calibration.source == "camera"
+        gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
+        diagnose: tuple[object, ...] = (robot, "--run", run, *options)
+        identify: tuple[object, ...] = (run,)
+        if robot.startswith(LOGS):
+            diagnose = identify = ("--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run)
+            robot = "ROBOT"
+        return {
+            "repair": command("repair", robot, *options),
+            "diagnose": command("diagnose", *diagnose),
+            "identify": command("identify", *identify),
+            "train": command("train", run),
+            "calibrate": command("calibrate", robot, run, *gauge),
+            "compare": command("compare", robot, run),
+            "report": command("report", run),
+        }
+
+
+def read_contents(path: Path) -> Contents:
+    """Read a run folder; FileError."""
+    folder = RunFolder(path)
+    info = read_info(folder.info)
+    arm = load_arm(folder.arm(info.arm))
+    readers: dict[str, Callable[[Path], Any]] = {
+        "diagnosis": partial(read_json, kind=Diagnosis),
+        "twin": read_twin,
+        "judgement": partial(read_json, kind=Judgement),
+        "curves": read_curves,
+        "policy": Policy.load,
+        "comparison": partial(read_json, kind=Comparison),
+        "calibration": partial(read_calibration, arm=arm),
+        "measurements": partial(read_measurements, arm=arm),
+        "effort": partial(read_json, kind=Effort),
     }
-    if not is_virtual(robot):
-        steps["let your own programs drive it"] = command("serve", robot, run)
-    if contents.calibration is None:
-        steps["measure where the tool really is"] = commands(contents)["calibrate"]
-    steps["see later whether it has become worse"] = command("check", robot, "--repeat", 5)
-    return steps
-
-
-def commands(contents: Contents) -> dict[str, str]:
-    """Command lines of every stage."""
-    run, robot, built = contents.folder.path, contents.info.robot, contents.folder.arm(contents.info.arm)
-    arm = [] if contents.info.arm == DEFAULT_ARM else ["--arm", built]
-    seen = contents.calibration is not None and contents.calibration.source == "camera"
-    gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
-    repair: list[object] = [robot, *arm, "--seed", contents.info.seed]
-    diagnose: list[object] = [robot, "--run", run, *repair[1:]]
-    identify: list[object] = [run]
-    if robot.startswith(LOGS):
-        identify = diagnose = ["--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run]
-        robot = repair[0] = "ROBOT"
-    lines: dict[str, list[object]] = {
-        "repair": repair,
-        "diagnose": diagnose,
-        "identify": identify,
-        "train": [run],
-        "calibrate": [robot, run, *gauge],
-        "compare": [robot, run],
-        "report": [run],
-    }
-    return {name: command(name, *words) for name, words in lines.items()}
-
-
-CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."
+    found = {name: read(file) for name, read in readers.items() if (file := getattr(folder, name)).exists()}
+    return Contents(folder=folder, info=info, arm=arm, **found)
 
 
 def write_report(folder: Path) -> Path:
@@ -248,22 +238,13 @@ def write_report(folder: Path) -> Path:
 def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) -> Path:
     """Write ``replay.html`` and ``replay.json``; returns the page."""
     write_json(folder / "replay.json", judgement)
-    return write_page(
-        folder / "replay.html",
-        "replay.html",
-        title=f"Replay: {judgement.arm}",
-        parts=(),
-        subtitle=f"{twin} on {plural(len(judgement.motions), 'motion')} of {logs}",
-        verdict=(*tables.answer(judgement)[:2], CAVEAT),
-        it={"judgement": judgement},
-        tables=tables,
-        footer=f"Made by rejoint {__version__}.",
-    )
+    page = folder / "replay.html"
+    return write_page(page, page.name, it={"judgement": judgement}, twin=twin, logs=logs, tables=tables)
 
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
     """Fill page and gallery."""
-    return render("report.html", it=contents, draw=gallery, logs=LOGS, version=__version__, **_NAMES)
+    return render("report.html", it=contents, draw=gallery, logs=LOGS, **_NAMES)
 
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
@@ -283,7 +264,7 @@ def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
 
 
 _FUNCTIONS = (
-    *(as_found, before_after, commands, next_steps, target_errors, tilt, unidentified),
+    *(target_errors, tilt, unidentified),
     *(above_zero, colour_number, cost, in_base, own_policy, reach, reversals, ringing_most),
 )
 _MODULES = (recommend, calibration, fit, parameters, protocols, tables)
@@ -301,7 +282,6 @@ def write_datasheet(folder: Path, out: Path) -> Path:
         out,
         "datasheet.html",
         it=it,
-        version=__version__,
         reversal=spread(back, np.arange(len(back))) if len(back) else None,
         **_NAMES,
     )

@@ -51,9 +51,11 @@ def plain_table(
 ) -> tuple[list[str], list[list[str]]]:
     """Headers and rows of plain text, first column the controllers; ``notes``: with the small print."""
     lines = [
-        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *map(str, cells)]
+        [
+            f"{row.controller}{' (by diagnosis)' if row.source else ''}",
+            *(str(cell) if notes else cell.text for cell in (column.cell(row) for column in found)),
+        ]
         for row in rows
-        for cells in [[column.cell(row) if notes else column.cell(row).text for column in found]]
     ]
     return ["controller", *(column.header for column in found)], lines
 
@@ -102,15 +104,12 @@ def _guard(row: ControllerRow) -> Cell:
 
 def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
     """Offset, compliance and play per joint [deg, deg/(N m), deg], with the fit's intervals."""
-    sigma, rows = np.sqrt(np.diag(found.covariance)), []
-    for i, name in enumerate(found.arm.joint_names):
-        row = []
-        for kind in ("offset", "compliance", "play"):
-            value, half = float(getattr(found.displacement, kind)[i]), NORMAL95 * float(sigma[found.layout.at(kind)][i])
-            low = value - half if kind == "offset" else max(value - half, 0.0)
-            row.append(measured(Estimate(value, low, value + half), DEG))
-        rows.append((name, row))
-    return rows
+    sigma, by_kind = np.sqrt(np.diag(found.covariance)), []
+    for kind in ("offset", "compliance", "play"):
+        value, half = getattr(found.displacement, kind), NORMAL95 * sigma[found.layout.at(kind)]
+        low = value - half if kind == "offset" else np.maximum(value - half, 0.0)
+        by_kind.append([measured(Estimate(*ends), DEG) for ends in zip(value, low, value + half, strict=True)])
+    return [(name, cells) for name, *cells in zip(found.arm.joint_names, *by_kind, strict=True)]
 
 
 def ranked(judgement: Judgement, where: str) -> dict[str, tuple[Estimate, Array]]:

@@ -7,7 +7,6 @@ but for the bus watchdog, which would trip as soon as the bus is quiet. With it 
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
-from rejoint.system.errors import InputError, RejointError, RobotError
+from rejoint.system.errors import LOGGER, InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
 
 TABLE = KIND.registers
@@ -130,7 +129,7 @@ MEASURED = ("load", "position")
 @cache
 def say(text: str) -> None:
     """Tell the owner, once."""
-    logging.getLogger("rejoint").warning(text)
+    LOGGER.warning(text)
 
 
 class DynamixelBus(ServoBus):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -27,12 +26,12 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import AddressError, InputError
+from rejoint.system.errors import LOGGER, AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
 from rejoint.system.progress import Progress
@@ -47,9 +46,6 @@ BETWEEN = timedelta(minutes=4)
 """Between checks in a row with a given date; chosen"""
 LOG = "check.parquet"
 """Run log of a check"""
-
-
-_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -173,7 +169,7 @@ def check(
     tolerance = mine[-1].tolerance_mm if tolerance_mm is None and mine else tolerance_mm
     for killed in sorted((home / CHECKS / head.arm).glob("*")):
         for path in recover(killed):
-            _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
+            LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
     with pacing(observer) as update, ExitStack() as stack:
@@ -207,7 +203,7 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
     try:
         with staged(None, LABEL, folder / LOG) as watch:
             ((log, warm),) = record_check(watch(robot), on_progress=on_progress)
-            write_log(folder / LOG, log)
+            log.save(folder / LOG)
     except BaseException:
         if not any(folder.iterdir()):
             folder.rmdir()

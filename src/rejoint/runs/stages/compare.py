@@ -28,7 +28,7 @@ from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
 from rejoint.diagnosis.segments import DWELL
-from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
@@ -201,7 +201,7 @@ class ComparisonJob:
             logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
             if self.run is not None:
                 set_aside(self.run.folder.log(label))
-                write_log(self.run.folder.log(label), log)
+                log.save(self.run.folder.log(label))
 
         def see(driven: Driven, recording: Recording) -> None:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
@@ -397,7 +397,7 @@ def comparison_job(
     model, before = session.calibration, None
     if block and run is not None and not isinstance(arm, LoadedArm) and turns is None and session.address == run.robot:
         path = run.folder.log("targets")  # of the diagnosis
-        before = open_loop_trials(run.arm, read_log(path), trials.protocol, model) if path.exists() else None
+        before = open_loop_trials(run.arm, RunLog.load(path), trials.protocol, model) if path.exists() else None
     if before is not None and targets is None:
         points[0] = before.targets
     posed = turns is not None

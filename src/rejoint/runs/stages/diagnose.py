@@ -10,7 +10,7 @@ from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.inputs import (
@@ -152,7 +152,7 @@ def _write(run: Run, result: Diagnosed, *, quick: bool) -> None:
     mark_quick(run, quick=quick)
     for name in ("targets", "excitation"):
         set_aside(run.folder.log(name))
-        write_log(run.folder.log(name), getattr(result, name))
+        getattr(result, name).save(run.folder.log(name))
     set_aside(run.folder.diagnosis)
     write_json(run.folder.diagnosis, result.diagnosis)
     summarise(run)

@@ -13,7 +13,7 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS, RunFolder, locked
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.inputs import (
     ArmLike,
@@ -147,7 +147,7 @@ def _motions(run: Run) -> list[RunLog]:
         logs = run.robot.removeprefix(LOGS)
         given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
         raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
-    return [read_log(one) for one in (path, targets) if one.exists()]
+    return [RunLog.load(one) for one in (path, targets) if one.exists()]
 
 
 def _write(run: Run, twin: Twin) -> None:

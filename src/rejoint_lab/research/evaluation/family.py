@@ -28,7 +28,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.twin.twin import Twin, read_twin, write_twin
 from rejoint_lab.emulated import EmulatedRobot
@@ -74,7 +74,7 @@ class Variant:
     """of the targets in the target region"""
 
 
-_TABLES = read_toml(Path(__file__).with_name("variants.toml"), dict[str, dict[str, Variant]], "install rejoint again")
+_TABLES = read_shipped(__file__, "variants.toml", dict[str, dict[str, Variant]])
 VARIANTS, CALIBRATED = (
     tuple(replace(one, name=name) for name, one in _TABLES[command].items()) for command in ("evaluate", "calibrate")
 )

@@ -24,7 +24,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.pages.html import write_page as fill
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, read_toml, write_json, write_whole
+from rejoint.system.files import read_json, read_shipped, write_json, write_whole
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.training.ranges import Interval
 from rejoint.training.task import PpoSettings, Preset, ReachTask, TaskSettings
@@ -134,7 +134,7 @@ class _PaperRecipe:
     ppo: PpoSettings
 
 
-_RECIPE = read_toml(Path(__file__).with_name("paper.toml"), _PaperRecipe, "install rejoint again")
+_RECIPE = read_shipped(__file__, "paper.toml", _PaperRecipe)
 PAPER = Preset(name="paper", make=PaperTask, task=_RECIPE.task, ppo=_RECIPE.ppo)
 """Park et al. 2024, section III-D and Table 3"""
 
@@ -306,7 +306,7 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
 
 
 PAGE = "reproduction.md"
-EXPERIMENTS = read_toml(Path(__file__).with_name("experiments.toml"), dict[str, Experiment], "install rejoint again")
+EXPERIMENTS = read_shipped(__file__, "experiments.toml", dict[str, Experiment])
 """by their names on the command line, in the paper's order"""
 
 

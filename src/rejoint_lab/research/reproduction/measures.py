@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,13 +22,13 @@ from rejoint.control.comparison.result import METRICS, Columns, Comparison, Cont
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_size, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.control.robot import Controller, Robot
-from rejoint.pages.html import BLUE, INK, ORANGE, RED, Look, look_of
+from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
 from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
-from rejoint.system.files import read_json, read_toml, write_json
+from rejoint.system.files import read_json, read_shipped, write_json
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
@@ -51,7 +50,7 @@ from rejoint_lab.research.reproduction.campaign import (
 
 POSTURES = 1000
 
-_TABLES = read_toml(Path(__file__).with_name("dh.toml"), dict[str, list[list[float]]], "install rejoint again")
+_TABLES = read_shipped(__file__, "dh.toml", dict[str, list[list[float]]])
 PAPER_DH_TABLE, DH_TABLE = (
     np.array(_TABLES[whose]) * [1.0, 1.0, np.pi / 180, np.pi / 180] for whose in ("paper", "vendor")
 )
@@ -119,7 +118,7 @@ def measure_gains(bench: Bench) -> Found:
     paths, printed = (trace(bench, ranges, targets) for ranges in (ours, literal))
     panels = {
         f"P = {p:g}, D = {d:g}": strokes_of([path], targets, look)
-        for (p, d), look, path in zip(PAIRS, (BLUE, ORANGE, RED), paths, strict=True)
+        for (p, d), look, path in zip(PAIRS, (LOOKS["blue"], LOOKS["orange"], LOOKS["red"]), paths, strict=True)
     }
     bench.draw(ways(panels, views=("from above",)), "fig-10")
     shown = [
@@ -194,9 +193,9 @@ CONVERGED = -5.0
 LAST_POLICIES = 3
 """Averaged last policies; chosen"""
 CONDITIONS = {
-    "with Real2Sim ranges": (WORN, "worn", BLUE),
-    "without, on the worn arms": (HEALTHY, "worn", RED),
-    "without, on its own normal arm": (HEALTHY, "healthy", ORANGE),
+    "with Real2Sim ranges": (WORN, "worn", LOOKS["blue"]),
+    "without, on the worn arms": (HEALTHY, "worn", LOOKS["red"]),
+    "without, on its own normal arm": (HEALTHY, "healthy", LOOKS["orange"]),
 }
 """Trainings, arms on which they are judged, look"""
 _SEED = 1_000_003
@@ -257,7 +256,10 @@ def measure_paths(bench: Bench) -> Found:
         found |= {f"{key}_{name}": 100 * one[name].mean() for name in ("reached", "collided")}
     panels = {
         title: strokes_of(list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)), played[key]["target"][:DRAWN], look)
-        for title, look, key in (("first episode, exploring", RED, "first"), ("trained", BLUE, "last"))
+        for title, look, key in (
+            ("first episode, exploring", LOOKS["red"], "first"),
+            ("trained", LOOKS["blue"], "last"),
+        )
     }
     bench.draw(ways(panels), "fig-11")
     return found | {"arms": arms}
@@ -384,7 +386,7 @@ def _ten(row: ControllerRow) -> str:
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
     protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), list[Series](), list[Array]()
-    for profile, look, paper in (("healthy", BLUE, 3.09), ("worn", RED, 22.7)):
+    for profile, look, paper in (("healthy", LOOKS["blue"], 3.09), ("worn", LOOKS["red"], 22.7)):
         compared = trials(bench, profile, ["default"], protocol, repetitions=1).compare()
         (row,), sets = compared.rows, 1e3 * compared.array("settled", "default")[:, 0]
         found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
