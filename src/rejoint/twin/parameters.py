@@ -44,6 +44,8 @@ class Parameter:
     """estimated as its logarithm"""
     difference: float = 0.045
     """finite-difference step, in `unit` unless `log`; chosen"""
+    beside: float = 0.0
+    """sigma by what no twin holds; measured: emulated worn arms"""
     fitted: bool = True
     """whether a descent may change it"""
     per_joint: bool = True
@@ -146,7 +148,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
     Parameter(name="stiction", unit="1", meaning="dry friction at rest over that in motion",
               # measured on a real low-cost arm, and better than 2 for emulated ones
-              nominal=1.25, sigma=0.4, healthy=0.8, lower=1.0, upper=2.5, log=False, difference=0.1,
+              nominal=1.25, sigma=0.4, healthy=0.8, lower=1.0, upper=2.5, log=False, difference=0.1, beside=0.4,
               wide={"alike": 0.1}),
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
@@ -164,6 +166,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               nominal=0.0, sigma=0.01, lower=-1.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
+              beside=0.0025,  # such as the filter of a servo's speed
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
               # of 20 ms later than its row is stamped
               wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),

@@ -26,10 +26,7 @@ from rejoint.twin.structure import LIMIT_GAIN
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
 
-TORQUE_LIMIT, DELAY = number("torque_limit"), number("delay")
-
-LATE = 0.0025
-"""[s] error of a delay by what no twin holds, such as the filter of a servo's speed; measured: emulated worn arms"""
+TORQUE_LIMIT = number("torque_limit")
 SCALE_STEP = SCALES[-2]
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
@@ -44,7 +41,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: Index) -> Array:
     curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += fixed_covariance(problem, fit, residual, jacobian, weight, curvatures.sum(axis=0) + prior.precision)
-    covariance += np.diag(np.where(problem.layout.kind == DELAY, LATE**2, 0.0))
+    covariance += np.diag(problem.layout.has("beside") ** 2)
     return 0.5 * (covariance + covariance.T)
 
 
