@@ -221,8 +221,8 @@ class ArmSession(ArmDriver):
 
     def _joint_drive(self, way: Reference, off: float = OFF) -> tuple[PostureController, UnloadedWay]:
         """Return what brings every joint where a way says, over other postures where one stays ``off`` [rad]."""
-        unloading = Unloading(self.arm, self.motors, off)
-        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading, self.observer.message)
+        unloading = Unloading(self.arm, self.motors, off, self.observer.message)
+        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream; return what the limits and contacts leave of them (n,).

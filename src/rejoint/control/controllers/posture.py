@@ -189,31 +189,29 @@ class PlannedWay(Reference):
 class UnloadedWay(Reference):
     """Any way of one arm, with `Unloading`."""
 
-    def __init__(self, way: Reference, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
-        """``say`` receives the joint that stays off its goal."""
-        self._way, self._unloading, self._say, self._since = way, unloading, say, np.inf
+    def __init__(self, way: Reference, unloading: Unloading) -> None:
+        self._way, self._unloading = way, unloading
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """See `Reference`."""
-        wanted = self._unloading.advance(state, self._way.advance(state, since))
-        short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
-        now = float(state.time[0])
-        self._since = min(self._since, now) if short else np.inf  # a joint that is still pushed may come
-        if now - self._since > PUSHED:
-            self._say(f"{short}.")
-            self._since = np.nan  # said once
-        return wanted
+        return self._unloading.advance(state, self._way.advance(state, since))
 
 
 class Unloading:
     """Brings stuck joints of one arm to their goals."""
 
-    def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
-        """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal."""
-        self._arm, self._least = arm, max(off, STILL)
+    def __init__(
+        self,
+        arm: Arm,
+        motors: Motors | None = None,
+        off: float = OFF,
+        say: Callable[[str], object] = lambda _: None,
+    ) -> None:
+        """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal; ``say`` receives one that stays."""
+        self._arm, self._least, self._say = arm, max(off, STILL), say
         self._motors = motors or Motors(*np.full((2, arm.joints), np.inf))
         self._goal = np.full(arm.joints, np.nan)
-        self._tries = 0
+        self._tries, self._said = 0, False
         self._legs: deque[PlannedWay] = deque()
         self._still, self._arrived = Stillness(STILL), 0.0
 
@@ -237,19 +235,24 @@ class Unloading:
         """``wanted``, or another setpoint, not arrived, from which a joint starts."""
         now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
-            self._goal, self._tries, self._arrived = goal.copy(), 0, now
+            self._goal, self._tries, self._arrived, self._said = goal.copy(), 0, now, False
             self._legs.clear()
         stood = self._still.look(state.time, state.position)[0]
         if not wanted.arrived[0]:
             return wanted
         if self._legs:
             return self._on_legs(state, stood)
-        if self.given_up or (joint := self._off(position, goal)) is None:
+        if (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
             return wanted
-        far = abs(goal[joint] - position[joint]) > OFF
-        if min(now - self._arrived, stood[joint]) > (STANDS if far else PUSHED):
+        stands = min(now - self._arrived, stood[joint])
+        if self.given_up:
+            if stands > PUSHED and not self._said:  # a joint that is still pushed may come
+                self._say(f"{self.short(position)}.")
+                self._said = True
+            return wanted
+        if stands > (STANDS if abs(goal[joint] - position[joint]) > OFF else PUSHED):
             self._tries += 1
             share = 1.0 - EASIER * self._tries
             legs = unloaded_way(self._arm, position, goal, joint, self._motors, share)
