@@ -42,7 +42,7 @@ WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
 WITHIN_JOINT = float(np.radians(0.5))
 """[rad] within which joint positions are reached (chosen)"""
-EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, again=3e-4, lead=float(np.radians(19.5)))
+EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=float(np.radians(19.5)))
 """Joint positions without a place: every joint is brought close (measured)"""
 TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""

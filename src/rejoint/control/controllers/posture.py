@@ -21,14 +21,12 @@ from rejoint.arms import (
     Motors,
     clip_norm,
     dls,
-    frames,
     gravity_torque,
     plan,
     position_kinematics,
     tcp_position,
 )
 from rejoint.arms.postures import pool_of
-from rejoint.arms.rotations import rotation_error
 from rejoint.control.controllers.classical import between, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
 from rejoint.control.reference import Reference, Setpoint, pace
@@ -47,8 +45,6 @@ MOVING, STANDING = float(np.radians(5.0)), np.radians(1.0)
 """[rad/s] without correction, and of a stationary joint"""
 LACKING = np.radians(0.3)
 """[rad] error of a joint without torque"""
-TURN = 0.03
-"""[m/rad] of the tool's direction"""
 CALM = 0.15
 """[s] within `COUNTS` of a stationary arm"""
 
@@ -61,8 +57,6 @@ class PostureGains:
     """[rad] following error without torque"""
     close: float = 4e-4
     """[m] uncorrected tool error at rest"""
-    again: float = 7e-4
-    """[m] corrected again"""
     lead: float = float(np.radians(18.0))
     """[rad] largest following error, below the guard's"""
 
@@ -86,7 +80,6 @@ class PostureController(FeedforwardController):
         self._settings, self._offset = gains or PostureGains(), offset
         self._still = Stillness(COUNTS * arm.encoder_step)
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
-        self._rests: Mask = np.zeros(0, dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Do nothing."""
@@ -102,7 +95,7 @@ class PostureController(FeedforwardController):
             self.reset_learned(inputs, everyone)
             self._take(inputs, everyone)
             self.take_over(inputs, everyone)
-            self._weak, self._rests = np.zeros(position.shape, dtype=bool), ~everyone
+            self._weak = np.zeros(position.shape, dtype=bool)
         moved, goal = position - self._position, self._goals_of(inputs)
         error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
         rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived
@@ -123,9 +116,7 @@ class PostureController(FeedforwardController):
         position = inputs.state.position
         stood = self._still.look(inputs.state.time, position).min(axis=1)
         away = tcp_position(self._arm, position) - tcp_position(self._arm, inputs.goal)
-        near = np.linalg.norm(away, axis=-1) < np.where(self._rests, self._settings.again, self._settings.close)
-        self._rests = (stood >= CALM) & inputs.arrived & near
-        return self._rests
+        return (stood >= CALM) & inputs.arrived & (np.linalg.norm(away, axis=-1) < self._settings.close)
 
     def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
@@ -144,15 +135,10 @@ class PostureController(FeedforwardController):
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     """Postures (B, n) [rad] near ``posture`` with the same tool place and constant ``weak`` joints."""
-    goal = np.where(weak, position, posture)
-    place, direction = tcp_position(arm, posture), frames(arm, posture).tcp_rotation
-    free = ~weak[:, None, :]
-    for weight, damping in ((TURN, 0.004), (TURN, 0.004), (TURN, 0.004), (0.0, 0.001)):  # its place comes last
+    goal, place = np.where(weak, position, posture), tcp_position(arm, posture)
+    for damping in (0.004, 0.004, 0.004, 0.001):
         tool, jacobian = position_kinematics(arm, goal)
-        seen = frames(arm, goal)
-        turning = weight * rotation_error(seen.tcp_rotation, direction)
-        both = np.concatenate([jacobian, weight * np.swapaxes(seen.axis, -1, -2)], axis=-2) * free
-        step = dls(both, np.concatenate([place - tool, turning], axis=-1), damping)
+        step = dls(jacobian * ~weak[:, None, :], place - tool, damping)
         goal = goal + clip_norm(step, np.radians(8.0))
     return limit_position(arm, goal)
 
