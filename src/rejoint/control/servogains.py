@@ -337,6 +337,8 @@ class _Climb:
 
     def drive(self, gains: ServoGains, targets: Array | None = None) -> tuple[Round | None, Mask]:
         """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
+        from scipy.signal import detrend  # here, since it takes half a second to load
+
         if gains != self.gains:
             try:
                 self.servos.tune(gains)
@@ -357,9 +359,8 @@ class _Climb:
             rows = (recording.target_index[:, 0] == k) & (recording.since_target[:, 0] > DWELL - LOOKED)
             here = position[rows]
             tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
-            ramp = np.linspace(-1.0, 1.0, len(here))[:, None]  # an I part that still pulls is no unrest
-            creep = ramp * (ramp * here).sum(axis=0) / (ramp**2).sum()
-            found.append((np.abs(command[rows] - here).mean(axis=0), (here - creep).std(axis=0), tool))
+            unrest = detrend(here, axis=0).std(axis=0)  # an I part that still pulls is none
+            found.append((np.abs(command[rows] - here).mean(axis=0), unrest, tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
         return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints
 
@@ -381,12 +382,9 @@ class _RoundWatch:
             heavy = np.abs(state.load[0]) > HEAVIEST
             self._labours = np.where(heavy, self._labours + elapsed, 0.0)
             self.joints |= self._labours > LABOURS
-        if inputs.since_target[0] < LOOKED:
-            self._seen.clear()
-        else:
-            self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
-            if inputs.since_target[0] > 2 * LOOKED:  # it is long there
-                self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
+        self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
+        if inputs.since_target[0] > 2 * LOOKED:  # it is long there
+            self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
         return bool(self.joints.any())
 
 
