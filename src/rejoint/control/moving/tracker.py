@@ -19,13 +19,11 @@ from rejoint.arms import (
     Mask,
     collides,
     dls,
-    frames,
     gravity_torque,
     link_inertia,
     position_kinematics,
     tcp_position,
 )
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation, task
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
@@ -163,19 +161,12 @@ def speed_of(around: Array) -> Array:
 
 
 def command_for(arm: Arm, servos: Servos, around: Array) -> Array:
-    """Commands (B, n) [rad] by the twin's inverse, with point masses; ``around`` as in `speed_of`."""
-    f = frames(arm, around)
-    centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
-    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / STEP**2 - GRAVITY
-    force = arm.mass[:, None] * pull
-    moment = np.cross(centre[1], force)
-    # Of all that hangs on each joint: force and moment, the latter about the joint's own place.
-    force, moment = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, moment))
-    links, speed = (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1), speed_of(around)
-    acceleration = (around[2] - 2.0 * around[1] + around[0]) / STEP**2
-    friction = servos.coulomb * np.tanh(speed / TURNING)
-    torque = links + friction + servos.damping * speed + servos.armature * acceleration
-    return around[1] - servos.offset + torque / servos.stiffness
+    """Commands (B, n) [rad] by the twin's inverse, joint by joint; ``around`` as in `speed_of`."""
+    posture, speed = around[1], speed_of(around)
+    acceleration = (around[2] - 2.0 * posture + around[0]) / STEP**2
+    torque = gravity_torque(arm, posture) + servos.coulomb * np.tanh(speed / TURNING) + servos.damping * speed
+    torque = torque + (servos.armature + link_inertia(arm, posture)) * acceleration
+    return posture - servos.offset + torque / servos.stiffness
 
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
