@@ -98,29 +98,26 @@ class _FirstWay:
 
     def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
         self._arm, self._address, self._on_cycle = robot.arm, robot.address, on_cycle
-        self._low = self._high = robot.read().position.copy()
+        self._range = np.stack([robot.read().position] * 2)  # [rad] lowest and highest so far
         self._strikes = 0
 
     def __call__(self, cycle: Cycle) -> None:
         if self._on_cycle is not None:
             self._on_cycle(cycle)
         gap = ((cycle.reasons & Reason.GAP) != 0)[:, None]  # others may have moved it
-        self._low = np.where(gap, cycle.position, self._low)
-        self._high = np.where(gap, cycle.position, self._high)
+        low, high = self._range = np.where(gap, cycle.position, self._range)
         weight = gravity_torque(self._arm, cycle.position)
-        below, above = self._low - cycle.position, cycle.position - self._high
-        beyond = np.maximum(
-            below - np.where(weight > LIGHT, FALL, ASTRAY), above - np.where(weight < -LIGHT, FALL, ASTRAY)
-        )
+        below, above = (np.where(pull > LIGHT, FALL, ASTRAY) for pull in (weight, -weight))
+        beyond = np.maximum(low - cycle.position - below, cycle.position - high - above)
         astray = np.where(cycle.active[:, None], beyond, -np.inf)
         self._strikes = self._strikes + 1 if astray.max() > 0.0 else 0
         if self._strikes >= STRIKES:
             raise NotReadyError(self._describe(cycle.position, astray))
-        self._low, self._high = np.minimum(self._low, cycle.command), np.maximum(self._high, cycle.command)
+        self._range = np.stack([np.minimum(low, cycle.command), np.maximum(high, cycle.command)])
 
     def _describe(self, position: Array, astray: Array) -> str:
         b, j = np.unravel_index(np.argmax(astray), astray.shape)
-        low, found, high = np.degrees([self._low[b, j], position[b, j], self._high[b, j]])
+        low, found, high = np.degrees([self._range[0, b, j], position[b, j], self._range[1, b, j]])
         return (
             f"{self._address}: {self._arm.joint_names[j]} was sent no farther than {low:.0f} to {high:.0f} deg, and "
             f"reads {found:.0f} deg: it turns the other way than it reads, its reading is another joint's, it is "
