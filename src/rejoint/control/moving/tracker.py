@@ -146,23 +146,14 @@ class Servos:
     delay: Array
     """(B,) [s] command to first effect"""
 
-    def most(self) -> Array:
-        """Largest useful following errors (B, n) [rad]."""
-        return self.torque_limit / self.stiffness
-
 
 STEP = 0.03
 """[s] between places for speed and acceleration (chosen)"""
 
 
-def speed_of(around: Array) -> Array:
-    """Speeds (B, n) [rad/s] in the middle of positions (3, B, n) [rad], `STEP` apart."""
-    return (around[2] - around[0]) / (2.0 * STEP)
-
-
 def command_for(arm: Arm, servos: Servos, around: Array) -> Array:
-    """Commands (B, n) [rad] by the twin's inverse, joint by joint; ``around`` as in `speed_of`."""
-    posture, speed = around[1], speed_of(around)
+    """Commands (B, n) [rad] by the twin's inverse, joint by joint; ``around`` (3, B, n) [rad], `STEP` apart."""
+    posture, speed = around[1], (around[2] - around[0]) / (2.0 * STEP)
     acceleration = (around[2] - 2.0 * posture + around[0]) / STEP**2
     torque = gravity_torque(arm, posture) + servos.coulomb * np.tanh(speed / TURNING) + servos.damping * speed
     torque = torque + (servos.armature + link_inertia(arm, posture)) * acceleration
@@ -258,8 +249,6 @@ STIFFNESS = 1.25
 """added, over the servo's"""
 ADDED_DAMPING = 0.065
 """[s] added, over the servo's stiffness"""
-SLOW_DAMPING, SLOW = 0.12, 0.08
-"""[s] for joints slower than about [rad/s], against stick-slip"""
 EARLY = 0.0075
 """[s] beyond delay and half a period: the servo's filter"""
 PACE = 1.1
@@ -298,8 +287,8 @@ class Tracker:
         """See `Controller`."""
         observer, now = self._observer, inputs.state.time
         if self._last is not None:
-            joint = self._expected - self._servos.offset
-            effective = np.clip(inputs.sent, joint - self._servos.most(), joint + self._servos.most())  # no windup
+            joint, useful = self._expected - self._servos.offset, self._servos.torque_limit / self._servos.stiffness
+            effective = np.clip(inputs.sent, joint - useful, joint + useful)  # no windup
             observer.sent(self._last, effective - self._wanted)
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
@@ -312,9 +301,8 @@ class Tracker:
         self._wanted, self._last = command_for(self._arm, self._servos, around), now.copy()
         self._expected = around[1] + away
         push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
-        damping = ADDED_DAMPING + SLOW_DAMPING * np.exp(-((speed_of(around) / SLOW) ** 2))
         stiff, most = self._stable(observer.mass)
-        held = np.clip(stiff * (STIFFNESS * away + np.minimum(damping, most) * speed), -HELD_LIMIT, HELD_LIMIT)
+        held = np.clip(stiff * (STIFFNESS * away + np.minimum(ADDED_DAMPING, most) * speed), -HELD_LIMIT, HELD_LIMIT)
         return limit_position(self._arm, self._wanted - push - held)
 
     def _stable(self, mass: Array) -> tuple[Array, Array]:
