@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Mask, gravity_torque
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
@@ -137,13 +137,18 @@ def check_ready(robot: Robot) -> None:
         raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
 
 
+def _beyond(arm: Arm, state: JointState) -> Mask:
+    """Joints (B, n) beyond their limits."""
+    believed = GuardLimits.of(arm, margin=-BEYOND)
+    return (state.position < believed.lower) | (state.position > believed.upper)
+
+
 def _problem(arm: Arm, first: JointState, state: JointState) -> str:
     away = np.abs(state.position - first.position).max(axis=0)
     if away.max() > STILL:
         name = arm.joint_names[int(np.argmax(away))]
         return f"{name} is moving by itself; wait until the arm rests, and end what else drives it"
-    believed = GuardLimits.of(arm, margin=-BEYOND)
-    beyond = np.argwhere((state.position < believed.lower) | (state.position > believed.upper))
+    beyond = np.argwhere(_beyond(arm, state))
     if len(beyond):
         b, j = beyond[0]
         low, angle, high = np.degrees([arm.lower[j], state.position[b, j], arm.upper[j]])
@@ -172,8 +177,8 @@ class Symptom(NamedTuple):
 def look_at_servos(arm: Arm, state: JointState) -> Iterator[Symptom]:
     """Compare positions, temperatures, supply and status with what they should be."""
     yield Symptom(f"all {arm.joints} servos answer")
-    names, position, believed = np.array(arm.joint_names), state.position[0], GuardLimits.of(arm, margin=-BEYOND)
-    beyond = names[(position < believed.lower) | (position > believed.upper)].tolist()
+    names = np.array(arm.joint_names)
+    beyond = names[_beyond(arm, state)[0]].tolist()
     fix = "move it back by hand, with power off and the arm supported" if beyond else ""
     yield Symptom(f"beyond its limit: {', '.join(beyond) or 'no joint'}", fix)
     heat = np.full(arm.joints, np.nan) if state.temperature is None else state.temperature[0]

@@ -165,9 +165,9 @@ class Repetition:
         """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
         place, turn = self._path.poses(self._time)
         self._found.append(aim.at(self._time) - place + interpolated(self._time, time, error))
-        spectrum, step = dct(np.mean(self._found, axis=0), axis=0), self._time[1]
-        frequency = np.fft.rfftfreq(2 * len(spectrum), step)[:-1, None]
-        shift = idct((1.0 - DOUBT ** len(self._found)) * spectrum / (1.0 + (frequency / HIGHEST) ** 8), axis=0)
+        frequency = np.fft.rfftfreq(2 * len(place), self._time[1])[:-1, None]
+        share = (1.0 - DOUBT ** len(self._found)) / (1.0 + (frequency / HIGHEST) ** 8)
+        shift = idct(share * dct(np.mean(self._found, axis=0), axis=0), axis=0)
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
         return Path(time=self._time, place=place, turn=turn, name=self._path.name)
