@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, frames, solv
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.robot import ControlInput, Stillness
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 
@@ -112,28 +112,17 @@ ROUNDS = 4
 """Fixed-point steps (measured)"""
 MOST = 0.05
 """[m] largest shift (chosen)"""
-CALM = 0.3
-"""[s] within `STILL` (chosen)"""
-STILL = np.radians(0.2)
-"""[rad] (chosen: two encoder counts)"""
-NEAR = 2e-3
-"""[m] of another correction (chosen)"""
-CHANGE = 2e-4
-"""[m] (chosen)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Corrects targets by known displacements, again after settling."""
+    """Corrects targets by known displacements."""
 
     arm: Arm
     displacement: Displacement
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        # Of B arms from the first target on:
-        self._came, self._still = np.zeros(self.arm.joints), Stillness(STILL)  # [rad] where arms came from
-        self._done: Mask = np.zeros(1, dtype=bool)  # whether the target was aimed at again
         self._turned = np.eye(3)  # wanted encoder orientations
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
@@ -157,9 +146,6 @@ class Modelled:
 
         None: at postures found from ``start`` (B, n) [rad].
         """
-        self._done = self._done & ~where
-        self._still.restart(where)
-        self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
@@ -178,26 +164,9 @@ class Modelled:
                 self._turned = np.where(aimed[:, None, None], fresh, self._turned)
         return aims, None if turn is None else replace(turn, rotation=self._turned.copy())
 
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Correct once more at the settled posture."""
-        settled = self._settled(inputs) & ~self._done
-        if not settled.any():
-            return None
-        self._done = self._done | settled
-        position = inputs.state.position
-        fresh = np.where(settled[:, None], target - self.shift(position, self._came), inputs.target)
-        changed = np.linalg.norm(fresh - inputs.target, axis=-1) > CHANGE
-        if not changed.any():
-            return None
-        return np.where(changed[:, None], checked(target, fresh), inputs.target)
-
-    def _settled(self, inputs: ControlInput) -> Mask:
-        position = inputs.state.position
-        calm: Mask = self._still.look(inputs.state.time, position).min(axis=-1) > CALM
-        if not calm.any():
-            return calm
-        off = np.linalg.norm(inputs.target - tcp_position(self.arm, position), axis=-1)
-        return calm & (off < NEAR)
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:  # noqa: ARG002 - a model has no news
+        """Corrected targets (B, 3) [m] of arms on their way or there; None: as before."""
+        return None
 
 
 def checked(target: Array, aim: Array) -> Array:

@@ -24,7 +24,7 @@ from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, 
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence, Ways, with_ways
-from rejoint.control.robot import ControlInput, Controller, Robot
+from rejoint.control.robot import Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
@@ -261,16 +261,6 @@ class OwnCorrections(Modelled):
         rows = (target, start, where) if near is None else (target, start, where, near)
         each = zip(self._each, *(row[:, None] for row in rows), strict=True)
         return np.concatenate([one.aim(*own)[0] for one, *own in each]), turn
-
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Correct settled arms once more."""
-        fresh, state = inputs.target.copy(), inputs.state
-        for i, one in enumerate(self._each):
-            row = slice(i, i + 1)
-            own = replace(state, time=state.time[row], position=state.position[row])
-            found = one.again(target[row], replace(inputs, state=own, target=inputs.target[row]))
-            fresh[row] = fresh[row] if found is None else found
-        return None if (fresh == inputs.target).all() else fresh
 
 
 def keep(path: Path, identity: str, find: Callable[[], Columns]) -> Columns:
