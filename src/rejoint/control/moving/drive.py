@@ -1,6 +1,6 @@
 """What a drive achieved, to points or along a path, and learning from repetition.
 
-Repetition adds the mean of the errors to the path, without what is fast.
+Repetition adds the share of the error that repeats to the path (Wiener's filter).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct, idct
+from scipy.ndimage import gaussian_filter1d
 
 from rejoint.arms import Arm, Array, Index, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
@@ -145,12 +146,17 @@ def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
     )
 
 
+DIFFERENT = 0.35e-3
+"""[m/sqrt(Hz)] difference between repetitions (measured)"""
+BELIEVED = 2.0
+"""Factor on it (chosen)"""
+DOUBT = 2.0
+"""Weight against repeated errors (chosen)"""
 HIGHEST = 3.0
 """[Hz] of learned errors (chosen)"""
-DOUBT = 0.5
-"""Share of the mean error that is left after one repetition, its square after two (chosen: it may not repeat)"""
 MOST = 0.02
 """[m] largest shift of the path (chosen)"""
+_WIDTH = 0.3  # [Hz] over which shares are alike (chosen: six turns of the slowest standard path)
 
 
 class Repetition:
@@ -159,18 +165,34 @@ class Repetition:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._time = path.grid
-        self._found: list[Array] = []  # (K, 3) [m] where to aim, less the path, by each repetition
+        self._spectra: list[Array] = []  # (K, 3) cosine transforms of where to aim, less the path, for each time
 
     def learn(self, aim: Path, time: Array, error: Array) -> Path:
         """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
         place, turn = self._path.poses(self._time)
-        self._found.append(aim.at(self._time) - place + interpolated(self._time, time, error))
-        frequency = np.fft.rfftfreq(2 * len(place), self._time[1])[:-1, None]
-        share = (1.0 - DOUBT ** len(self._found)) / (1.0 + (frequency / HIGHEST) ** 8)
-        shift = idct(share * dct(np.mean(self._found, axis=0), axis=0), axis=0)
+        self._spectra.append(dct(aim.at(self._time) - place + interpolated(self._time, time, error), axis=0))
+        shift = self._shift()
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
         return Path(time=self._time, place=place, turn=turn, name=self._path.name)
+
+    def _shift(self) -> Array:
+        """Shift (K, 3) [m] of the path."""
+        step, count = self._time[1] - self._time[0], 2 * len(self._time)
+        found, times = np.stack(self._spectra), len(self._spectra)
+        mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)[:-1]
+        width = _WIDTH / frequency[1]
+        believed = 1.5 * DIFFERENT**2 * count / step  # of all three axes, as a power of this spectrum
+        differs = _smooth(((found - mean) ** 2).sum(axis=(0, 2)), width)
+        differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
+        power = np.maximum(_smooth((mean**2).sum(axis=-1), width), np.finfo(float).tiny)
+        share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
+        return idct(mean * share[:, None], axis=0)
+
+
+def _smooth(values: Array, width: float) -> Array:
+    """Average ``values`` (F,) over about ``width``."""
+    return gaussian_filter1d(values, width, radius=int(np.ceil(3.0 * width)))
 
 
 REACHED = Protocol.threshold
