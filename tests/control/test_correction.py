@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from test_finishing import Watching
 
-from rejoint.arms import Displacement, mycobot280, solve_position, tcp_position
+from rejoint.arms import Displacement, mycobot280, tcp_position
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import Seen
 from rejoint.system.errors import InputError
-from standin import StandIn, inputs_of, state_of
+from standin import StandIn
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(4), (3, 2))
@@ -74,27 +74,6 @@ def test_without_a_correction_the_aim_is_the_target_and_the_log_has_none(tmp_pat
     recording = run(PerfectServos(displaced()), DefaultController(ARM), TARGETS, Schedule(dwell=0.5))
     np.testing.assert_array_equal(recording.aim, recording.target)
     assert recording.log(0, "one").aim is None
-
-
-def test_an_aim_of_another_posture_is_mended_when_the_arm_has_settled():
-    """A law that ends in another posture than the inverse kinematics from the start: here a bent elbow start."""
-    displacement = displaced()
-    modelled = Modelled(ARM, displacement)
-    far = np.tile(ARM.rest + 0.4, (3, 1))
-    target = TARGETS[:, 0]
-    aim = modelled.aim(target, far, EVERY)[0]
-    settled = solve_position(ARM, aim, np.tile(ARM.rest, (3, 1))).q  # where another law brought the arm
-    off = np.linalg.norm(displacement.tool(ARM, settled) - target, axis=-1)
-    found = None
-    for cycle in range(40):
-        state = state_of(settled, 0.025 * cycle)
-        found = modelled.again(target, inputs_of(state, aim, settled, settled, state.time))
-        if found is not None:
-            break
-    assert found is not None
-    assert cycle * 0.025 > 0.3
-    again = solve_position(ARM, found, settled).q
-    assert (np.linalg.norm(displacement.tool(ARM, again) - target, axis=-1) < np.maximum(0.3 * off, 2.5e-4)).all()
 
 
 def test_a_shift_that_no_arm_needs_is_refused():

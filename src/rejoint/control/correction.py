@@ -11,11 +11,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, frames, solve_position, tcp_position
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.robot import ControlInput, Stillness
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 
@@ -112,28 +112,17 @@ ROUNDS = 4
 """Fixed-point steps (measured)"""
 MOST = 0.05
 """[m] largest shift (chosen)"""
-CALM = 0.3
-"""[s] within `STILL` (chosen)"""
-STILL = np.radians(0.2)
-"""[rad] (chosen: two encoder counts)"""
-NEAR = 2e-3
-"""[m] of another correction (chosen)"""
-CHANGE = 2e-4
-"""[m] (chosen)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Corrects targets by known displacements, again after settling."""
+    """Corrects targets by known displacements."""
 
     arm: Arm
     displacement: Displacement
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        # Of B arms from the first target on:
-        self._still = Stillness(STILL)
-        self._done: Mask = np.zeros(1, dtype=bool)  # whether the target was aimed at again
         self._turned = np.eye(3)  # wanted encoder orientations
 
     def shift(self, position: Array) -> Array:
@@ -154,8 +143,6 @@ class Modelled:
 
         None: at postures found from ``start`` (B, n) [rad].
         """
-        self._done = self._done & ~where
-        self._still.restart(where)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
@@ -174,26 +161,9 @@ class Modelled:
                 self._turned = np.where(aimed[:, None, None], fresh, self._turned)
         return aims, None if turn is None else replace(turn, rotation=self._turned.copy())
 
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Correct once more at the settled posture."""
-        settled = self._settled(inputs) & ~self._done
-        if not settled.any():
-            return None
-        self._done = self._done | settled
-        position = inputs.state.position
-        fresh = np.where(settled[:, None], target - self.shift(position), inputs.target)
-        changed = np.linalg.norm(fresh - inputs.target, axis=-1) > CHANGE
-        if not changed.any():
-            return None
-        return np.where(changed[:, None], checked(target, fresh), inputs.target)
-
-    def _settled(self, inputs: ControlInput) -> Mask:
-        position = inputs.state.position
-        calm: Mask = self._still.look(inputs.state.time, position).min(axis=-1) > CALM
-        if not calm.any():
-            return calm
-        off = np.linalg.norm(inputs.target - tcp_position(self.arm, position), axis=-1)
-        return calm & (off < NEAR)
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:  # noqa: ARG002 - a model has no news
+        """Corrected targets (B, 3) [m] of arms on their way or there; None: as before."""
+        return None
 
 
 def checked(target: Array, aim: Array) -> Array:
@@ -206,10 +176,6 @@ def checked(target: Array, aim: Array) -> Array:
     return aim
 
 
-DAMPING = 0.01
-"""[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
-THERE = 1e-5
-"""[m] (chosen)"""
 SHOWN = np.radians(15.0)
 """[rad] largest shift of a shown joint (chosen: what 5 cm take at the wrist)"""
 
@@ -226,39 +192,22 @@ class Apparent:
         """Posture (n,) [rad] shown at ``position`` (n,)."""
         if self.shift is None:
             return position
-        place = self._tool(position)
-        return self._solved(position, lambda q: place - tcp_position(self.arm, q))
+        return self._near(position, tcp_position(self.arm, position) + self._shift(position))
 
     def measured(self, posture: Array) -> Array:
         """Position (n,) [rad] that shows ``posture`` (n,)."""
         if self.shift is None:
             return posture
-        place = tcp_position(self.arm, posture)
-        position = self._solved(posture, lambda q: place - self._tool(q))
-        return np.clip(position, self.arm.lower, self.arm.upper)
+        place, position = tcp_position(self.arm, posture), posture
+        for _ in range(ROUNDS):
+            position = self._near(posture, place - self._shift(position))
+        return position
 
-    def _tool(self, position: Array) -> Array:
-        """Return the true place (3,) [m] at ``position`` (n,) [rad]."""
+    def _shift(self, position: Array) -> Array:
         assert self.shift is not None  # noqa: S101 - for the type checker
-        return tcp_position(self.arm, position) + self.shift(position)
+        return self.shift(position)
 
-    def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
-        """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""
-        q, way, share = start, missing(start), 1.0
-        for _ in range(4 * ROUNDS):
-            if np.linalg.norm(way) < THERE:
-                break
-            tried = start + clip_norm(q + share * self._turn(q, way) - start, SHOWN)
-            left = missing(tried)
-            if np.linalg.norm(left) < np.linalg.norm(way):
-                q, way, share = tried, left, 1.0
-            else:  # the shift jumps where a joint's load changes its side
-                share *= 0.5
-        return q
-
-    def _turn(self, position: Array, way: Array) -> Array:
-        """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
-        jacobian = position_kinematics(self.arm, position)[1]
-        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
-        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
-        return dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(np.linalg.norm(way)))
+    def _near(self, posture: Array, place: Array) -> Array:
+        """Posture (n,) [rad] near ``posture`` (n,) with the tool at ``place`` (3,) [m]."""
+        found = solve_position(self.arm, place, posture, rest_gain=0.0).q
+        return posture + clip_norm(found - posture, SHOWN)

@@ -80,12 +80,11 @@ class Seen(Modelled):
         """accepted detections"""
         self.visits: list[tuple[int, float | None]] = []
         """per target: accepted detections, and averaged error [m]"""
-        self.beyond: list[Array] = []
-        """(3,) [m] per target: detection minus model"""
+        self.beyond: dict[int, Array] = {}
+        """(3,) [m] by number of the target: detection minus model"""
         self._target = np.full(3, np.nan)
-        self._extra = self._place = np.zeros(
-            3
-        )  # [m] shift beyond the model; place by the encoders, at the last sighting
+        # [m] shift beyond the model; place by the encoders, at the last sighting
+        self._extra = self._place = np.zeros(3)
         self._spread = np.eye(3)  # [m^2] covariance of that shift
         self._count = 0  # sightings believed at this target
         self._last = self._believed = -np.inf  # [s] of the newest sighting that was looked at, and believed
@@ -97,6 +96,7 @@ class Seen(Modelled):
     ) -> tuple[Array, Orientation | None]:
         """Corrected targets (1, 3) [m] of the model, and orientations."""
         self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
+        self._spread = UNKNOWN**2 * np.eye(3)
         self.visits.append((0, None))
         return super().aim(target, start, where, near, turn)
 
@@ -119,9 +119,7 @@ class Seen(Modelled):
         self._count += 1
         self._learn(unknown, then, seen)
         self.used += 1
-        if self._count > 1:
-            self.beyond.pop()
-        self.beyond.append(self._extra)
+        self.beyond[len(self.visits)] = self._extra
         left = target[0] - place - self.shift(then) - self._extra
         self.visits[-1] = self._count, float(np.linalg.norm(left))
         fresh = target[0] - self.shift(position) - self._extra
@@ -139,16 +137,15 @@ class Seen(Modelled):
         """Return common offset [m] from the model, or None."""
         if len(self.beyond) < ALIKE:
             return None
-        side = np.mean(self.beyond, axis=0)
-        apart = np.linalg.norm(np.array(self.beyond) - side, axis=1)
+        found = np.array(list(self.beyond.values()))
+        side = found.mean(axis=0)
+        apart = np.linalg.norm(found - side, axis=1)
         far = float(np.linalg.norm(side))
         return far if far > SHIFTED and far > 2.0 * float(np.sqrt((apart**2).mean())) else None
 
     def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
         place, jacobian = position_kinematics(self.arm, then)
-        if self._count == 1:
-            self._spread = UNKNOWN**2 * np.eye(3)
-        else:
+        if self._count > 1:
             floats = 1.0 - np.tanh(self.displacement.torque(self.arm, then) / FLOATING) ** 2
             wander, moved = RATTLE * jacobian * floats, ALONG * float(np.linalg.norm(place - self._place))
             change = DRIFT**2 * np.eye(3) + wander @ wander.T

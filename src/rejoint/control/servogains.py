@@ -257,8 +257,7 @@ def search(
     found = {name: tuple(values) for name, values in before.items()}
     climb = _Climb(robot, servos, targets, limits, found, on_progress)
     with put_back(servos, found):
-        start = begin(robot, limits)
-        climb.sent = start.command[-1]
+        climb.sent = begin(robot, limits).command[-1]
         climb.drive(found, targets[-1:])
         first, bad = climb.drive(found)
         if first is None:
@@ -267,9 +266,9 @@ def search(
                 f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
-        climb.error = first.error
-        under, middle = climb.climb(first, found, first, alone=False)
-        alone, end = climb.climb(first, under, middle, alone=True)
+        climb.first = climb.best = first
+        under, with_under = climb.climb(alone=False)
+        alone, with_alone = climb.climb(alone=True)
     return GainsFound(
         arm=robot.arm.name,
         robot=robot.address,
@@ -277,8 +276,8 @@ def search(
         under=under,
         alone=alone,
         before=first,
-        with_under=middle,
-        with_alone=end,
+        with_under=with_under,
+        with_alone=with_alone,
         rounds=climb.rounds,
     )
 
@@ -292,27 +291,29 @@ class _Climb:
     gains: ServoGains
     on_progress: Progress
     sent: Array | None = None
-    error: Array = field(init=False)
-    """(n,) [rad] least so far"""
+    first: Round = field(init=False)
+    """under the gains that were there"""
+    best: Round = field(init=False)
     rounds: int = 0
 
-    def climb(self, first: Round, last: ServoGains, before: Round, *, alone: bool) -> tuple[ServoGains, Round]:
-        """Climb rungs and drive once more; returns what was found, or ``last`` and ``before`` if not better."""
+    def climb(self, *, alone: bool) -> tuple[ServoGains, Round]:
+        """Climb rungs and drive once more; returns the gains and round that are best now."""
+        last, self.error = self.gains, self.best.error  # the error: (n,) [rad] least so far
         for rung in self.servos.rungs():
             if rung.alone == alone:
-                self.rung(rung, first)
-        if self.gains == last:
-            return last, before
-        seen, _ = self.drive(self.gains)
-        if seen is None or seen.error.sum() > before.error.sum():
-            self.gains, seen = last, before
-            self.servos.tune(last)
-        self.error = seen.error
-        return self.gains, seen
+                self.rung(rung)
+        if self.gains != last:
+            seen, _ = self.drive(self.gains)
+            if seen is None or seen.error.sum() > self.best.error.sum():
+                self.gains = last
+                self.servos.tune(last)
+            else:
+                self.best = seen
+        return self.gains, self.best
 
-    def rung(self, rung: Rung, first: Round) -> None:
+    def rung(self, rung: Rung) -> None:
         """Give each joint the best value; it ends where it is loud or bad, and after two values that do not help."""
-        done, missed = np.zeros((2, len(first.error)), dtype=bool)
+        done, missed = np.zeros((2, self.robot.arm.joints), dtype=bool)
         step, sign = self.robot.arm.encoder_step, 1 if rung.rising else -1
         total = sum(len(one.values) for one in self.servos.rungs()) + 2
         for value in rung.values:
@@ -327,7 +328,7 @@ class _Climb:
                 self.gains = old
                 self.servos.tune(old)
                 continue
-            loud = seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
+            loud = seen.unrest > np.maximum(LOUDER * self.first.unrest, QUIET * step)
             taken = trying & ~loud & (seen.error < self.error - GAIN * step)
             done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
             missed = trying & ~taken
@@ -337,6 +338,8 @@ class _Climb:
 
     def drive(self, gains: ServoGains, targets: Array | None = None) -> tuple[Round | None, Mask]:
         """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
+        from scipy.signal import detrend  # here, since it takes half a second to load
+
         if gains != self.gains:
             try:
                 self.servos.tune(gains)
@@ -357,9 +360,8 @@ class _Climb:
             rows = (recording.target_index[:, 0] == k) & (recording.since_target[:, 0] > DWELL - LOOKED)
             here = position[rows]
             tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
-            ramp = np.linspace(-1.0, 1.0, len(here))[:, None]  # an I part that still pulls is no unrest
-            creep = ramp * (ramp * here).sum(axis=0) / (ramp**2).sum()
-            found.append((np.abs(command[rows] - here).mean(axis=0), (here - creep).std(axis=0), tool))
+            unrest = detrend(here, axis=0).std(axis=0)  # an I part that still pulls is none
+            found.append((np.abs(command[rows] - here).mean(axis=0), unrest, tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
         return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints
 
@@ -381,12 +383,9 @@ class _RoundWatch:
             heavy = np.abs(state.load[0]) > HEAVIEST
             self._labours = np.where(heavy, self._labours + elapsed, 0.0)
             self.joints |= self._labours > LABOURS
-        if inputs.since_target[0] < LOOKED:
-            self._seen.clear()
-        else:
-            self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
-            if inputs.since_target[0] > 2 * LOOKED:  # it is long there
-                self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
+        self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
+        if inputs.since_target[0] > 2 * LOOKED:  # it is long there
+            self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
         return bool(self.joints.any())
 
 

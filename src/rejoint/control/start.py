@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, Mask, gravity_torque
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
@@ -98,29 +98,26 @@ class _FirstWay:
 
     def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
         self._arm, self._address, self._on_cycle = robot.arm, robot.address, on_cycle
-        self._low = self._high = robot.read().position.copy()
+        self._range = np.stack([robot.read().position] * 2)  # [rad] lowest and highest so far
         self._strikes = 0
 
     def __call__(self, cycle: Cycle) -> None:
         if self._on_cycle is not None:
             self._on_cycle(cycle)
         gap = ((cycle.reasons & Reason.GAP) != 0)[:, None]  # others may have moved it
-        self._low = np.where(gap, cycle.position, self._low)
-        self._high = np.where(gap, cycle.position, self._high)
+        low, high = self._range = np.where(gap, cycle.position, self._range)
         weight = gravity_torque(self._arm, cycle.position)
-        below, above = self._low - cycle.position, cycle.position - self._high
-        beyond = np.maximum(
-            below - np.where(weight > LIGHT, FALL, ASTRAY), above - np.where(weight < -LIGHT, FALL, ASTRAY)
-        )
+        below, above = (np.where(pull > LIGHT, FALL, ASTRAY) for pull in (weight, -weight))
+        beyond = np.maximum(low - cycle.position - below, cycle.position - high - above)
         astray = np.where(cycle.active[:, None], beyond, -np.inf)
         self._strikes = self._strikes + 1 if astray.max() > 0.0 else 0
         if self._strikes >= STRIKES:
             raise NotReadyError(self._describe(cycle.position, astray))
-        self._low, self._high = np.minimum(self._low, cycle.command), np.maximum(self._high, cycle.command)
+        self._range = np.stack([np.minimum(low, cycle.command), np.maximum(high, cycle.command)])
 
     def _describe(self, position: Array, astray: Array) -> str:
         b, j = np.unravel_index(np.argmax(astray), astray.shape)
-        low, found, high = np.degrees([self._low[b, j], position[b, j], self._high[b, j]])
+        low, found, high = np.degrees([self._range[0, b, j], position[b, j], self._range[1, b, j]])
         return (
             f"{self._address}: {self._arm.joint_names[j]} was sent no farther than {low:.0f} to {high:.0f} deg, and "
             f"reads {found:.0f} deg: it turns the other way than it reads, its reading is another joint's, it is "
@@ -140,13 +137,18 @@ def check_ready(robot: Robot) -> None:
         raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
 
 
+def _beyond(arm: Arm, state: JointState) -> Mask:
+    """Joints (B, n) beyond their limits."""
+    believed = GuardLimits.of(arm, margin=-BEYOND)
+    return (state.position < believed.lower) | (state.position > believed.upper)
+
+
 def _problem(arm: Arm, first: JointState, state: JointState) -> str:
     away = np.abs(state.position - first.position).max(axis=0)
     if away.max() > STILL:
         name = arm.joint_names[int(np.argmax(away))]
         return f"{name} is moving by itself; wait until the arm rests, and end what else drives it"
-    believed = GuardLimits.of(arm, margin=-BEYOND)
-    beyond = np.argwhere((state.position < believed.lower) | (state.position > believed.upper))
+    beyond = np.argwhere(_beyond(arm, state))
     if len(beyond):
         b, j = beyond[0]
         low, angle, high = np.degrees([arm.lower[j], state.position[b, j], arm.upper[j]])
@@ -175,8 +177,8 @@ class Symptom(NamedTuple):
 def look_at_servos(arm: Arm, state: JointState) -> Iterator[Symptom]:
     """Compare positions, temperatures, supply and status with what they should be."""
     yield Symptom(f"all {arm.joints} servos answer")
-    names, position, believed = np.array(arm.joint_names), state.position[0], GuardLimits.of(arm, margin=-BEYOND)
-    beyond = names[(position < believed.lower) | (position > believed.upper)].tolist()
+    names = np.array(arm.joint_names)
+    beyond = names[_beyond(arm, state)[0]].tolist()
     fix = "move it back by hand, with power off and the arm supported" if beyond else ""
     yield Symptom(f"beyond its limit: {', '.join(beyond) or 'no joint'}", fix)
     heat = np.full(arm.joints, np.nan) if state.temperature is None else state.temperature[0]

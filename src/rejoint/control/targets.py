@@ -139,9 +139,9 @@ def in_words(turn: Orientation) -> str:
 def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[list[int], Array, list[Pose]]:
     """Read a file with columns ``first``, and perhaps orientations: lines, first column [s, m] and poses; FileError."""
     found, lines = read_columns(path, _MEANINGS, first, most=most, exact=False)
-    kind = next((kind for kind, own in KINDS.items() if found.keys() >= {*own}), None)
-    at, end = len(first), len(first) + len(KINDS.get(str(kind), ()))
-    names = [*first, *KINDS.get(str(kind), ()), *["weight"] * (kind is not None and "weight" in found)]
+    kind, own = next(((kind, own) for kind, own in KINDS.items() if found.keys() >= {*own}), ("", ()))
+    at, end = len(first), len(first) + len(own)
+    names = [*first, *own, *["weight"] * (bool(own) and "weight" in found)]
     if found.keys() != {*names}:
         units = "mm and deg" if first == PLACE else "s, mm and deg"
         raise FileError(
@@ -152,14 +152,14 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
     values = np.stack([found[name] for name in names], axis=-1)
     poses = []
     for line, row in zip(lines.tolist(), values, strict=True):
-        own, given = row[:at], dict[str, Any]()
-        if kind is not None and not np.isnan(row[at:]).all():
-            own, given[kind] = row, row[at:end]
+        needed, given = row[:at], dict[str, Any]()
+        if own and not np.isnan(row[at:]).all():
+            needed, given[kind] = row, row[at:end]
             if end < len(row):
                 given["weight_m"] = float(row[end]) / _DEGREE
         try:
-            if not np.isfinite(own).all():
-                raise InputError(f"expected {len(own)} finite numbers")
+            if not np.isfinite(needed).all():
+                raise InputError(f"expected {len(needed)} finite numbers")
             poses.append(Pose(place_m=row[at - len(PLACE) : at], **given))
         except InputError as error:
             raise FileError(path, f"line {line}: {error}", "give what the header says") from error

@@ -42,7 +42,7 @@ WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
 WITHIN_JOINT = float(np.radians(0.5))
 """[rad] within which joint positions are reached (chosen)"""
-EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, again=3e-4, lead=float(np.radians(19.5)))
+EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=float(np.radians(19.5)))
 """Joint positions without a place: every joint is brought close (measured)"""
 TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
@@ -221,8 +221,8 @@ class ArmSession(ArmDriver):
 
     def _joint_drive(self, way: Reference, off: float = OFF) -> tuple[PostureController, UnloadedWay]:
         """Return what brings every joint where a way says, over other postures where one stays ``off`` [rad]."""
-        unloading = Unloading(self.arm, self.motors, off)
-        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading, self.observer.message)
+        unloading = Unloading(self.arm, self.motors, off, self.observer.message)
+        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream; return what the limits and contacts leave of them (n,).

@@ -368,7 +368,7 @@ def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) ->
     together = {name: np.stack([one[name] for one in parts.values()]) for name in next(iter(parts.values()))}
     return Comparison(
         repetitions=shape[1],
-        targets=tuple(tuple((float(x), float(y), float(z)) for x, y, z in points) for points in targets),
+        targets=tuple(tuple(map(tuple, points)) for points in targets.tolist()),
         results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
         **facts,
     )

@@ -169,22 +169,18 @@ class FeedforwardController:
         moved = self.on_the_way(inputs)
         if np.count_nonzero(moved):
             self._take(inputs, moved)
-        gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
+        gains, speed, elapsed = self._gains, self._speed, self._pace.tick(inputs.state.time)[:, None]
         if np.count_nonzero(distance > gains.far[0]):
-            forgotten = self._far(distance) * -np.expm1(-gains.forgetting * elapsed)
-            self._correction -= forgotten[:, None] * self._unneeded()
-        # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        self._integrate(position, elapsed[:, None], step, extra)
-        return limit_position(self._arm, self._raised + self._correction)
-
-    def _integrate(self, position: Array, elapsed: Array, step: Array, extra: Array) -> None:
-        gains, speed = self._gains, self._speed
+            forgotten = self._far(distance)[:, None] * -np.expm1(-gains.forgetting * elapsed)
+            self._correction -= forgotten * self._unneeded()
         newest = np.divide(position - self._position, elapsed, out=speed.copy(), where=elapsed > 0.0)
         speed[...] = SPEED_SMOOTHING * newest + (1.0 - SPEED_SMOOTHING) * speed
         push = gains.rate * elapsed * step
         push = np.where((np.abs(speed) > gains.moving) & (speed * push > 0.0), 0.0, push)
         self._position[...], limit = position, gains.learned_limit
+        # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         self._correction[...] = between(self._correction + push + extra, -limit, limit)
+        return limit_position(self._arm, self._raised + self._correction)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Clear corrections of ``where`` (B,); call `reset` next."""

@@ -21,14 +21,12 @@ from rejoint.arms import (
     Motors,
     clip_norm,
     dls,
-    frames,
     gravity_torque,
     plan,
     position_kinematics,
     tcp_position,
 )
 from rejoint.arms.postures import pool_of
-from rejoint.arms.rotations import rotation_error
 from rejoint.control.controllers.classical import between, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
 from rejoint.control.reference import Reference, Setpoint, pace
@@ -47,8 +45,6 @@ MOVING, STANDING = float(np.radians(5.0)), np.radians(1.0)
 """[rad/s] without correction, and of a stationary joint"""
 LACKING = np.radians(0.3)
 """[rad] error of a joint without torque"""
-TURN = 0.03
-"""[m/rad] of the tool's direction"""
 CALM = 0.15
 """[s] within `COUNTS` of a stationary arm"""
 
@@ -61,8 +57,6 @@ class PostureGains:
     """[rad] following error without torque"""
     close: float = 4e-4
     """[m] uncorrected tool error at rest"""
-    again: float = 7e-4
-    """[m] corrected again"""
     lead: float = float(np.radians(18.0))
     """[rad] largest following error, below the guard's"""
 
@@ -86,7 +80,6 @@ class PostureController(FeedforwardController):
         self._settings, self._offset = gains or PostureGains(), offset
         self._still = Stillness(COUNTS * arm.encoder_step)
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
-        self._rests: Mask = np.zeros(0, dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Do nothing."""
@@ -102,7 +95,7 @@ class PostureController(FeedforwardController):
             self.reset_learned(inputs, everyone)
             self._take(inputs, everyone)
             self.take_over(inputs, everyone)
-            self._weak, self._rests = np.zeros(position.shape, dtype=bool), ~everyone
+            self._weak = np.zeros(position.shape, dtype=bool)
         moved, goal = position - self._position, self._goals_of(inputs)
         error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
         rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived
@@ -123,9 +116,7 @@ class PostureController(FeedforwardController):
         position = inputs.state.position
         stood = self._still.look(inputs.state.time, position).min(axis=1)
         away = tcp_position(self._arm, position) - tcp_position(self._arm, inputs.goal)
-        near = np.linalg.norm(away, axis=-1) < np.where(self._rests, self._settings.again, self._settings.close)
-        self._rests = (stood >= CALM) & inputs.arrived & near
-        return self._rests
+        return (stood >= CALM) & inputs.arrived & (np.linalg.norm(away, axis=-1) < self._settings.close)
 
     def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
@@ -144,15 +135,10 @@ class PostureController(FeedforwardController):
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     """Postures (B, n) [rad] near ``posture`` with the same tool place and constant ``weak`` joints."""
-    goal = np.where(weak, position, posture)
-    place, direction = tcp_position(arm, posture), frames(arm, posture).tcp_rotation
-    free = ~weak[:, None, :]
-    for weight, damping in ((TURN, 0.004), (TURN, 0.004), (TURN, 0.004), (0.0, 0.001)):  # its place comes last
+    goal, place = np.where(weak, position, posture), tcp_position(arm, posture)
+    for damping in (0.004, 0.004, 0.004, 0.001):
         tool, jacobian = position_kinematics(arm, goal)
-        seen = frames(arm, goal)
-        turning = weight * rotation_error(seen.tcp_rotation, direction)
-        both = np.concatenate([jacobian, weight * np.swapaxes(seen.axis, -1, -2)], axis=-2) * free
-        step = dls(both, np.concatenate([place - tool, turning], axis=-1), damping)
+        step = dls(jacobian * ~weak[:, None, :], place - tool, damping)
         goal = goal + clip_norm(step, np.radians(8.0))
     return limit_position(arm, goal)
 
@@ -189,31 +175,29 @@ class PlannedWay(Reference):
 class UnloadedWay(Reference):
     """Any way of one arm, with `Unloading`."""
 
-    def __init__(self, way: Reference, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
-        """``say`` receives the joint that stays off its goal."""
-        self._way, self._unloading, self._say, self._since = way, unloading, say, np.inf
+    def __init__(self, way: Reference, unloading: Unloading) -> None:
+        self._way, self._unloading = way, unloading
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """See `Reference`."""
-        wanted = self._unloading.advance(state, self._way.advance(state, since))
-        short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
-        now = float(state.time[0])
-        self._since = min(self._since, now) if short else np.inf  # a joint that is still pushed may come
-        if now - self._since > PUSHED:
-            self._say(f"{short}.")
-            self._since = np.nan  # said once
-        return wanted
+        return self._unloading.advance(state, self._way.advance(state, since))
 
 
 class Unloading:
     """Brings stuck joints of one arm to their goals."""
 
-    def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
-        """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal."""
-        self._arm, self._least = arm, max(off, STILL)
+    def __init__(
+        self,
+        arm: Arm,
+        motors: Motors | None = None,
+        off: float = OFF,
+        say: Callable[[str], object] = lambda _: None,
+    ) -> None:
+        """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal; ``say`` receives one that stays."""
+        self._arm, self._least, self._say = arm, max(off, STILL), say
         self._motors = motors or Motors(*np.full((2, arm.joints), np.inf))
         self._goal = np.full(arm.joints, np.nan)
-        self._tries = 0
+        self._tries, self._said = 0, False
         self._legs: deque[PlannedWay] = deque()
         self._still, self._arrived = Stillness(STILL), 0.0
 
@@ -237,19 +221,24 @@ class Unloading:
         """``wanted``, or another setpoint, not arrived, from which a joint starts."""
         now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
-            self._goal, self._tries, self._arrived = goal.copy(), 0, now
+            self._goal, self._tries, self._arrived, self._said = goal.copy(), 0, now, False
             self._legs.clear()
         stood = self._still.look(state.time, state.position)[0]
         if not wanted.arrived[0]:
             return wanted
         if self._legs:
             return self._on_legs(state, stood)
-        if self.given_up or (joint := self._off(position, goal)) is None:
+        if (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
             return wanted
-        far = abs(goal[joint] - position[joint]) > OFF
-        if min(now - self._arrived, stood[joint]) > (STANDS if far else PUSHED):
+        stands = min(now - self._arrived, stood[joint])
+        if self.given_up:
+            if stands > PUSHED and not self._said:  # a joint that is still pushed may come
+                self._say(f"{self.short(position)}.")
+                self._said = True
+            return wanted
+        if stands > (STANDS if abs(goal[joint] - position[joint]) > OFF else PUSHED):
             self._tries += 1
             share = 1.0 - EASIER * self._tries
             legs = unloaded_way(self._arm, position, goal, joint, self._motors, share)

@@ -19,13 +19,11 @@ from rejoint.arms import (
     Mask,
     collides,
     dls,
-    frames,
     gravity_torque,
     link_inertia,
     position_kinematics,
     tcp_position,
 )
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation, task
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
@@ -148,34 +146,18 @@ class Servos:
     delay: Array
     """(B,) [s] command to first effect"""
 
-    def most(self) -> Array:
-        """Largest useful following errors (B, n) [rad]."""
-        return self.torque_limit / self.stiffness
-
 
 STEP = 0.03
 """[s] between places for speed and acceleration (chosen)"""
 
 
-def speed_of(around: Array) -> Array:
-    """Speeds (B, n) [rad/s] in the middle of positions (3, B, n) [rad], `STEP` apart."""
-    return (around[2] - around[0]) / (2.0 * STEP)
-
-
 def command_for(arm: Arm, servos: Servos, around: Array) -> Array:
-    """Commands (B, n) [rad] by the twin's inverse, with point masses; ``around`` as in `speed_of`."""
-    f = frames(arm, around)
-    centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
-    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / STEP**2 - GRAVITY
-    force = arm.mass[:, None] * pull
-    moment = np.cross(centre[1], force)
-    # Of all that hangs on each joint: force and moment, the latter about the joint's own place.
-    force, moment = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, moment))
-    links, speed = (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1), speed_of(around)
-    acceleration = (around[2] - 2.0 * around[1] + around[0]) / STEP**2
-    friction = servos.coulomb * np.tanh(speed / TURNING)
-    torque = links + friction + servos.damping * speed + servos.armature * acceleration
-    return around[1] - servos.offset + torque / servos.stiffness
+    """Commands (B, n) [rad] by the twin's inverse, joint by joint; ``around`` (3, B, n) [rad], `STEP` apart."""
+    posture, speed = around[1], (around[2] - around[0]) / (2.0 * STEP)
+    acceleration = (around[2] - 2.0 * posture + around[0]) / STEP**2
+    torque = gravity_torque(arm, posture) + servos.coulomb * np.tanh(speed / TURNING) + servos.damping * speed
+    torque = torque + (servos.armature + link_inertia(arm, posture)) * acceleration
+    return posture - servos.offset + torque / servos.stiffness
 
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
@@ -267,8 +249,6 @@ STIFFNESS = 1.25
 """added, over the servo's"""
 ADDED_DAMPING = 0.065
 """[s] added, over the servo's stiffness"""
-SLOW_DAMPING, SLOW = 0.12, 0.08
-"""[s] for joints slower than about [rad/s], against stick-slip"""
 EARLY = 0.0075
 """[s] beyond delay and half a period: the servo's filter"""
 PACE = 1.1
@@ -307,8 +287,8 @@ class Tracker:
         """See `Controller`."""
         observer, now = self._observer, inputs.state.time
         if self._last is not None:
-            joint = self._expected - self._servos.offset
-            effective = np.clip(inputs.sent, joint - self._servos.most(), joint + self._servos.most())  # no windup
+            joint, useful = self._expected - self._servos.offset, self._servos.torque_limit / self._servos.stiffness
+            effective = np.clip(inputs.sent, joint - useful, joint + useful)  # no windup
             observer.sent(self._last, effective - self._wanted)
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
@@ -321,9 +301,8 @@ class Tracker:
         self._wanted, self._last = command_for(self._arm, self._servos, around), now.copy()
         self._expected = around[1] + away
         push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
-        damping = ADDED_DAMPING + SLOW_DAMPING * np.exp(-((speed_of(around) / SLOW) ** 2))
         stiff, most = self._stable(observer.mass)
-        held = np.clip(stiff * (STIFFNESS * away + np.minimum(damping, most) * speed), -HELD_LIMIT, HELD_LIMIT)
+        held = np.clip(stiff * (STIFFNESS * away + np.minimum(ADDED_DAMPING, most) * speed), -HELD_LIMIT, HELD_LIMIT)
         return limit_position(self._arm, self._wanted - push - held)
 
     def _stable(self, mass: Array) -> tuple[Array, Array]:

@@ -229,13 +229,15 @@ class ComparisonJob:
             result = self._beside(runner, before)
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
-        model, name = self.trials.get("model"), address_of(self.robot)
-        about: dict[str, Any] = {
-            "targets_file": self.file,
-            "period": self.period,
-            "calibration": model.date if model else "",
-        }
-        result = replace(result, robot=name, arm=self.arm.name, **about)
+        model = self.trials.get("model")
+        result = replace(
+            result,
+            robot=address_of(self.robot),
+            arm=self.arm.name,
+            targets_file=self.file,
+            period=self.period,
+            calibration=model.date if model else "",
+        )
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _beside(self, runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:

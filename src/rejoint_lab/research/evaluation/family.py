@@ -22,7 +22,7 @@ from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import MODELLED, Columns, Key, Kind, Protocol, collect
 from rejoint.control.correction import Modelled
 from rejoint.control.reference import Ways, with_ways
-from rejoint.control.robot import ControlInput, Controller, Robot
+from rejoint.control.robot import Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
@@ -250,12 +250,3 @@ class OwnCorrections(Modelled):
         each = zip(self._each, *(row[:, None] for row in rows), strict=True)
         return np.concatenate([one.aim(*own)[0] for one, *own in each]), turn
 
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Correct settled arms once more."""
-        fresh, state = inputs.target.copy(), inputs.state
-        for i, one in enumerate(self._each):
-            row = slice(i, i + 1)
-            own = replace(state, time=state.time[row], position=state.position[row])
-            found = one.again(target[row], replace(inputs, state=own, target=inputs.target[row]))
-            fresh[row] = fresh[row] if found is None else found
-        return None if (fresh == inputs.target).all() else fresh
