@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
+from rejoint.control.robot import Robot
+from rejoint.control.seeing import simulated
 from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
@@ -32,6 +34,10 @@ from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import read_toml
+
+if TYPE_CHECKING:  # an extra
+    from rejoint.camera.board import Detector, Picture
+    from rejoint.camera.filming import CameraGauge, StillCamera
 
 _TABLES = read_toml(Path(__file__).with_suffix(".toml"), dict[str, dict[str, Any]], "install rejoint again")
 SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
@@ -204,8 +210,6 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
-        from rejoint.studio.pictures import shown_camera
-
         gauge = shown_camera(studio, status.address, board, camera)
     found = rejoint.calibrate(
         status.address,
@@ -220,6 +224,52 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
     known = f"{1e3 * found.after:.1f} mm from where the calibration does"
     studio.change(done=f"The tool is {seen}, and {known}. {helps}.")
+
+
+WIDTH = 480
+"""[px] of a shown picture (chosen)"""
+
+
+class _ShownCamera(NamedTuple):
+    studio: Studio
+    camera: StillCamera
+    detector: Detector
+
+    def still(self, number: int) -> Picture:
+        """Take a picture, and show it."""
+        picture = self.camera.still(number)
+        import cv2
+
+        from rejoint.camera.board import Unusable
+
+        seen = self.detector.find(f"picture {number}", picture)
+        drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+        if isinstance(seen, Unusable):
+            self.studio.message(f"Picture {number}: {seen.why}")
+        else:
+            for x, y in np.rint(seen.pixel).astype(int).tolist():
+                cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)
+        height = round(WIDTH * picture.shape[0] / picture.shape[1])
+        self.studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
+        return picture
+
+
+def shown_camera(studio: Studio, address: str, file: Path, number: int) -> CameraGauge:
+    """Return the camera of this ``number``, which measures; ``file`` describes the board."""
+    from rejoint.camera.board import ON_TOOL, Detector, read_board
+    from rejoint.camera.filming import CameraGauge
+    from rejoint.camera.tracker import LiveCamera
+
+    emulated = is_virtual(address)
+    board = ON_TOOL if emulated and not file.exists() else read_board(file)
+
+    @contextmanager
+    def camera(robot: Robot) -> Iterator[StillCamera]:
+        opened = nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
+        with opened as taken:
+            yield _ShownCamera(studio, taken, Detector(board))
+
+    return CameraGauge(camera=camera, board=board)
 
 
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
