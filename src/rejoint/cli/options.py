@@ -170,13 +170,17 @@ class Call(Terminal):
             tell(found)
         return found
 
+    def say_compiling(self) -> None:
+        """Say what the first motion on a computer waits for."""
+        if compiles_first():
+            self.say("The first motion compiles its loops, once: about 15 s.")
+
     @contextmanager
     def watched(
         self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True, asking: bool = False
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
-        if compiles_first():
-            self.say("The first motion compiles its loops, once: about 15 s.")
+        self.say_compiling()
         with live_view(self, self.live, title) as view:
             console = ConsoleObserver(self, show, view, asking=asking)
             with self.unsaved(console.partial), console.bars:
