@@ -122,7 +122,7 @@ def repair(
         gauge=gauge_by_word(call, robot, measure, seed),
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
-    with call.watched("repair", bar=False, asking=measure == "touch") as observer:
+    with call.watched("repair", bar=False) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
     from rejoint.session.motions import PathLike
+
+T = TypeVar("T")
 
 WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
@@ -101,9 +103,8 @@ class ArmSession(ArmDriver):
         self.state  # noqa: B018 - it asks the robot
         return self
 
-    @contextmanager
-    def lent(self) -> Iterator[dict[str, Any]]:
-        """Leave run and robot to a stage; afterwards the run's new state counts."""
+    def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
+        """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
@@ -111,7 +112,7 @@ class ArmSession(ArmDriver):
             self.take_up(None)
         self._alone.close()
         try:
-            yield {"run": self.run, "settings": self.settings, "observer": self.observer}
+            return stage(*given, run=self.run, observer=self.observer, **options)
         finally:
             self._alone.enter_context(exclusive(self._named))
             for name in ("twin", "calibration", "correction"):

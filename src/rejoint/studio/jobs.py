@@ -139,10 +139,7 @@ def nudge(studio: Studio) -> None:
 def diagnose(studio: Studio, *, quick: bool = False) -> None:
     """Find out what is wrong with the arm."""
     studio.keep(diagnosis=None)
-    run, status = studio.begin_run(quick=quick), studio.status
-    done = rejoint.diagnose(
-        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-    )
+    done = studio.call(rejoint.diagnose, run=studio.begin_run(quick=quick), quick=quick)
     studio.keep(diagnosis=done.diagnosis)
     studio.change(done="Diagnosed. What was found is written at the joints.")
 
@@ -182,10 +179,8 @@ def _minutes(seconds: float) -> str:
 
 def repair(studio: Studio, *, quick: bool = False) -> None:
     """Repair the arm; it goes on where an earlier repair ended."""
-    run, status = studio.begin_run(quick=quick), studio.status
-    done = rejoint.repair(
-        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-    )
+    run = studio.begin_run(quick=quick)
+    done = studio.call(rejoint.repair, run=run, quick=quick)
     from rejoint.pages.report.page import before_after, read_contents  # late: a repair has asked for what it needs
 
     errors, advice = before_after(read_contents(run.path)), done.recommendation
@@ -205,21 +200,12 @@ def again(studio: Studio) -> None:
 
 def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> None:
     """Measure where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
-    run, status = studio.begin_run(), studio.status
-    settings, gauge = studio.settings, cast("GaugeLike | None", None)
+    run, gauge = studio.begin_run(), cast("GaugeLike | None", None)
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
-        gauge = shown_camera(studio, status.address, board, camera)
-    found = rejoint.calibrate(
-        status.address,
-        run=run,
-        gauge=gauge,
-        count=count,
-        arm=status.arm,
-        settings=settings,
-        observer=studio.observer,
-    )
+        gauge = shown_camera(studio, studio.status.address, board, camera)
+    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=count)
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
     known = f"{1e3 * found.after:.1f} mm from where the calibration does"
@@ -294,14 +280,11 @@ def prove(studio: Studio, points: Sequence[Array]) -> None:
     if not points:
         raise InputError("there are no points yet; add some, or click on the table")
     studio.keep(proof=None)
-    studio.release()
-    status, run, proof = studio.status, studio.run, list[Deployed]()
+    run, proof = studio.run, list[Deployed]()
     plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
     for number, settings in enumerate((plain, studio.settings)):
         part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
-        arm = status.arm if run is None else None
-        done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
-        proof.append(done)
+        proof.append(studio.call(rejoint.deploy, points, run=run, settings=settings, observer=part))
     studio.keep(proof=tuple(proof))
     before, after = (f"{1e3 * one.error:.2f} mm" for one in proof)
     studio.change(done=f"Before: {before}. After, with {proof[1].controller}: {after}.")
@@ -374,11 +357,7 @@ def export(studio: Studio, kind: str, lerobot: str) -> None:
 
 def check_again(studio: Studio) -> None:
     """See whether the arm has become worse."""
-    studio.release()
-    status = studio.status
-    found = rejoint.check(
-        status.address, history=studio.home, arm=status.arm, settings=studio.settings, observer=studio.observer
-    )
+    found = studio.call(rejoint.check, history=studio.home)
     studio.change(done=f"{found.arm}: {found.line}")
     history(studio)
 

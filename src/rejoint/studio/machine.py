@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -29,6 +29,7 @@ StepName = Literal["find", "check", "diagnose", "repair", "calibrate", "prove", 
 LINES = 6
 """Newest messages that are shown (chosen)"""
 Job = Callable[["Studio"], object]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,6 +199,12 @@ class Studio(Observer):
                 status.address, run=self.run, arm=status.arm, settings=self.settings, observer=self.observer
             )
         return self._session
+
+    def call(self, work: Callable[..., T], *given: object, **options: object) -> T:
+        """Let a public function ``work`` on the chosen arm; the session is closed for it."""
+        self.release()
+        about = {"arm": self.status.arm, "settings": self.settings, "observer": self.observer}
+        return work(self.status.address, *given, **about | options)
 
     def release(self) -> None:
         """Close the session; the arm holds."""
