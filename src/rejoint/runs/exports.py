@@ -92,7 +92,7 @@ def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
 
 
 def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
-    require(f"rejoint export --format {kind}", "train")
+    require(f"rejoint export --format {kind}", "train", "jinja2")
     if run.twin is None:
         raise FileError(run.folder.twin, "no such file", f"make it with: rejoint identify {run.path}")
     make, name = (mjcf_text, f"{run.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
@@ -277,51 +277,25 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
 
     from rejoint.twin.table import twin_spec
 
-    spec, p, dry = twin_spec(arm), twin.parameters, twin.parameters.coulomb
-    beside = back_emf(arm, p)
-    option = spec.option
-    option.timestep, option.disableflags = STEP, 0
-    # the implicit integrators take bristles for viscous, which is as much inertia again (measured)
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.solver, option.jacobian = mujoco.mjtSolver.mjSOL_NEWTON, mujoco.mjtJacobian.mjJAC_AUTO
-    spec.compiler.degree = False
+    spec, p = twin_spec(arm), twin.parameters
     for joint, armature in zip(spec.joints, p.armature, strict=True):
         joint.armature = armature
-    inertia, delay = 1.0 / spec.compile().dof_invweight0, max(float(p.delay), 0.0)
-    for i, (joint, servo) in enumerate(zip(spec.joints, spec.actuators, strict=True)):
-        stiffness, limit = float(p.stiffness[i]), float(p.torque_limit[i])
-        joint.limited, joint.range = True, (arm.lower[i], arm.upper[i])
-        joint.damping = beside[i], 0.0, 0.0
-        joint.frictionloss = 0.0
-        servo.set_to_pid(
-            kp=stiffness,
-            kv=float(p.damping[i] - beside[i]),
-            slewmax=float(p.ramp_speed),
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
-        )
-        servo.biasprm[0], servo.forcerange = stiffness * p.offset[i], (-limit, limit)
-        if delay:
-            servo.delay, servo.nsample = delay, math.ceil(delay / STEP) + 1
-        friction = spec.add_actuator(name=f"{joint.name}_friction", target=joint.name)
-        friction.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        friction.set_to_dcmotor(
-            motorconst=(0.0, 0.0),
-            resistance=1.0,  # without a motor, but MuJoCo asks for one
-            lugre=(inertia[i] * BRISTLES**2, inertia[i] * BRISTLES, dry[i], twin.stiction * dry[i], STRIBECK_SPEED),
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
-        )
-    rest = arm.rest.tolist()
-    spec.add_key(name="rest", qpos=rest, ctrl=rest, act=[*rest, *[0.0] * arm.joints])
-    lines = [
-        f"The arm {arm.name} with its servos as rejoint found them, for MuJoCo 4. ctrl: commanded positions in rad.",
-        "Begin with the keyframe, or set the first values of act, the references, to where the arm is.",
-        *_missing(arm, twin),
-    ]
-    if twin.acceleration < math.inf:
-        lines.append(f"The references of the servos also accelerate by at most {twin.acceleration:.4g} rad/s^2.")
-    spec.comment = "\n".join(lines)
-    spec.compile()
-    return str(spec.to_xml())
+    text = render(
+        "export/mjcf.xml.txt",
+        arm=arm,
+        p=p,
+        twin=twin,
+        beside=back_emf(arm, p),
+        inertia=1.0 / spec.compile().dof_invweight0,
+        delay=max(float(p.delay), 0.0),
+        missing=_missing(arm, twin),
+        step=STEP,
+        bristles=BRISTLES,
+        stribeck=STRIBECK_SPEED,
+        infinity=math.inf,
+    )
+    mujoco.MjModel.from_xml_string(text)
+    return f"{text}\n"
 
 
 def isaaclab_text(arm: Arm, twin: Twin) -> str:
