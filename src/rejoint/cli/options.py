@@ -157,8 +157,9 @@ class Call(Terminal):
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
 
-    def stage(self, name: str, work: Callable[..., T], *given: object, **options: object) -> T:
-        """Do a stage by ``work`` of the front door, and print its result, also one cut short."""
+    def stage(self, work: Callable[..., T], *given: object, **options: object) -> T:
+        """Do a stage, ``work`` of the front door, and print its result, also one cut short."""
+        name = work.__name__
         tell = partial(show.stage, self, name)
         with self.watched(name, tell) as observer:
             found = work(*given, observer=observer, **options)

@@ -77,7 +77,7 @@ def calibrate(
             from rejoint.camera.film import read_folder
 
             given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = call.stage("calibrate", rejoint.calibrate, run=job, gauge=given, settings=settings)
+        found = call.stage(rejoint.calibrate, run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
@@ -90,7 +90,7 @@ def calibrate(
         if scouts:
             call.say(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
         about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
-        found = call.stage("calibrate", rejoint.calibrate, robot, run=job, **about)
+        found = call.stage(rejoint.calibrate, robot, run=job, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload

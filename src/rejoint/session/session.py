@@ -100,7 +100,7 @@ class ArmSession(ArmDriver):
 
     def open(self) -> Self:
         """Connect now; nothing moves. AddressError if no robot answers."""
-        self.state  # noqa: B018 - it asks the robot
+        self.look()
         return self
 
     def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
@@ -329,6 +329,10 @@ class ArmSession(ArmDriver):
     @property
     def state(self) -> ArmState:
         """State of the last cycle of a motion, else read now."""
+        return self.look()
+
+    def look(self) -> ArmState:
+        """Ask the arm, unless a motion does; all that watch see the reading."""
         with self._asking:
             self._require_open()
             moving = self._moving
@@ -351,7 +355,7 @@ class ArmSession(ArmDriver):
         def look() -> None:
             try:
                 while not over.wait(EVERY):
-                    self.state  # noqa: B018 - all that watch receive it
+                    self.look()
             except RejointError as error:
                 recorder.error = error
 
@@ -359,7 +363,7 @@ class ArmSession(ArmDriver):
         self.watching.append(recorder.see)
         looking = threading.Thread(target=look, name=name, daemon=True)
         try:
-            self.state  # noqa: B018
+            self.look()
             looking.start()
             yield recorder
         finally:

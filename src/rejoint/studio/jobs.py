@@ -109,7 +109,7 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
 def see(studio: Studio) -> None:
     """Check the servos; nothing moves."""
     session = studio.session()
-    session.state  # noqa: B018 - asks the arm
+    session.look()
     state = session.robot.read()
     found = tuple(look_at_servos(session.arm, state))
     studio.keep(checks=found, nudged=None)
