@@ -175,7 +175,7 @@ def repair(
     """
     if only is None:
         require("rejoint repair", "train", "report")
-    what, chosen = plan or RepairPlan(), settings or Settings()
+    what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     if isinstance(what.preset, str):
         from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
