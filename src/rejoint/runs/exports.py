@@ -29,7 +29,6 @@ from rejoint.system.extras import require
 from rejoint.system.files import write_text, write_whole
 from rejoint.system.shell import __version__
 from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
-from rejoint.twin.twin import Twin
 
 Kind = Literal["urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -92,12 +91,33 @@ def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
 
 
 def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
+    """Write the servos of the twin: a MuJoCo model, or the ``actuators`` of Isaac Lab's ``ArticulationCfg``."""
     require(f"rejoint export --format {kind}", "train", "jinja2")
-    if run.twin is None:
+    from rejoint.twin.table import twin_spec
+
+    twin = run.twin
+    if twin is None:
         raise FileError(run.folder.twin, "no such file", f"make it with: rejoint identify {run.path}")
-    make, name = (mjcf_text, f"{run.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
-    path = out or run.path / name
-    write_text(path, make(_unit(run), run.twin))
+    arm, p = _unit(run), twin.parameters
+    spec = twin_spec(arm)
+    for joint, armature in zip(spec.joints, p.armature, strict=True):
+        joint.armature = armature
+    text = render(
+        f"export/{kind}.txt",
+        arm=arm,
+        twin=twin,
+        p=p,
+        by_joint=_by_joint,
+        beside=back_emf(arm, p),
+        inertia=1.0 / spec.compile().dof_invweight0,
+        delay=max(float(p.delay), 0.0),
+        step=STEP,
+        bristles=BRISTLES,
+        stribeck=STRIBECK_SPEED,
+        infinity=math.inf,
+    )
+    path = out or run.path / (f"{arm.name}.xml" if kind == "mjcf" else "isaaclab_actuators.py")
+    write_text(path, f"{text}\n")
     return path, "The servos are those of the twin; a comment says what the simulator lacks."
 
 
@@ -268,52 +288,5 @@ BRISTLES = 1000.0
 """[rad/s] natural frequency of a joint on its bristles; chosen: half a radian in a step"""
 
 
-def mjcf_text(arm: Arm, twin: Twin) -> str:
-    """MuJoCo model of ``arm`` with the servos of its twin; its comment names what is missing."""
-    import mujoco
-
-    from rejoint.twin.table import twin_spec
-
-    spec, p = twin_spec(arm), twin.parameters
-    for joint, armature in zip(spec.joints, p.armature, strict=True):
-        joint.armature = armature
-    text = render(
-        "export/mjcf.xml.txt",
-        arm=arm,
-        p=p,
-        twin=twin,
-        beside=back_emf(arm, p),
-        inertia=1.0 / spec.compile().dof_invweight0,
-        delay=max(float(p.delay), 0.0),
-        missing=_missing(arm, twin),
-        step=STEP,
-        bristles=BRISTLES,
-        stribeck=STRIBECK_SPEED,
-        infinity=math.inf,
-    )
-    mujoco.MjModel.from_xml_string(text)
-    return f"{text}\n"
-
-
-def isaaclab_text(arm: Arm, twin: Twin) -> str:
-    """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
-    about = {"arm": arm, "p": twin.parameters, "stiction": twin.stiction, "missing": _missing(arm, twin)}
-    return render("export/isaaclab.py.txt", by_joint=_by_joint, **about) + "\n"
-
-
 def _by_joint(arm: Arm, values: Any) -> dict[str, float]:  # noqa: ANN401
     return {name: float(f"{value:.5g}") for name, value in zip(arm.joint_names, values, strict=True)}
-
-
-def _missing(arm: Arm, twin: Twin) -> list[str]:
-    """Say what neither simulator has, and what no motion has told."""
-    p = twin.parameters
-    lines = ["Backlash inside the servos is not here: motion does not tell it from dry friction."]
-    if np.any(p.compensation):
-        share = _by_joint(arm, p.compensation / p.stiffness)
-        lines.append(f"The controller feeds gravity forward: add its torques, times {share}, to the commands.")
-    if p.delay < 0:
-        lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
-    if twin.unknown:
-        lines.append(f"As assumed before, for the motion did not tell: {', '.join(twin.unknown)}.")
-    return lines

@@ -190,9 +190,9 @@ class StudioPage(WebPage):
         self.form[key] = value = value if value in options else options[0]
         self._typed(key, self.server.gui.add_dropdown(label, list(options), initial_value=value))
 
-    def tick(self, label: str, key: str, usual: bool = False) -> None:
+    def tick(self, label: str, key: str) -> None:
         """Add a box to tick."""
-        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual))))
+        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, False))))
 
     def upload(self, label: str, job: Callable[[Studio, bytes], object]) -> None:
         """Add a button that takes a file and begins a job with its content."""
