@@ -208,14 +208,14 @@ def _ended(error: BaseException, *, json: bool) -> int:
     """Say in a line, and the notes of an error, how a command ended early; return its exit code."""
     if not isinstance(error, Interrupted | RejointError | typer.TyperException | OSError | MemoryError):
         error = interruption() or error  # compiled code may have swallowed it, and failed for want of what it asked for
+    if isinstance(error, Interrupted):
+        close()  # a signal that was swallowed is sent again, at a time of its own
     from rejoint.runs.failure import failure_of
 
     misused = isinstance(error, typer.TyperException)
     text, kind, code = (_misused(error), "UsageError", 2) if misused else failure_of(error)
     if isinstance(error, Interrupted) and sys.argv[1:2] and sys.argv[1] in RESUMED:
         text += f"; what is finished is kept: the same `rejoint {sys.argv[1]}` goes on from there"
-    if isinstance(error, Interrupted):
-        close()  # a signal that was swallowed is sent again, at a time of its own
     if not {*VERBOSE}.isdisjoint(sys.argv):
         _say("".join(traceback.format_exception(error)).rstrip())
     _say(f"error: {text}")

@@ -6,7 +6,6 @@ import tempfile
 import traceback
 from typing import NamedTuple
 
-from rejoint.robots.registry import driver_of
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted
@@ -38,6 +37,8 @@ def failure_of(error: BaseException) -> Failure:
         where = f"{error.filename}: " if error.filename else ""
         text = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
         return Failure(text, "OSError", UNUSABLE)
+    from rejoint.robots.registry import driver_of  # of what may be broken itself
+
     with tempfile.NamedTemporaryFile(
         "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
     ) as file:
