@@ -167,17 +167,13 @@ class Call(Terminal):
             tell(found)
         return found
 
-    def say_compiling(self) -> None:
-        """Say what the first motion on a computer waits for."""
-        if compiles_first():
-            self.say("The first motion compiles its loops, once: about 15 s.")
-
     @contextmanager
     def watched(
         self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
-        self.say_compiling()
+        if compiles_first():
+            self.say("The first motion compiles its loops, once: about 15 s.")
         with live_view(self, self.live, title) as view:
             console = ConsoleObserver(self, show, view)
             with self.unsaved(console.partial), self.bars:

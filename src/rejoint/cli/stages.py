@@ -69,24 +69,14 @@ def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) 
     """Show a worn arm that misses its targets, and the same arm with a policy."""
     require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
     from rejoint.pages.live.view import LiveView
+    from rejoint.studio.demo import demonstrate
 
-    shown = {"default": "The worn arm, as it is", "shelf": "The same arm, with the policy that comes with rejoint"}
     with LiveView(*host_and_port("--listen", listen)) as view:
         call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
-        call.say_compiling()
         if not quiet:
             webbrowser.open(view.address)
-        for _ in range(rounds):
-            for controller, title in shown.items():
-                view.begin(title)
-                settings = Settings(controller=controller, dwell=SHOWN)
-                done = rejoint.deploy(FIRST_ROBOT, POINTS, settings=settings, observer=view)
-                call.result(f"{title}: {1e3 * done.error:.2f} mm off.")
+        demonstrate(view, call.result, rounds)
     return {"address": view.address}
-
-
-POINTS, SHOWN = ((0.17, -0.06, 0.21), (0.20, 0.06, 0.19), (0.18, 0.0, 0.23)), 3.0
-"""[m], and [s] at each, of the demonstration (chosen)"""
 
 
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
