@@ -14,7 +14,6 @@ import os
 import re
 import signal
 import sys
-import tempfile
 import tomllib
 import traceback
 from collections.abc import Mapping, Sequence
@@ -29,13 +28,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rejoint.cli.console import into_nothing, notes, with_place
-from rejoint.system.errors import InputError, RejointError, first_line
-from rejoint.system.extras import explain, require_compiler
+from rejoint.system.errors import InputError, RejointError
+from rejoint.system.extras import require_compiler
 from rejoint.system.shell import __version__
 from rejoint.system.stopping import Interrupted, close, install, interruption
-
-BUG = 1
-"""Exit code for what should never happen"""
 
 HELP = {"help_option_names": ["-h", "--help"]}
 
@@ -187,7 +183,7 @@ def main() -> None:
     sys.exit(code)
 
 
-def _misused(error: typer.TyperException) -> str:
+def _misused(error: BaseException) -> str:
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
     told = told.replace("Value error, ", "").replace("Input should be", "expected")  # of the library behind typer
     if option := re.match(r"Invalid value for '(--[\w-]+)': expected", told):
@@ -212,9 +208,14 @@ def _ended(error: BaseException, *, json: bool) -> int:
     """Say in a line, and the notes of an error, how a command ended early; return its exit code."""
     if not isinstance(error, Interrupted | RejointError | typer.TyperException | OSError | MemoryError):
         error = interruption() or error  # compiled code may have swallowed it, and failed for want of what it asked for
-    text, kind, code = _reason(error)
     if isinstance(error, Interrupted):
         close()  # a signal that was swallowed is sent again, at a time of its own
+    from rejoint.runs.failure import failure_of
+
+    misused = isinstance(error, typer.TyperException)
+    text, kind, code = (_misused(error), "UsageError", 2) if misused else failure_of(error)
+    if isinstance(error, Interrupted) and sys.argv[1:2] and sys.argv[1] in RESUMED:
+        text += f"; what is finished is kept: the same `rejoint {sys.argv[1]}` goes on from there"
     if not {*VERBOSE}.isdisjoint(sys.argv):
         _say("".join(traceback.format_exception(error)).rstrip())
     _say(f"error: {text}")
@@ -228,36 +229,6 @@ def _ended(error: BaseException, *, json: bool) -> int:
     for note in getattr(error, "__notes__", ()):
         _say(note)
     return code
-
-
-def _reason(error: BaseException) -> tuple[str, str, int]:
-    match error:
-        case Interrupted():
-            command = sys.argv[1] if len(sys.argv) > 1 else ""
-            goes_on = f"; what is finished is kept: the same `rejoint {command}` goes on from there"
-            return f"{error}{goes_on * (command in RESUMED)}", "Interrupted", error.exit_code
-        case RejointError():
-            return str(error), type(error).__name__, error.exit_code
-        case typer.TyperException():
-            return _misused(error), "UsageError", 2
-        case MemoryError():
-            return "not enough memory for this; close other programs, allow more, or ask for less", "MemoryError", 2
-    line = explain(error)
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
-        return line or told, "OSError", 2
-    if line is not None:
-        return line, "MissingExtraError" if isinstance(error, ImportError) else "InputError", 2
-    from rejoint.robots.registry import driver_of
-
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
-    ) as file:
-        file.writelines(traceback.format_exception(error))
-    whose = driver_of(error) or "rejoint itself"
-    what = f"{type(error).__name__}: {first_line(error)}"
-    return f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG
 
 
 def _say(text: str) -> None:

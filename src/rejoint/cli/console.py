@@ -11,7 +11,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, TypeVar, cast
@@ -95,6 +95,8 @@ class Terminal:
         self.json, self.live, self._dry, self._of = json, live, dry, "In the simulation: " if dry else ""
         self.results = Console(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
+        self.bars = ExitStack()
+        """bars that are shown; closed where something else is to be seen"""
 
     def say(self, text: str) -> None:
         """Tell what is going on."""

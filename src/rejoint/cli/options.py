@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -54,18 +54,15 @@ class ConsoleObserver(Observer):
         terminal: Terminal,
         partial: Callable[[Any], object] = lambda _: None,
         view: LiveView | None = None,
-        *,
-        asking: bool = False,
     ) -> None:
-        """Take the page, if there is one, and whether a calibration asks at the terminal: a bar would write over it."""
-        self._terminal, self._partial, self._view, self._asking = terminal, partial, view, asking
-        self.bars = ExitStack()
+        """Take the page, if there is one."""
+        self._terminal, self._partial, self._view = terminal, partial, view
         self._progress: Progress = no_progress
         self._stage: Stage | None = None
 
     def show_bar(self, title: str) -> None:
         """Show a bar from now on."""
-        self._progress = self.bars.enter_context(self._terminal.progress(title))
+        self._progress = self._terminal.bars.enter_context(self._terminal.progress(title))
 
     def message(self, line: str) -> None:
         """Print a sentence."""
@@ -78,7 +75,7 @@ class ConsoleObserver(Observer):
 
     def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
         """Show how a stage of a repair stands."""
-        self.bars.close()
+        self._terminal.bars.close()
         if stage.state != "done":
             heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
             self._terminal.heading(heading)
@@ -91,12 +88,11 @@ class ConsoleObserver(Observer):
             return
         self._stage, self._progress = stage, no_progress
         self._partial = lambda result: show.stage(self._terminal, stage.name, result)
-        if not (self._asking and stage.name == "calibrate"):
-            self.show_bar(stage.name)
+        self.show_bar(stage.name)
 
     def partial(self, result: object) -> None:
         """Print what was done until an error."""
-        self.bars.close()
+        self._terminal.bars.close()
         self._partial(result)
 
     def served(self, address: str) -> None:
@@ -161,10 +157,11 @@ class Call(Terminal):
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
         return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
 
-    def stage(self, name: str, work: Callable[..., T], *given: object, bar: bool = True, **options: object) -> T:
-        """Do a stage by ``work`` of the front door, and print its result, also one cut short."""
+    def stage(self, work: Callable[..., T], *given: object, **options: object) -> T:
+        """Do a stage, ``work`` of the front door, and print its result, also one cut short."""
+        name = work.__name__
         tell = partial(show.stage, self, name)
-        with self.watched(name, tell, bar=bar) as observer:
+        with self.watched(name, tell) as observer:
             found = work(*given, observer=observer, **options)
         if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
             tell(found)
@@ -172,14 +169,14 @@ class Call(Terminal):
 
     @contextmanager
     def watched(
-        self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True, asking: bool = False
+        self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
         if compiles_first():
             self.say("The first motion compiles its loops, once: about 15 s.")
         with live_view(self, self.live, title) as view:
-            console = ConsoleObserver(self, show, view, asking=asking)
-            with self.unsaved(console.partial), console.bars:
+            console = ConsoleObserver(self, show, view)
+            with self.unsaved(console.partial), self.bars:
                 if bar:
                     console.show_bar(title)
                 yield console if view is None else Observers(console, view)

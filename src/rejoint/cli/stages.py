@@ -112,7 +112,7 @@ def repair(
         gauge=gauge_by_word(call, robot, measure, seed),
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
-    with call.watched("repair", bar=False, asking=measure == "touch") as observer:
+    with call.watched("repair", bar=False) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:
@@ -169,7 +169,7 @@ def diagnose(
     robot = robot or FIRST_ROBOT
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
     about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
-    found = call.stage("diagnose", rejoint.diagnose, logs or robot, run=job, **about).diagnosis
+    found = call.stage(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
     call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
@@ -208,7 +208,7 @@ def identify(
         gain=offline.by_motion(gain),
         torque_off=offline.by_motion(torque_off),
     )
-    twin = call.stage("identify", rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
+    twin = call.stage(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
     if logs is None:
         call.next(command("train", run))
@@ -240,7 +240,7 @@ def train(
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
-    result = call.stage("train", rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
+    result = call.stage(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
 
@@ -274,7 +274,7 @@ def compare(
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full)
     names = opt.controller_names(controllers)
-    found = call.stage("compare", rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
+    found = call.stage(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))
     return {
         "run": run,
@@ -299,7 +299,7 @@ def deploy(
     if run is not None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
-    done = call.stage("deploy", rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
+    done = call.stage(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
@@ -347,7 +347,7 @@ def follow(
     repeat: int = 1,
 ) -> Result:
     """Drive an arm along a path, and say how well it followed."""
-    done = call.stage("follow", rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
+    done = call.stage(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed
 
@@ -378,7 +378,7 @@ def gains(
 ) -> object:
     """Search for better gains of the servos themselves, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
-        found = call.stage("gains", rejoint.gains, robot, run, settings=call.settings)
+        found = call.stage(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         return {"run": run, "gains": found}
     job = Run.open(run)

@@ -24,6 +24,7 @@ from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
+from rejoint.runs.history import code_of, prometheus_text
 from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.runs.stages.check import BETWEEN
@@ -76,7 +77,7 @@ def calibrate(
             from rejoint.camera.film import read_folder
 
             given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = call.stage("calibrate", rejoint.calibrate, run=job, gauge=given, settings=settings)
+        found = call.stage(rejoint.calibrate, run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
@@ -89,8 +90,7 @@ def calibrate(
         if scouts:
             call.say(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
         about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
-        # a bar would write over the questions
-        found = call.stage("calibrate", rejoint.calibrate, robot, run=job, bar=kind != "touch", **about)
+        found = call.stage(rejoint.calibrate, robot, run=job, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload
@@ -200,6 +200,7 @@ def gauge_by_word(
 
 def _ask(terminal: Terminal, stop: Stop) -> str:
     x, y, z = 1e3 * stop.believed
+    terminal.bars.close()  # one would write over the question
     if stop.again:
         terminal.say(f"{stop.again}; it is measured once more.")
     terminal.say(
@@ -247,10 +248,6 @@ def board(
     return {"pdf": file, "board": description, "width_mm": width, "height_mm": height}
 
 
-DRIFTS, ALARM = 6, 7
-"""Exit codes of a check: watch the arm, repair it"""
-
-
 @takes("arm", "part", "live", "period", "dry_run")
 def check(
     call: Call,
@@ -289,12 +286,9 @@ def check(
     call.result(f"{found.arm}: {found.line}")
     outlook = found.outlook
     if prometheus is not None:
-        from rejoint.runs.history import prometheus_text
-
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
     value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
-    alarm = outlook.state == "alarm" or outlook.over
-    return Result(value | {"over": outlook.over}, ALARM if alarm else DRIFTS if outlook.state == "drifting" else 0)
+    return Result(value | {"over": outlook.over}, code_of(outlook.state, over=outlook.over))
 
 
 @takes()

@@ -25,6 +25,7 @@ from rejoint.control.controllers.feedforward import (
     SPEED_SMOOTHING,
     TAKEN_BACK,
     Commander,
+    CommandLaw,
 )
 from rejoint.control.controllers.observation import (
     HISTORY,
@@ -35,7 +36,6 @@ from rejoint.control.controllers.observation import (
     PERIOD_SMOOTHING,
     layout_factors,
 )
-from rejoint.runs.exports import Design
 from rejoint.training.train import to_onnx
 
 F = TypeVar("F")
@@ -54,15 +54,15 @@ def memory_slots(joints: int) -> dict[str, int]:
     }  # fmt: skip
 
 
-def controller_graph(design: Design) -> onnx.ModelProto:
-    """Build the graph of one control cycle, all float32.
+def controller_graph(arm: Arm, law: CommandLaw, network: bytes | None) -> onnx.ModelProto:
+    """Build the graph of one control cycle of a ``law``, perhaps with a policy's ``network``, all float32.
 
     Inputs ``joint_pos`` (1, n) [rad], ``target`` (1, 3) [m], ``period`` (1, 1) [s], ``state_in`` (1, s); outputs
     ``joint_command`` (1, n) [rad], ``state_out`` (1, s).
     """
-    n, size = design.arm.joints, sum(memory_slots(design.arm.joints).values())
+    n, size = arm.joints, sum(memory_slots(arm.joints).values())
     inputs = {"joint_pos": n, "target": 3, "period": 1, "state_in": size}
-    model = to_onnx(_CycleGraph(design), inputs, ["joint_command", "state_out"])
+    model = to_onnx(_CycleGraph(arm, law, network), inputs, ["joint_command", "state_out"])
     for output, length in zip(model.graph.output, (n, size), strict=True):
         output.type.tensor_type.shape.dim[1].dim_value = length  # what a loop leaves has no known size
     onnx.checker.check_model(model, full_check=True)
@@ -144,15 +144,15 @@ def _search(
 
 
 class _CycleGraph(nn.Module):
-    def __init__(self, design: Design) -> None:
+    def __init__(self, arm: Arm, law: CommandLaw, network: bytes | None) -> None:
         super().__init__()
-        self.design, self.law, self.n = design, design.law, design.arm.joints
-        self.arm = _arm_tensors(design.arm)
+        self.network, self.law, self.n = network, law, arm.joints
+        self.arm = _arm_tensors(arm)
         self.limits = self.arm[-2:]
-        self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(design.arm.mass[:, None])
-        self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
-        self.factors, self.unloaded = _tensor(layout_factors("residual", self.n)), _tensor(unloaded_joints(design.arm))
-        self.commander = Commander(design.arm, self.law)
+        self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(arm.mass[:, None])
+        self.stiffness, self.gravity = _tensor(law.stiffness), _tensor(-GRAVITY)
+        self.factors, self.unloaded = _tensor(layout_factors("residual", self.n)), _tensor(unloaded_joints(arm))
+        self.commander = Commander(arm, law)
         self.moves, self.spared = _tensor(self.commander.moves), _tensor(self.commander.spared)
 
     def forward(self, joint_pos: Tensor, target: Tensor, period: Tensor, state_in: Tensor) -> tuple[Tensor, Tensor]:
@@ -161,7 +161,8 @@ class _CycleGraph(nn.Module):
         position, target, state = (one.double().reshape(-1) for one in (joint_pos, target, state_in))
         old = dict(zip(slots, torch.split(state, list(slots.values())), strict=True))
         begun = old["begun"] > 0.5
-        sent = torch.where(begun, old["sent"], position)
+        old |= {name: torch.where(begun, old[name], position) for name in ("sent", "asked", "position")}
+        sent = old["sent"]
         elapsed = torch.where(begun, period.double().reshape(1).clamp(min=0.0), 0.0)
         changed = (target - old["target"]).abs().max() > 0.0
         fresh = ~begun | changed | (elapsed > GAP)
@@ -184,11 +185,11 @@ class _CycleGraph(nn.Module):
         push, extra = self._weigh(step, distance, since, action)
 
         gains, span = law.learning, elapsed.clamp(max=PACE_LONGEST)
-        way = position - torch.where(begun, old["position"], position)
+        way = position - old["position"]
         loosened, sticking = self._loosen(step, (distance, since), span, way, fresh, old)
         extra = extra + loosened
-        if self.design.network is None:
-            short = torch.where(begun, old["asked"], position) - sent
+        if self.network is None:
+            short = old["asked"] - sent
             held = short.abs() > HELD_BACK
             push, extra = (torch.where(held & (short * one > 0.0), 0.0, one) for one in (push, extra))
         newest = torch.where(span > 0.0, way / torch.where(span > 0.0, span, 1.0), old["speed"])
@@ -205,22 +206,9 @@ class _CycleGraph(nn.Module):
         margin = law.envelope_margin
         command = torch.clamp(torch.clamp(raised + learned, goal - margin, goal + margin), *self.limits)
         actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
-        memory = (
-            known
-            | sticking
-            | {
-                "sent": command,
-                "asked": command,
-                "begun": torch.ones(1, dtype=torch.float64),
-                "target": target,
-                "since_target": since,
-                "goal": goal,
-                "correction": learned,
-                "speed": speed,
-                "position": position,
-                "action": actions,
-            }
-        )
+        memory = known | sticking | {"begun": torch.ones(1, dtype=torch.float64), "since_target": since}
+        memory |= {"sent": command, "asked": command, "target": target, "goal": goal, "correction": learned}
+        memory |= {"speed": speed, "position": position, "action": actions}
         state = torch.cat([memory[name] for name in slots])
         return command.float().reshape(1, -1), state.float().reshape(1, -1)
 
@@ -268,7 +256,7 @@ class _CycleGraph(nn.Module):
         known: dict[str, Tensor],
     ) -> Tensor:
         """Network's action (n,) for the observation layout ``residual``."""
-        if self.design.network is None:
+        if self.network is None:
             return torch.zeros(self.n, dtype=torch.float64)
         step, error, distance = seen
         numbers = torch.cat([
@@ -278,7 +266,7 @@ class _CycleGraph(nn.Module):
         ]) * self.factors  # fmt: skip
         first, last = (2 + HISTORY) * self.n, (4 + HISTORY) * self.n
         numbers = torch.cat([numbers[:first], torch.tanh(numbers[first:last]), numbers[last:]])
-        return _answer(self.design.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
+        return _answer(self.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
 
     def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Integrated parts of step and action (n,) [rad] (`rejoint.control.controllers.feedforward.Commander`)."""

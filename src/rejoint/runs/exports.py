@@ -23,7 +23,7 @@ from rejoint.pages.html import render
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
-from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
+from rejoint.session.inputs import RunLike, as_calibration, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
@@ -92,7 +92,7 @@ def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
 
 
 def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
-    require(f"rejoint export --format {kind}", "train")
+    require(f"rejoint export --format {kind}", "train", "jinja2")
     if run.twin is None:
         raise FileError(run.folder.twin, "no such file", f"make it with: rejoint identify {run.path}")
     make, name = (mjcf_text, f"{run.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
@@ -157,7 +157,7 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
     path = place / package / "controller.onnx" if kind == "ros2" else place
     if path.suffix != ".onnx":
         raise InputError(f"{path}: expected a file that ends with .onnx")
-    model = controller_graph(design)
+    model = controller_graph(design.arm, design.law, design.network)
     notice = f"{design.instead} {OUTSIDE}".strip()
     helper.set_model_props(model, metadata(design, notice))
     data = model.SerializeToString()
@@ -219,18 +219,15 @@ def design_of(run: Run, best: str) -> Design:
 
     InputError for policies by the paper's recipe.
     """
-    arm, policy, name = run.arm, None, FeedforwardController.name
-    if best == SHELF:
-        policy, name = shelf_policy(arm), f"{SHELF} policy"
-    elif best != name and run.folder.policy.exists():
-        policy, name = as_policy(run.folder.policy), POLICY
+    arm, name = run.arm, FeedforwardController.name
+    policy = shelf_policy(arm) if best == SHELF else run.policy if best != name else None
     if policy is None:
         twin = run.twin
         own = FeedforwardController(arm, None if twin is None else twin.parameters.stiffness)
         law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
         design = Design(arm=arm, law=law, network=None, name=name)
     else:
-        contract = policy.contract
+        contract, name = policy.contract, f"{SHELF} policy" if best == SHELF else POLICY
         check_contract(contract, arm)
         if contract.law.anchor != "goal" or contract.layout != "residual":
             raise InputError(

@@ -201,6 +201,15 @@ def state_of(row: HistoryRow) -> str:
     return "tolerance reached" if row.over else REPAIRED if row.kind == REPAIR else row.state
 
 
+DRIFTS, ALARM = 6, 7
+"""Exit codes of a check: watch the arm, repair it"""
+
+
+def code_of(state: str, *, over: bool) -> int:
+    """Exit code of a check with this ``state``, ``over`` its tolerance or not."""
+    return ALARM if over or state == "alarm" else DRIFTS if state == "drifting" else 0
+
+
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
     """Group rows, the oldest first, by arm; urgent arms first."""
     owner = owners(rows)

@@ -337,30 +337,25 @@ class Session(ArmSession):
 
     def diagnose(self, *, quick: bool = False) -> Diagnosed:
         """Excite the arm and say what is wrong with it; as `rejoint.diagnose`."""
-        with self.lent() as about:
-            return diagnose(self.robot, quick=quick, **about)
+        return self.lend(diagnose, self.robot, quick=quick, settings=self.settings)
 
     def calibrate(self, gauge: GaugeLike | None = None, *, count: int | None = None) -> Calibrated:
         """Find out where the tool really is; as `rejoint.calibrate`."""
-        with self.lent() as about:
-            return calibrate(self.robot, gauge=gauge, count=count, **about)
+        return self.lend(calibrate, self.robot, gauge=gauge, count=count, settings=self.settings)
 
     def identify(self, *, quick: bool = False) -> Twin:
         """Fit a twin to what the diagnosis recorded; as `rejoint.identify`."""
-        with self.lent() as about:
-            return identify(run=about["run"], quick=quick, observer=self.observer)
+        return self.lend(identify, quick=quick)
 
     def train(self, *, quick: bool = False) -> TrainedPolicy:
         """Train a policy on copies of the twin; as `rejoint.train`."""
-        with self.lent() as about:
-            return train(run=about["run"], quick=quick, observer=self.observer)
+        return self.lend(train, quick=quick)
 
     def compare(
         self, controllers: Controllers = (), targets: Targets | None = None, *, plan: TrialPlan | None = None
     ) -> Compared:
         """Try controllers on the arm and recommend one; as `rejoint.compare`."""
-        with self.lent() as about:
-            return compare(self.robot, controllers, targets, plan=plan, **about)
+        return self.lend(compare, self.robot, controllers, targets, plan=plan, settings=self.settings)
 
 
 def connect(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.inertia import LoadedArm, loaded
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.postures import find_postures
+from rejoint.arms.postures import find_postures, too_heavy
 from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.controllers.catalogue import (
@@ -49,6 +49,7 @@ from rejoint.control.servogains import (
     stiffness_under,
 )
 from rejoint.control.start import Stance
+from rejoint.control.targets import in_mm
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
@@ -109,9 +110,13 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
-    over = heavy(arm, twin, points, turns and turns.flat)
-    if over.any():
-        say(f"Too heavy for {_named(arm, points, over)}. The arm tries, but may not come there.")
+    start = np.broadcast_to(arm.rest, (len(points), arm.joints))
+    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(twin).usable, np.inf)
+    judged = [too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns and turns.flat)]
+    found = [f"{in_mm(point)}: {why}" for point, (joint, why) in zip(points, judged, strict=True) if joint is not None]
+    if found:
+        more = f", and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+        say(f"Too heavy by the twin: {'; '.join(found[:_NAMED])}{more}. The arm tries, but may not come there.")
 
 
 def _limits_seen(twin: Twin) -> NDArray[Any]:
@@ -129,23 +134,6 @@ def believed_motors(twin: Twin) -> Motors:
     usable = np.maximum(usable, 0.1 * own.torque_limit)
     late = float(own.delay) + 0.5 * NOMINAL_PERIOD
     return Motors(limit, usable, own.damping, own.coulomb, own.armature, own.stiffness, late)
-
-
-def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
-    """Name too weak motors and ``points`` (K, 3) [m], by ``over`` (K, n)."""
-    which = np.flatnonzero(over.any(axis=1))
-    joints = ", ".join(arm.joint_names[j] for j in range(arm.joints) if over[:, j].any())
-    places = "; ".join(f"({', '.join(f'{1e3 * value:.0f}' for value in points[k])}) mm" for k in which[:_NAMED])
-    more = f" and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
-    return f"the motor of {joints} by the twin: {places}{more}"
-
-
-def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
-    """Which joints (K, n) are too weak at ``targets`` (K, 3) [m] by their torque limit; light ones do not count."""
-    start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
-    load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
-    over = load > believed_motors(twin).usable
-    return over & (joint_weights(arm) <= 1.0) & _limits_seen(twin)
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:

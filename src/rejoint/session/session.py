@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
     from rejoint.session.motions import PathLike
+
+T = TypeVar("T")
 
 WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
@@ -98,12 +100,11 @@ class ArmSession(ArmDriver):
 
     def open(self) -> Self:
         """Connect now; nothing moves. AddressError if no robot answers."""
-        self.state  # noqa: B018 - it asks the robot
+        self.look()
         return self
 
-    @contextmanager
-    def lent(self) -> Iterator[dict[str, Any]]:
-        """Leave run and robot to a stage; afterwards the run's new state counts."""
+    def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
+        """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
@@ -111,7 +112,7 @@ class ArmSession(ArmDriver):
             self.take_up(None)
         self._alone.close()
         try:
-            yield {"run": self.run, "settings": self.settings, "observer": self.observer}
+            return stage(*given, run=self.run, observer=self.observer, **options)
         finally:
             self._alone.enter_context(exclusive(self._named))
             for name in ("twin", "calibration", "correction"):
@@ -328,6 +329,10 @@ class ArmSession(ArmDriver):
     @property
     def state(self) -> ArmState:
         """State of the last cycle of a motion, else read now."""
+        return self.look()
+
+    def look(self) -> ArmState:
+        """Ask the arm, unless a motion does; all that watch see the reading."""
         with self._asking:
             self._require_open()
             moving = self._moving
@@ -350,7 +355,7 @@ class ArmSession(ArmDriver):
         def look() -> None:
             try:
                 while not over.wait(EVERY):
-                    self.state  # noqa: B018 - all that watch receive it
+                    self.look()
             except RejointError as error:
                 recorder.error = error
 
@@ -358,7 +363,7 @@ class ArmSession(ArmDriver):
         self.watching.append(recorder.see)
         looking = threading.Thread(target=look, name=name, daemon=True)
         try:
-            self.state  # noqa: B018
+            self.look()
             looking.start()
             yield recorder
         finally:

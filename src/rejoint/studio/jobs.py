@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
+from rejoint.control.robot import Robot
+from rejoint.control.seeing import simulated
 from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
@@ -32,6 +34,10 @@ from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import read_shipped
+
+if TYPE_CHECKING:  # an extra
+    from rejoint.camera.board import Detector, Picture
+    from rejoint.camera.filming import CameraGauge, StillCamera
 
 _TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
 SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
@@ -103,7 +109,7 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
 def see(studio: Studio) -> None:
     """Check the servos; nothing moves."""
     session = studio.session()
-    session.state  # noqa: B018 - asks the arm
+    session.look()
     state = session.robot.read()
     found = tuple(look_at_servos(session.arm, state))
     studio.keep(checks=found, nudged=None)
@@ -133,10 +139,7 @@ def nudge(studio: Studio) -> None:
 def diagnose(studio: Studio, *, quick: bool = False) -> None:
     """Find out what is wrong with the arm."""
     studio.keep(diagnosis=None)
-    run, status = studio.begin_run(quick=quick), studio.status
-    done = rejoint.diagnose(
-        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-    )
+    done = studio.call(rejoint.diagnose, run=studio.begin_run(quick=quick), quick=quick)
     studio.keep(diagnosis=done.diagnosis)
     studio.change(done="Diagnosed. What was found is written at the joints.")
 
@@ -176,10 +179,8 @@ def _minutes(seconds: float) -> str:
 
 def repair(studio: Studio, *, quick: bool = False) -> None:
     """Repair the arm; it goes on where an earlier repair ended."""
-    run, status = studio.begin_run(quick=quick), studio.status
-    done = rejoint.repair(
-        status.address, run=run, arm=status.arm, quick=quick, settings=studio.settings, observer=studio.observer
-    )
+    run = studio.begin_run(quick=quick)
+    done = studio.call(rejoint.repair, run=run, quick=quick)
     from rejoint.pages.report.page import read_contents  # late: a repair has asked for what it needs
 
     errors, advice = read_contents(run.path).before_after(), done.recommendation
@@ -199,27 +200,62 @@ def again(studio: Studio) -> None:
 
 def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> None:
     """Measure where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
-    run, status = studio.begin_run(), studio.status
-    settings, gauge = studio.settings, cast("GaugeLike | None", None)
+    run, gauge = studio.begin_run(), cast("GaugeLike | None", None)
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
-        from rejoint.studio.pictures import shown_camera
-
-        gauge = shown_camera(studio, status.address, board, camera)
-    found = rejoint.calibrate(
-        status.address,
-        run=run,
-        gauge=gauge,
-        count=count,
-        arm=status.arm,
-        settings=settings,
-        observer=studio.observer,
-    )
+        gauge = shown_camera(studio, studio.status.address, board, camera)
+    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=count)
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
     known = f"{1e3 * found.after:.1f} mm from where the calibration does"
     studio.change(done=f"The tool is {seen}, and {known}. {helps}.")
+
+
+WIDTH = 480
+"""[px] of a shown picture (chosen)"""
+
+
+class _ShownCamera(NamedTuple):
+    studio: Studio
+    camera: StillCamera
+    detector: Detector
+
+    def still(self, number: int) -> Picture:
+        """Take a picture, and show it."""
+        picture = self.camera.still(number)
+        import cv2
+
+        from rejoint.camera.board import Unusable
+
+        seen = self.detector.find(f"picture {number}", picture)
+        drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+        if isinstance(seen, Unusable):
+            self.studio.message(f"Picture {number}: {seen.why}")
+        else:
+            for x, y in np.rint(seen.pixel).astype(int).tolist():
+                cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)
+        height = round(WIDTH * picture.shape[0] / picture.shape[1])
+        self.studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
+        return picture
+
+
+def shown_camera(studio: Studio, address: str, file: Path, number: int) -> CameraGauge:
+    """Return the camera of this ``number``, which measures; ``file`` describes the board."""
+    from rejoint.camera.board import ON_TOOL, Detector, read_board
+    from rejoint.camera.filming import CameraGauge
+    from rejoint.camera.tracker import LiveCamera
+
+    emulated = is_virtual(address)
+    board = ON_TOOL if emulated and not file.exists() else read_board(file)
+
+    @contextmanager
+    def camera(robot: Robot) -> Iterator[StillCamera]:
+        opened = nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
+        with opened as taken:
+            yield _ShownCamera(studio, taken, Detector(board))
+
+    return CameraGauge(camera=camera, board=board)
 
 
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
@@ -244,14 +280,11 @@ def prove(studio: Studio, points: Sequence[Array]) -> None:
     if not points:
         raise InputError("there are no points yet; add some, or click on the table")
     studio.keep(proof=None)
-    studio.release()
-    status, run, proof = studio.status, studio.run, list[Deployed]()
+    run, proof = studio.run, list[Deployed]()
     plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
     for number, settings in enumerate((plain, studio.settings)):
         part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
-        arm = status.arm if run is None else None
-        done = rejoint.deploy(status.address, points, run=run, arm=arm, settings=settings, observer=part)
-        proof.append(done)
+        proof.append(studio.call(rejoint.deploy, points, run=run, settings=settings, observer=part))
     studio.keep(proof=tuple(proof))
     before, after = (f"{1e3 * one.error:.2f} mm" for one in proof)
     studio.change(done=f"Before: {before}. After, with {proof[1].controller}: {after}.")
@@ -324,11 +357,7 @@ def export(studio: Studio, kind: str, lerobot: str) -> None:
 
 def check_again(studio: Studio) -> None:
     """See whether the arm has become worse."""
-    studio.release()
-    status = studio.status
-    found = rejoint.check(
-        status.address, history=studio.home, arm=status.arm, settings=studio.settings, observer=studio.observer
-    )
+    found = studio.call(rejoint.check, history=studio.home)
     studio.change(done=f"{found.arm}: {found.line}")
     history(studio)
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import logging
 import queue
 import re
-import tempfile
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -22,15 +20,16 @@ from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
 from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
 from rejoint.logs.runfolder import RunFolder
+from rejoint.runs.failure import failure_of
 from rejoint.runs.run import RUNS, Run, newest_or_new
-from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError, first_line
-from rejoint.system.extras import explain
+from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
 from rejoint.system.stopping import Interrupted, ending, interrupt
 
 StepName = Literal["find", "check", "diagnose", "repair", "calibrate", "prove", "use"]
 LINES = 6
 """Newest messages that are shown (chosen)"""
 Job = Callable[["Studio"], object]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,14 +185,7 @@ class Studio(Observer):
         """Return in one line why a job ended, and what to do."""
         if isinstance(error, Interrupted):
             return f"{title}: stopped by {error.by or 'a signal'}. The arm holds its position."
-        notes = " ".join(getattr(error, "__notes__", ()))
-        if isinstance(error, RejointError):
-            return f"{error}. {notes}".strip() if notes else str(error)
-        if isinstance(error, OSError):
-            return f"{error.filename or title}: {error.strerror or error}. Check the path and the space left."
-        with tempfile.NamedTemporaryFile("w", prefix="rejoint-traceback-", suffix=".txt", delete=False) as file:
-            file.writelines(traceback.format_exception(error))
-        return explain(error) or f"a bug: {type(error).__name__}: {first_line(error)}; where it is: {file.name}"
+        return " ".join((failure_of(error).text, *getattr(error, "__notes__", ())))
 
     # --- the arm ------------------------------------------------------------------------------------
 
@@ -207,6 +199,12 @@ class Studio(Observer):
                 status.address, run=self.run, arm=status.arm, settings=self.settings, observer=self.observer
             )
         return self._session
+
+    def call(self, work: Callable[..., T], *given: object, **options: object) -> T:
+        """Let a public function ``work`` on the chosen arm; the session is closed for it."""
+        self.release()
+        about = {"arm": self.status.arm, "settings": self.settings, "observer": self.observer}
+        return work(self.status.address, *given, **about | options)
 
     def release(self) -> None:
         """Close the session; the arm holds."""

@@ -167,9 +167,9 @@ class StudioPage(WebPage):
         act()
         self._drawn = ()
 
-    def job(self, label: str, title: str, job: Job, *, first: bool = False) -> None:
-        """Add a button that begins a job."""
-        self.button(label, lambda: self.studio.do(title, job), first=first)
+    def job(self, label: str, job: Job, *, first: bool = False) -> None:
+        """Add a button that begins a job, which is called like it."""
+        self.button(label, lambda: self.studio.do(label, job), first=first)
 
     def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401
         made.on_update(lambda _: self.form.update({key: made.value}))
@@ -189,15 +189,15 @@ class StudioPage(WebPage):
         self.form[key] = value = value if value in options else options[0]
         self._typed(key, self.server.gui.add_dropdown(label, list(options), initial_value=value))
 
-    def tick(self, label: str, key: str, usual: bool = False) -> None:
+    def tick(self, label: str, key: str) -> None:
         """Add a box to tick."""
-        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, usual))))
+        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, False))))
 
-    def upload(self, label: str, title: str, job: Callable[[Studio, bytes], object]) -> None:
+    def upload(self, label: str, job: Callable[[Studio, bytes], object]) -> None:
         """Add a button that takes a file and begins a job with its content."""
         made = self.server.gui.add_upload_button(label, mime_type=".csv", disabled=self._busy)
         made.on_upload(
-            lambda _: self._act(lambda: self.studio.do(title, lambda studio: job(studio, made.value.content)))
+            lambda _: self._act(lambda: self.studio.do(label, lambda studio: job(studio, made.value.content)))
         )
         self._parts.append(made)
 
@@ -285,7 +285,7 @@ class StudioPage(WebPage):
         self.server.scene.add_icosphere("/clicked", 0.006, TARGET, position=place)
         self._drawn = ()
         if self.form.get("at once"):
-            self.studio.do("Going to the point", lambda studio: jobs.go_to(studio, point(self.form)))
+            self.studio.do("Go", lambda studio: jobs.go_to(studio, point(self.form)))
 
     def _report(self) -> bytes | None:
         run = self.studio.run
@@ -317,8 +317,8 @@ def find(page: StudioPage, status: Status) -> None:
         page.choice("Arm", "arm", list(known))
     page.text("or its address", "address")
     page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
-    page.job("Connect", "Connecting", lambda studio: connect(studio, page.form, known), first=True)
-    page.job("Look for arms again", "Looking for arms", jobs.look)
+    page.job("Connect", lambda studio: connect(studio, page.form, known), first=True)
+    page.job("Look for arms again", jobs.look)
 
 
 def connect(studio: Studio, form: Mapping[str, Any], known: Mapping[str, str]) -> None:
@@ -336,8 +336,8 @@ def check(page: StudioPage, status: Status) -> None:
         page.button("No", lambda: page.studio.answer("no"), anyway=True)
         return
     page.html("surroundings")
-    page.job("The table is clear: move one joint", "A small motion", jobs.nudge, first=True)
-    page.job("Look again", "Looking at the servos", jobs.see)
+    page.job("The table is clear: move one joint", jobs.nudge, first=True)
+    page.job("Look again", jobs.see)
 
 
 def diagnose(page: StudioPage, status: Status) -> None:
@@ -347,7 +347,6 @@ def diagnose(page: StudioPage, status: Status) -> None:
     page.tick("Quick try", "quick")
     page.job(
         "Diagnose",
-        "Diagnosis",
         lambda studio: jobs.diagnose(studio, quick=bool(page.form["quick"])),
         first=found is None,
     )
@@ -363,11 +362,11 @@ def repair(page: StudioPage, status: Status) -> None:
         "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
     )
     page.tick("Quick try", "quick")
-    page.job("Repair", "Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
+    page.job("Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
     if done is not None:
         page.html("repaired", done, status.found.get("advice"))
         page.button("Next: before and after", lambda: page.studio.change(step="prove"), first=True)
-        page.job("Begin a new repair", "Another repair", jobs.again)
+        page.job("Begin a new repair", jobs.again)
 
 
 def calibrate(page: StudioPage, status: Status) -> None:
@@ -385,7 +384,7 @@ def calibrate(page: StudioPage, status: Status) -> None:
     page.number("Postures", "count", 10)
     page.text("Board", "board", "board.toml")
     page.number("Camera", "camera", 0)
-    page.job("Calibrate", "Calibration", lambda studio: measure(studio, page.form), first=True)
+    page.job("Calibrate", lambda studio: measure(studio, page.form), first=True)
 
 
 def measure(studio: Studio, form: Mapping[str, Any]) -> None:
@@ -401,9 +400,7 @@ def prove(page: StudioPage, status: Status) -> None:
     page.html("points", points)
     page.button("Add the point", lambda: points.append(point(page.form)))
     page.button("Remove all points", points.clear)
-    page.job(
-        "Compare before and after", "Before and after", lambda studio: jobs.prove(studio, list(points)), first=True
-    )
+    page.job("Compare before and after", lambda studio: jobs.prove(studio, list(points)), first=True)
     if status.found.get("proof"):
         page.html("proof", status.found["proof"])
         page.button("Next: use it", lambda: page.studio.change(step="use"), first=True)
@@ -426,31 +423,26 @@ def use(page: StudioPage, status: Status) -> None:
     page.tick("Click to go", "at once")
     page.job(
         "Go",
-        "Going to the point",
         lambda studio: jobs.go_to(studio, point(page.form), 1e-3 * page.form["within"]),
         first=True,
     )
     path = page.form.setdefault("path", [])
     page.html("points", path)
     page.button("Record the point", lambda: path.append(point(page.form)))
-    page.job("Record where the tool is", "Recording", lambda studio: jobs.record(studio, path))
+    page.job("Record where the tool is", lambda studio: jobs.record(studio, path))
     page.button("Forget the path", path.clear)
     page.number("Times", "times", 1.0)
-    page.job("Play the path", "Path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
-    page.upload("Play a path file (CSV)", "Path", jobs.play_file)
+    page.job("Play the path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
+    page.upload("Play a path file (CSV)", jobs.play_file)
     page.number("Load g", "load", 0.0)
-    page.job(
-        "The hand carries this load", "Payload", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0))
-    )
+    page.job("The hand carries this load", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0)))
     page.text("For programs", "listen", "127.0.0.1:9001")
-    page.job("Let programs drive it", "Serving", lambda studio: jobs.serve(studio, str(page.form["listen"])))
+    page.job("Let programs drive it", lambda studio: jobs.serve(studio, str(page.form["listen"])))
     page.choice("Export", "export", KINDS)
     page.text("LeRobot file", "lerobot")
-    page.job(
-        "Write the file", "Export", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"]))
-    )
-    page.job("Check again", "Check", jobs.check_again)
-    page.job("History of all arms", "History", jobs.history)
+    page.job("Write the file", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"])))
+    page.job("Check again", jobs.check_again)
+    page.job("History of all arms", jobs.history)
     page.html("history", status.found.get("history") or ())
 
 

@@ -16,7 +16,7 @@ from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages.html import write_page
 from rejoint.pages.words import plural
 from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.history import state_of, what_to_do
+from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
@@ -115,8 +115,8 @@ LOOK = 0.5
 """[s] between looks at clock and signals; chosen"""
 HOLDING = 15.0
 """[s] to come to a hold at the end; chosen"""
-DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
-"""Exit codes: watch it, repair it, partly done, robot failed"""
+PARTLY, ROBOT = 5, 4
+"""Exit codes: partly done, robot failed"""
 
 # Exit codes, the worst first: bugs and failures, then alarms, then what was left
 _ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
@@ -203,7 +203,7 @@ class Campaign:
         if rules.needed and not files.info.exists():  # an interrupted repair is gone on with in any case
             if seen is None:
                 return ("check",)
-            if not needs_repair(seen):
+            if code_of(seen.state, over=seen.over) != ALARM:
                 return ()
         if files.finished.exists():
             return ()
@@ -327,11 +327,6 @@ def _summary(path: Path) -> HistoryRow | None:
     return None
 
 
-def needs_repair(row: HistoryRow) -> bool:
-    """Whether a check asks for a repair."""
-    return row.state == "alarm" or row.over
-
-
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
@@ -411,7 +406,7 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
         found=seen.line.partition(" Do: ")[0] + (f" Use {seen.controller}." if repaired else ""),
         todo=what_to_do(seen),
         folder=files.path if repaired else campaign.fleet.folder / CHECKS / arm.name,
-        code=0 if repaired else ALARM if needs_repair(seen) else DRIFTS if seen.state == "drifting" else 0,
+        code=0 if repaired else code_of(seen.state, over=seen.over),
     )
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,8 +30,7 @@ ROOM = 5
 HORIZON = 400
 """[days] to search for the next opening; chosen"""
 
-_SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):(\d\d)\s*-\s*(\d\d):(\d\d)\s*")
-_DATES = re.compile(r"\s*(\d{4}-\d\d-\d\d)(?:\s+to\s+(\d{4}-\d\d-\d\d))?\s*")
+_SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):([0-5]\d)\s*-\s*(\d\d):([0-5]\d)\s*")
 _MINUTE, _MONDAY = timedelta(minutes=1), datetime(2001, 1, 1)
 _DAY, _WEEK = 24 * 60, 7 * 24 * 60  # minutes
 
@@ -73,26 +73,25 @@ def _span(text: str) -> list[tuple[int, int]]:
     """Read the hours of one or several days: ``Fri 22:00-06:00`` ends on Saturday."""
     found = _SPAN.fullmatch(text)
     names = [] if found is None else [found[1].title(), (found[2] or found[1]).title()]
-    if found is None or not {*names} <= {*DAYS}:
-        raise ValueError(f"expected hours such as Mon-Fri 08:00-18:00 (days {', '.join(DAYS)}), found {text[:40]!r}")
-    first, last = (60 * int(found[i]) + int(found[i + 1]) for i in (3, 5))
-    if first >= _DAY or last > _DAY or int(found[4]) > 59 or int(found[6]) > 59 or first == last:
-        raise ValueError(f"expected two different times from 00:00 to 24:00, found {text[:40]!r}")
-    day, end = map(DAYS.index, names)
-    length = (last - first) % _DAY or _DAY
-    return [((day + i) % 7 * _DAY + first, length) for i in range((end - day) % 7 + 1)]
+    if found is not None and {*names} <= {*DAYS}:
+        first, last = (60 * int(found[i]) + int(found[i + 1]) for i in (3, 5))
+        if first < _DAY and last <= _DAY and first != last:
+            day, end = map(DAYS.index, names)
+            length = (last - first) % _DAY or _DAY
+            return [((day + i) % 7 * _DAY + first, length) for i in range((end - day) % 7 + 1)]
+    raise ValueError(
+        f"expected hours such as Mon-Fri 08:00-18:00 (days {', '.join(DAYS)}, two different times from 00:00 to "
+        f"24:00), found {text[:40]!r}"
+    )
 
 
 def _dates(text: str) -> tuple[int, int]:
-    found = _DATES.fullmatch(text)
-    try:
-        days = [datetime.fromisoformat(one) for one in (found[1], found[2] or found[1])] if found else []
-    except ValueError:
-        days = []
-    if not days or days[0] > days[1]:
-        raise ValueError(f"expected a day such as 2026-12-24, or 2026-12-24 to 2027-01-06, found {text[:40]!r}")
-    first, last = ((day - _MONDAY) // _MINUTE for day in days)
-    return first, last + _DAY - 1
+    begin, _, end = text.partition(" to ")
+    with suppress(ValueError):
+        first, last = (date.fromisoformat(one.strip()) - _MONDAY.date() for one in (begin, end or begin))
+        if first <= last:
+            return first // _MINUTE, last // _MINUTE + _DAY - 1
+    raise ValueError(f"expected a day such as 2026-12-24, or 2026-12-24 to 2027-01-06, found {text[:40]!r}")
 
 
 FOLDER = "runs"

@@ -6,11 +6,11 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
-from rejoint.session.context import ControllerMaker
+from rejoint.session.context import ControllerMaker, tuned_gains
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_json, saving, set_aside, write_json
+from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.stopping import noted
 
 TARGETS = 4
@@ -77,9 +77,9 @@ def gains_to_keep(run: Run) -> ServoGains:
 
     FileError without a search, InputError if nothing else is recommended.
     """
-    if not run.folder.gains.exists():
+    found = tuned_gains(run)
+    if found is None:
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
-    found = read_json(run.folder.gains, GainsFound)
     best = ControllerMaker(run.arm, run=run).choice()[0] if run.folder.comparison.exists() else GEARED
     if best not in RIVALS:
         raise InputError(f"{run.path} recommends {best}, under the gains that the servos had; there is nothing to keep")

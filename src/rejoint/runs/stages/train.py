@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import load_arm
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.runs.run import exclusive, mark_quick
@@ -15,12 +16,10 @@ from rejoint.session.context import tuned_gains, twin_under
 from rejoint.session.inputs import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
     from rejoint.training.task import Preset
     from rejoint.training.train import Trainer, TrainingResult
-    from rejoint.twin.twin import Twin
 
 QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
 """Size of a quick training; chosen"""
@@ -97,50 +96,40 @@ def train(
     >>> policy.save("policy.onnx")
     >>> rejoint.train(run="runs/mine")
     """
-    how = settings or TrainSettings()
-    options: dict[str, Any] = {"preset": preset} | (QUICK if quick else {})
-    with pacing(observer) as update:
+    how, gains = settings or TrainSettings(), None
+    with pacing(observer) as update, ExitStack() as stack:
         if run is not None:
             if twin is not None:
                 raise InputError("training: a run has its own twin; give either a run or a twin")
             found = as_run(run).seeded(how.seed)
-            with exclusive(found):
-                told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
-                if known is None and not how.generic:
-                    raise InputError(
-                        f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
-                        "policy for any worn arm of this kind with --generic"
-                    )
-                mark_quick(found, quick=quick)
-                gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
-                if tuned is not None and known is not None:
-                    known = twin_under(known, tuned.found, tuned.under)
-                options |= {"seed": found.seed, "servo_gains": gains}
-                return _learn(found.arm, known, found.path, how, options, update)
-        known = None if twin is None else as_twin(twin)
-        if known is None and arm is None:
-            raise InputError("training: neither a twin, a run nor an arm is given")
-        chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
-        if known is not None:
-            known.require(chosen)
-        with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-            return _learn(chosen, known, Path(folder), how, options | {"seed": as_seed(how.seed)}, update)
+            stack.enter_context(exclusive(found))
+            told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
+            if known is None and not how.generic:
+                raise InputError(
+                    f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
+                    "policy for any worn arm of this kind with --generic"
+                )
+            mark_quick(found, quick=quick)
+            gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
+            if tuned is not None and known is not None:
+                known = twin_under(known, tuned.found, tuned.under)
+            chosen, folder, seed = found.arm, found.path, found.seed
+        else:
+            known = None if twin is None else as_twin(twin)
+            if known is None and arm is None:
+                raise InputError("training: neither a twin, a run nor an arm is given")
+            chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
+            if known is not None:
+                known.require(chosen)
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
+            seed = as_seed(how.seed)
+        if how.trainer is None:
+            from rejoint.training.train import TrainingOptions
+            from rejoint.training.train import train as learn
 
-
-def _learn(
-    arm: Arm,
-    twin: Twin | None,
-    folder: Path,
-    how: TrainSettings,
-    options: dict[str, Any],
-    on_progress: Progress,
-) -> TrainedPolicy:
-    if how.trainer is None:
-        from rejoint.training.train import TrainingOptions
-        from rejoint.training.train import train as learn
-
-        chosen = TrainingOptions(threads=how.threads, **options)
-        result = learn(arm, twin, out=folder, options=chosen, on_progress=on_progress)
-    else:
-        result = how.trainer(arm, twin, folder, on_progress)
-    return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)
+            about: dict[str, Any] = {"seed": seed, "servo_gains": gains} | (QUICK if quick else {})
+            options = TrainingOptions(preset=preset, threads=how.threads, **about)
+            result = learn(chosen, known, out=folder, options=options, on_progress=update)
+        else:
+            result = how.trainer(chosen, known, folder, update)
+        return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)

@@ -249,4 +249,3 @@ class OwnCorrections(Modelled):
         rows = (target, start, where) if near is None else (target, start, where, near)
         each = zip(self._each, *(row[:, None] for row in rows), strict=True)
         return np.concatenate([one.aim(*own)[0] for one, *own in each]), turn
-
