@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
-from rejoint.arms.displacement import FLOATING, direction
+from rejoint.arms.displacement import FLOATING
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.comparison.result import Protocol
@@ -26,6 +26,9 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.research.evaluation.family import FAMILY_SIZE, WORN, ArmFamily, open_family
+
+CARRIED = np.radians(1.0)
+"""[rad] shortest motion with a direction; chosen"""
 
 
 def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:
@@ -49,7 +52,7 @@ def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     gravity = rotation_about(np.array([1.0, 0.0, 0.0]), tilt) @ GRAVITY
     load, left = gravity_torque(arm, read, gravity), np.empty_like(beyond)
     side = np.tanh(load / FLOATING)
-    terms = np.stack([np.ones_like(load), load, side, (1.0 - side**2) * direction(read, came)], axis=-1)
+    terms = np.stack([np.ones_like(load), load, side, (1.0 - side**2) * np.tanh((read - came) / CARRIED)], axis=-1)
     for i, j in np.ndindex(len(read), arm.joints):
         share = np.linalg.lstsq(terms[i, :, j], beyond[i, :, j], rcond=None)[0]
         left[i, :, j] = beyond[i, :, j] - terms[i, :, j] @ share

@@ -72,7 +72,7 @@ def main(
         for seed in map(int, seeds.split(",")):
             place = RunFolder((twins or FilePath(folder)) / str(seed))
             twin = own_twin(arm, seed, place, seed // FAMILY_SIZE - 1)
-            too_heavy = heavy(loaded(arm, load), twin, targets[0]).any(axis=1)
+            too_heavy = np.array([why != "" for why in heavy(loaded(arm, load), twin, targets[0])])
             light = ~too_heavy
             needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in chosen}
             for case, name in product(chosen, names):

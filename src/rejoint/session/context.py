@@ -110,13 +110,19 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
-    start = np.broadcast_to(arm.rest, (len(points), arm.joints))
-    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(twin).usable, np.inf)
-    judged = [too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns and turns.flat)]
-    found = [f"{in_mm(point)}: {why}" for point, (joint, why) in zip(points, judged, strict=True) if joint is not None]
+    judged = heavy(arm, twin, points, turns and turns.flat)
+    found = [f"{in_mm(point)}: {why}" for point, why in zip(points, judged, strict=True) if why]
     if found:
         more = f", and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         say(f"Too heavy by the twin: {'; '.join(found[:_NAMED])}{more}. The arm tries, but may not come there.")
+
+
+def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
+    """Say for each of K ``points`` (K, 3) [m] which motor is too weak by a limit that the twin has seen; else empty."""
+    start = np.broadcast_to(arm.rest, (len(points), arm.joints))
+    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(twin).usable, np.inf)
+    judged = (too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns))
+    return ["" if joint is None else why for joint, why in judged]
 
 
 def _limits_seen(twin: Twin) -> NDArray[Any]:
