@@ -202,6 +202,8 @@ def import_logs(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     chosen = detect(source) if format is None else format
+    if chosen not in READERS:
+        raise InputError(f"--format {chosen!r}: expected {', '.join(READERS)}")
     paths = READERS[chosen].found(source) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")

@@ -10,7 +10,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -77,6 +77,10 @@ class ImportOptions:
     """import despite failed consistency checks, and store the reasons"""
 
     def __post_init__(self) -> None:
+        for name, kind in (("angle_unit", AngleUnit), ("time_unit", TimeUnit), ("stamp", Stamp)):
+            if (given := getattr(self, name)) not in (None, *get_args(kind)):
+                flag = name.replace("_", "-")
+                raise InputError(f"--{flag} {given!r}: expected {', '.join(get_args(kind))}")
         if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
             raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
         if self.rate is not None and not 0.0 < self.rate < float("inf"):
