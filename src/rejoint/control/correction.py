@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, frames, solve_position, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
@@ -176,6 +176,10 @@ def checked(target: Array, aim: Array) -> Array:
     return aim
 
 
+DAMPING = 0.01
+"""[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
+THERE = 1e-5
+"""[m] (chosen)"""
 SHOWN = np.radians(15.0)
 """[rad] largest shift of a shown joint (chosen: what 5 cm take at the wrist)"""
 
@@ -192,22 +196,39 @@ class Apparent:
         """Posture (n,) [rad] shown at ``position`` (n,)."""
         if self.shift is None:
             return position
-        return self._near(position, tcp_position(self.arm, position) + self._shift(position))
+        place = self._tool(position)
+        return self._solved(position, lambda q: place - tcp_position(self.arm, q))
 
     def measured(self, posture: Array) -> Array:
         """Position (n,) [rad] that shows ``posture`` (n,)."""
         if self.shift is None:
             return posture
-        place, position = tcp_position(self.arm, posture), posture
-        for _ in range(ROUNDS):
-            position = self._near(posture, place - self._shift(position))
-        return position
+        place = tcp_position(self.arm, posture)
+        position = self._solved(posture, lambda q: place - self._tool(q))
+        return np.clip(position, self.arm.lower, self.arm.upper)
 
-    def _shift(self, position: Array) -> Array:
+    def _tool(self, position: Array) -> Array:
+        """Return the true place (3,) [m] at ``position`` (n,) [rad]."""
         assert self.shift is not None  # noqa: S101 - for the type checker
-        return self.shift(position)
+        return tcp_position(self.arm, position) + self.shift(position)
 
-    def _near(self, posture: Array, place: Array) -> Array:
-        """Posture (n,) [rad] near ``posture`` (n,) with the tool at ``place`` (3,) [m]."""
-        found = solve_position(self.arm, place, posture, rest_gain=0.0).q
-        return posture + clip_norm(found - posture, SHOWN)
+    def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
+        """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""
+        q, way, share = start, missing(start), 1.0
+        for _ in range(4 * ROUNDS):
+            if np.linalg.norm(way) < THERE:
+                break
+            tried = start + clip_norm(q + share * self._turn(q, way) - start, SHOWN)
+            left = missing(tried)
+            if np.linalg.norm(left) < np.linalg.norm(way):
+                q, way, share = tried, left, 1.0
+            else:  # the shift jumps where a joint's load changes its side
+                share *= 0.5
+        return q
+
+    def _turn(self, position: Array, way: Array) -> Array:
+        """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
+        jacobian = position_kinematics(self.arm, position)[1]
+        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
+        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
+        return dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(np.linalg.norm(way)))
