@@ -167,6 +167,7 @@ def test_a_servo_that_starves_is_told_from_one_that_is_blocked():
     sags = "the supply sags to 8.5 V from 12.1 V"
     starved = say_faulty(names, both, (sags, sags))
     assert starved.startswith(f"shoulder, elbow report a servo fault ({sags}); look at its supply")
+    assert say_faulty(names, both, (f"voltage, {sags}", "")) == starved.replace(sags, f"voltage; {sags}")
     blocked = say_faulty(names, both, ("voltage", "overload"))
     assert blocked.endswith("(voltage; overload); free the arm and clear the fault")
     assert say_faulty(names, first) == "shoulder reports a servo fault; free the arm and clear the fault"

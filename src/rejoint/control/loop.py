@@ -450,7 +450,7 @@ def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
 def say_faulty(names: tuple[str, ...], fault: Mask, trouble: tuple[str, ...] | None = None) -> str:
     """Name the joints with a servo ``fault`` (n,), and what they report."""
     faulty = ", ".join(np.array(names)[fault])
-    found = list(dict.fromkeys(filter(None, trouble or ())))
+    found = list(dict.fromkeys(part for one in trouble or () for part in one.split(", ") if part))
     starved = bool(found) and all(one == "voltage" or one.startswith("the supply sags") for one in found)
     advice = "free the arm and clear the fault"
     if starved:
