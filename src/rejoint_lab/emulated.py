@@ -60,8 +60,8 @@ class EmulatedRobot(TunedServos):
         first = options.get("first", 0)
         self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
         super().__init__(dynamixel.KIND if isinstance(self.plant, XPlant) else feetech.KIND, arm.joint_names, {})
-        if gains and not isinstance(self.plant, ServoPlant):
-            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        if gains:
+            self._require_gains()
         for name, values in self.kind.for_all(gains or {}, arm.joints).items():
             self.write_gain(name, values)
         self.gains = self.read_gains()
@@ -103,8 +103,13 @@ class EmulatedRobot(TunedServos):
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
+        self._require_gains()
         super().tune(gains)
         self._position = self.plant.encoder()
+
+    def _require_gains(self) -> None:
+        if not isinstance(self.plant, ServoPlant):
+            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has: give --arm so101")
 
     def read_gains(self) -> Values:
         """Gains in force."""

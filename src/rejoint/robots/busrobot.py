@@ -263,8 +263,10 @@ class BusRobot:
         self._due = now + INTERVAL
 
     def _take(self, found: Vitals) -> None:
-        named = {name: getattr(found, name) for name in ("temperature", "fault", "trouble")}
-        self._known = replace(self._known, **{name: value for name, value in named.items() if value is not None})
+        if found.temperature is not None:
+            self._known = replace(self._known, temperature=found.temperature)
+        if found.fault is not None:
+            self._known = replace(self._known, fault=found.fault, trouble=found.trouble)
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
         if self._left is None or now - self._left[0] <= GAP:
