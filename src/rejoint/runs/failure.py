@@ -32,7 +32,8 @@ def failure_of(error: BaseException) -> Failure:
         text = "not enough memory for this; close other programs, allow more, or ask for less"
         return Failure(text, "MemoryError", UNUSABLE)
     if line := explain(error):
-        return Failure(line, "MissingExtraError" if isinstance(error, ImportError) else "InputError", UNUSABLE)
+        kinds = ((ImportError, "MissingExtraError"), (OSError, "OSError"), (Exception, "InputError"))
+        return Failure(line, next(kind for known, kind in kinds if isinstance(error, known)), UNUSABLE)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         text = f"{where}{error.strerror or error}; check the path, its permissions and the space left"

@@ -185,7 +185,7 @@ class Studio(Observer):
         """Return in one line why a job ended, and what to do."""
         if isinstance(error, Interrupted):
             return f"{title}: stopped by {error.by or 'a signal'}. The arm holds its position."
-        return " ".join((failure_of(error).text, *getattr(error, "__notes__", ())))
+        return "; ".join((failure_of(error).text, *getattr(error, "__notes__", ())))
 
     # --- the arm ------------------------------------------------------------------------------------
 
