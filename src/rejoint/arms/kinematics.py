@@ -133,7 +133,7 @@ def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
     """Return holding torques (..., n) [N m] against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
     poses = all_poses(arm, q)
     torques = np.empty((poses.shape[-1], arm.joints))
-    compiled.fill_torques(chain_of(arm), poses, np.array(gravity), torques)
+    compiled.fill_torques(chain_of(arm), poses, np.array(gravity, dtype=float), torques)
     return torques.reshape(q.shape)
 
 

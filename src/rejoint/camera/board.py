@@ -253,7 +253,7 @@ class Detector:
     def _doubts(self, grey: Picture, markers: Sequence[Array], count: int) -> Iterator[str]:
         if not count and not self._shown:
             yield self._unlike(grey)
-        around = [np.reshape(one, (-1, 2)) for one in markers] or [np.array([[0.0, 0.0], grey.shape[::-1]])]
+        around = [np.reshape(one, (-1, 2)) for one in markers] or [np.array([[0.0, 0.0], grey.shape[1::-1]])]
         softness = edge_width(grey, np.concatenate(around))
         if not markers:
             soft = ", and nothing in the picture is sharp" if softness > SOFT else ""

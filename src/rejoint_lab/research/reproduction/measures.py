@@ -7,6 +7,7 @@ a healthy and on a worn arm, by the trials of all evaluations.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -302,7 +303,8 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
     files[max(files) + bench.snapshot_every] = folder.policy
 
-    kept = folder.path / f"course-{arms}.json"
+    identity = "-".join((__version__, str(bench.judged), str(bench.seed), *map(str, files)))
+    kept = folder.path / f"course-{arms}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}.json"
     if not kept.exists():
         played = [
             play(
