@@ -22,7 +22,6 @@ from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.training.train import TrainingOptions, train
@@ -113,7 +112,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     robot = open_robot("emulated:worn", arm=run.arm)
     targets = run.arm.targets.sample(np.random.default_rng(0), (1, 4))
     recording = drive(robot, make_controller("integrator", run.arm), targets, Schedule(dwell=3.0))
-    write_log(run.folder.log("excitation"), recording.log(0, "excitation"))
+    recording.log(0, "excitation").save(run.folder.log("excitation"))
     return run.folder
 
 

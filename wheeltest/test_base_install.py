@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT, Base
 from rejoint.control.comparison.result import Comparison
 from rejoint.logs.runfolder import RunFolder
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog
 from rejoint.system.extras import EXTRAS
 from rejoint.system.files import read_json
 
@@ -61,7 +61,7 @@ def test_it_deploys(base: Base, complete: RunFolder, arm_at: str, points: Path) 
     errors = json.loads(ended.out.splitlines()[-1])["error_mm"]
     assert len(errors) == 2
     assert max(errors) < 10.0  # what counts as reached; the same arm is about 20 mm off when a target is sent once
-    log = read_log(next(path for name, path in complete.logs().items() if name.startswith("deploy")))
+    log = RunLog.load(next(path for name, path in complete.logs().items() if name.startswith("deploy")))
     assert log.label == "deploy/policy"
     assert len(np.unique(log.target, axis=0)) == 2
     assert 8.0 < log.time[-1] - log.time[0] < 30.0  # two holds of 4 s each, and ways that wait for joints that lag
