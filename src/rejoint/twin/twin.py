@@ -22,6 +22,7 @@ from rejoint.system.results import Readable
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
     PARAMETERS,
+    STICTION,
     Layout,
     TwinParameters,
     pack,
@@ -180,6 +181,8 @@ class Twin(Readable):
     """[s] of motion in the fit"""
     notes: tuple[str, ...] = field(default=())
     """for the user"""
+    stiction: float = STICTION
+    """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
     gain: Array | None = None
@@ -219,8 +222,8 @@ class Twin(Readable):
             raise InputError("twin: the covariance must be symmetric, without negative eigenvalues")
         if (self.narrowing <= 0).any() or (self.lower >= self.upper).any():
             raise InputError("twin: every narrowing must be positive, and every lower bound below the upper one")
-        if not self.acceleration > 0.0:
-            raise InputError(f"twin: acceleration {self.acceleration} not above 0")
+        if not (1.0 <= self.stiction < np.inf and self.acceleration > 0.0):
+            raise InputError(f"twin: stiction {self.stiction} below 1 or acceleration {self.acceleration} not above 0")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -273,6 +276,8 @@ class Twin(Readable):
         values = [getattr(self.parameters, p.name) for p in PARAMETERS]
         for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        if self.stiction != STICTION:
+            h.update(np.array(self.stiction, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
         if self.gain is not None:
@@ -329,6 +334,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         "digest": twin.digest(),
         "fit_seconds": twin.fit_seconds,
         "notes": twin.notes,
+        "stiction": twin.stiction,
         **({"acceleration": twin.acceleration} if twin.acceleration < np.inf else {}),
         **({"gain": twin.gain} if twin.gain is not None else {}),
         "held_out": {"seconds": twin.held_out.seconds, **errors},
@@ -384,6 +390,7 @@ def _twin(data: dict[str, Any]) -> Twin:
         held_out=msgspec.convert(data["held_out"], HeldOut),
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),
+        stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
         gain=np.array(data["gain"], dtype=float) if "gain" in data else None,
         table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,
