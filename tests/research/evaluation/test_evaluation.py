@@ -9,6 +9,7 @@ from rejoint_lab.research.evaluation.evaluate import (
     Contestant,
     Evaluation,
     evaluate,
+    judged,
     outcome_path,
     terminal_tables,
     together,
@@ -40,7 +41,7 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
     found = {n: [outcome(np.full((3, 2), 0.3), np.full((3, 2), s))] for n, s in stays.items()}
     found["p"] *= 2  # seeds
     compared = {"worn": together(found, np.zeros((3, 2, 3)), FAMILY)}
-    result = Evaluation(family=FAMILY, comparisons=compared, ours=("p",))
+    result = judged(FAMILY, compared, ("p",))
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
     assert [row.held for row in compared["worn"].rows] == [6, 6, 12]

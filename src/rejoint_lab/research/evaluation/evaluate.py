@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from itertools import product
@@ -19,7 +19,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Ledger
-from rejoint.control.comparison.result import MODELLED, Columns, Comparison, ControllerRow, comparison_of, row_of
+from rejoint.control.comparison.result import MODELLED, Columns, Comparison, ControllerRow, comparison_of, summarise
 from rejoint.control.controllers.catalogue import (
     BASELINES,
     PREDICTIVE,
@@ -157,28 +157,10 @@ class Evaluation:
     family: ArmFamily
     comparisons: dict[str, Comparison]
     """by variant; controllers without their training seeds"""
-    ours: tuple[str, ...]
-    """controllers that are compared with all others"""
-
-    @property
-    def best(self) -> dict[str, str]:
-        """Per variant, the rival that is soonest within the narrowest distance, else the nearest."""
-        found = {}
-        for variant, comparison in self.comparisons.items():
-            rivals = [row for row in comparison.rows if row.controller not in self.ours]
-            if rivals:
-                found[variant] = min(rivals, key=_late).controller
-        return found
-
-    @property
-    def pairs(self) -> list[Pair]:
-        """Each of ours against all others."""
-        return [
-            pair(variant, found, one, rival)
-            for variant, found in self.comparisons.items()
-            for one, rival in product(found.controllers, found.controllers)
-            if one in self.ours and one != rival
-        ]
+    best: dict[str, str]
+    """per variant, the rival that is soonest within the narrowest distance, else the nearest"""
+    pairs: tuple[Pair, ...]
+    """each of ours against all others"""
 
 
 def evaluate(
@@ -223,13 +205,21 @@ def evaluate(
             )
             found.setdefault(group_of(one.name), []).append(columns)
         comparisons[variant.name] = together(found, targets, family)
-    result = Evaluation(
-        family=family,
-        comparisons=comparisons,
-        ours=tuple(dict.fromkeys(group_of(one.name) for one in contestants if one.ours)),
-    )
+    result = judged(family, comparisons, {group_of(one.name) for one in contestants if one.ours})
     write_json(file, result)
     return result
+
+
+def judged(family: ArmFamily, comparisons: dict[str, Comparison], ours: Collection[str]) -> Evaluation:
+    """Compare each of ``ours`` with all others, per variant."""
+    best, pairs = dict[str, str](), list[Pair]()
+    for variant, found in comparisons.items():
+        if rivals := [row for row in found.rows if row.controller not in ours]:
+            best[variant] = min(rivals, key=_late).controller
+        for one, rival in product(found.controllers, found.controllers):
+            if one in ours and one != rival:
+                pairs.append(pair(variant, found, one, rival))
+    return Evaluation(family=family, comparisons=comparisons, best=best, pairs=tuple(pairs))
 
 
 def outcome_path(folder: Path, where: str, controller: str) -> Path:
@@ -241,7 +231,7 @@ def outcome_path(folder: Path, where: str, controller: str) -> Path:
 def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: ArmFamily) -> Comparison:
     """Comparison of results (A, K) by controller and training seed, at ``targets`` (A, K, 3) [m]."""
     seeds, protocol = max(map(len, found.values())), family.protocol
-
+    arms = np.indices((len(targets), seeds, targets.shape[1]))[0].ravel()
     keys = {key for each in found.values() for key in each[0]}
 
     def stacked(each: Sequence[Columns], key: str) -> Array:
@@ -249,7 +239,7 @@ def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: Arm
         return np.stack([one.get(key, missing) for one in (*each, *[{}] * (seeds - len(each)))], axis=1)
 
     whole = {name: {key: stacked(each, key) for key in keys} for name, each in found.items()}
-    rows = tuple(row_of(name, columns, protocol) for name, columns in whole.items())
+    rows = tuple(summarise(name, columns, arms, protocol) for name, columns in whole.items())
     return comparison_of(whole, targets, seed=family.seed, batched=True, protocol=protocol, rows=rows)
 
 

@@ -19,7 +19,15 @@ from matplotlib.figure import Figure
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_position
 from rejoint.arms.arm import dh_chain
 from rejoint.control.comparison.compare import Ledger, Settings, TrialRunner
-from rejoint.control.comparison.result import METRICS, Columns, Comparison, ControllerRow, Key, Protocol, row_of
+from rejoint.control.comparison.result import (
+    METRICS,
+    Columns,
+    Comparison,
+    ControllerRow,
+    Key,
+    Protocol,
+    summarise,
+)
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_size, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.control.robot import Controller, Robot
@@ -31,7 +39,7 @@ from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.files import read_json, read_shipped, write_json
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Spread
+from rejoint.system.statistics import Spread, cluster
 from rejoint.training.ranges import Ranges
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.evaluation.evaluate import classical
@@ -370,7 +378,7 @@ def _together(found: Comparison, names: Sequence[str]) -> ControllerRow:
         metric: np.concatenate([found.array(metric, name) for name in names], axis=1)
         for metric in (*METRICS, *found.protocol.stay_names)
     }
-    return row_of(names[0], columns, found.protocol)
+    return summarise(names[0], columns, cluster(columns["crossed"].shape)[1], found.protocol)
 
 
 def _mm(one: Spread | None, places: int = 2) -> str:
