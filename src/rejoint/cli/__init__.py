@@ -210,10 +210,10 @@ def _ended(error: BaseException, *, json: bool) -> int:
         error = interruption() or error  # compiled code may have swallowed it, and failed for want of what it asked for
     if isinstance(error, Interrupted):
         close()  # a signal that was swallowed is sent again, at a time of its own
-    from rejoint.runs.failure import failure_of
+    from rejoint.runs.failure import failure_of, kept
 
     misused = isinstance(error, typer.TyperException)
-    text, kind, code = (_misused(error), "UsageError", 2) if misused else failure_of(error)
+    text, kind, code = (_misused(error), "UsageError", 2) if misused else kept(failure_of(error))[:3]
     if isinstance(error, Interrupted) and sys.argv[1:2] and sys.argv[1] in RESUMED:
         text += f"; what is finished is kept: the same `rejoint {sys.argv[1]}` goes on from there"
     if not {*VERBOSE}.isdisjoint(sys.argv):

@@ -22,27 +22,36 @@ class Failure(NamedTuple):
     kind: str
     code: int
     """exit code"""
+    trace: str = ""
+    """of a bug"""
 
 
 def failure_of(error: BaseException) -> Failure:
-    """Describe an ``error``; the traceback of a bug goes to a file."""
+    """Describe an ``error``."""
     if isinstance(error, RejointError | Interrupted):
         return Failure(str(error), type(error).__name__, error.exit_code)
     if isinstance(error, MemoryError):
         text = "not enough memory for this; close other programs, allow more, or ask for less"
         return Failure(text, "MemoryError", UNUSABLE)
     if line := explain(error):
-        kinds = ((ImportError, "MissingExtraError"), (OSError, "OSError"), (Exception, "InputError"))
-        return Failure(line, next(kind for known, kind in kinds if isinstance(error, known)), UNUSABLE)
+        missing = isinstance(error, ImportError)
+        return Failure(line, "MissingExtraError" if missing else "InputError", UNUSABLE)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         text = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
         return Failure(text, "OSError", UNUSABLE)
-    from rejoint.robots.registry import driver_of  # of what may be broken itself
+    from rejoint.robots.registry import driver_of  # late: this module may be what is broken
 
+    whose, what = driver_of(error) or "rejoint itself", f"{type(error).__name__}: {first_line(error)}"
+    return Failure(f"a bug in {whose}: {what}", "InternalError", BUG, "".join(traceback.format_exception(error)))
+
+
+def kept(failure: Failure) -> Failure:
+    """Write the traceback of a bug to a file, and name it."""
+    if not failure.trace:
+        return failure
     with tempfile.NamedTemporaryFile(
         "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
     ) as file:
-        file.writelines(traceback.format_exception(error))
-    whose, what = driver_of(error) or "rejoint itself", f"{type(error).__name__}: {first_line(error)}"
-    return Failure(f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG)
+        file.write(failure.trace)
+    return failure._replace(text=f"{failure.text}; where it is: {file.name}")

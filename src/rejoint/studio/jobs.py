@@ -204,7 +204,7 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
-        gauge = shown_camera(studio, studio.status.address, board, camera)
+        gauge = shown_camera(studio, board, camera)
     found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=count)
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
@@ -240,13 +240,13 @@ class _ShownCamera(NamedTuple):
         return picture
 
 
-def shown_camera(studio: Studio, address: str, file: Path, number: int) -> CameraGauge:
+def shown_camera(studio: Studio, file: Path, number: int) -> CameraGauge:
     """Return the camera of this ``number``, which measures; ``file`` describes the board."""
     from rejoint.camera.board import ON_TOOL, Detector, read_board
     from rejoint.camera.filming import CameraGauge
     from rejoint.camera.tracker import LiveCamera
 
-    emulated = is_virtual(address)
+    emulated = is_virtual(studio.status.address)
     board = ON_TOOL if emulated and not file.exists() else read_board(file)
 
     @contextmanager

@@ -20,7 +20,7 @@ from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
 from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
 from rejoint.logs.runfolder import RunFolder
-from rejoint.runs.failure import failure_of
+from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
 from rejoint.system.stopping import Interrupted, ending, interrupt
@@ -185,7 +185,7 @@ class Studio(Observer):
         """Return in one line why a job ended, and what to do."""
         if isinstance(error, Interrupted):
             return f"{title}: stopped by {error.by or 'a signal'}. The arm holds its position."
-        return "; ".join((failure_of(error).text, *getattr(error, "__notes__", ())))
+        return "; ".join((kept(failure_of(error)).text, *getattr(error, "__notes__", ())))
 
     # --- the arm ------------------------------------------------------------------------------------
 
@@ -201,7 +201,7 @@ class Studio(Observer):
         return self._session
 
     def call(self, work: Callable[..., T], *given: object, **options: object) -> T:
-        """Let a public function ``work`` on the chosen arm; the session is closed for it."""
+        """Call the public function ``work`` with the chosen arm, after closing the session."""
         self.release()
         about = {"arm": self.status.arm, "settings": self.settings, "observer": self.observer}
         return work(self.status.address, *given, **about | options)

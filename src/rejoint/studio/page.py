@@ -168,7 +168,7 @@ class StudioPage(WebPage):
         self._drawn = ()
 
     def job(self, label: str, job: Job, *, first: bool = False) -> None:
-        """Add a button that begins a job, which is called like it."""
+        """Add a button that begins a job of the same name."""
         self.button(label, lambda: self.studio.do(label, job), first=first)
 
     def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401

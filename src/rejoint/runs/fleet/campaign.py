@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
@@ -15,13 +14,14 @@ from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages.html import write_page
 from rejoint.pages.words import plural
+from rejoint.runs.failure import failure_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
-from rejoint.system.errors import FileError, RejointError, first_line
-from rejoint.system.extras import explain, require
+from rejoint.system.errors import FileError
+from rejoint.system.extras import require
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
@@ -96,13 +96,9 @@ def do_work(work: Work) -> WorkOutcome:
             repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
     except Interrupted as error:
         problem, code = HELD, error.exit_code
-    except RejointError as error:
-        problem, code = "; ".join((str(error), *getattr(error, "__notes__", ()))), error.exit_code
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
-        problem, code = explain(error) or "", 2
-        if not problem:
-            problem, code = f"a bug: {type(error).__name__}: {first_line(error)}", 1
-            trace = "".join(traceback.format_exception(error))
+        failure = failure_of(error)
+        problem, code, trace = "; ".join((failure.text, *getattr(error, "__notes__", ()))), failure.code, failure.trace
     return WorkOutcome(seconds=time.monotonic() - begun, problem=problem, code=code, trace=trace)
 
 
