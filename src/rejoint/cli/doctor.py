@@ -226,8 +226,7 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
         told = power and len(power) == arm.joints
-        trouble = _trouble_of(case.opened) or state.trouble
-        state = replace(state, voltage=np.array(power, float)[None] if told else None, trouble=trouble)
+        state = replace(state, voltage=np.array(power, float)[None] if told else None)
     yield from look_at_servos(arm, state)
 
 
@@ -235,15 +234,6 @@ def _reply_of(robot: Any, method: str) -> Any:  # noqa: ANN401
     """Return what a myCobot answers to a method of the vendor's client; None: nothing."""
     with suppress(RobotError):
         return robot.bus.ask(method)
-    return None
-
-
-def _trouble_of(robot: Any) -> tuple[str, ...] | None:  # noqa: ANN401
-    """Return what a myCobot's servos report; its firmware may answer only that of what it is asked."""
-    for question in robot.bus.vitals():
-        with suppress(RobotError):
-            if found := question().trouble:
-                return tuple(found)
     return None
 
 

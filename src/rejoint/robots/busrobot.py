@@ -137,7 +137,7 @@ V = TypeVar("V", bound=Vitals)
 
 
 def believed(ask: Callable[[], V], joints: int) -> V:
-    """Ask again after an alarm until two answers agree; copies arrays (n,)."""
+    """Ask again after an alarm until two answers agree; copies arrays (n,). ImpossibleReplyError for another shape."""
     before, found = None, ask()
     for _ in range(DOUBTS):
         if not found.alarming or (before is not None and found.agrees(before)):
@@ -248,11 +248,11 @@ class BusRobot:
 
     def _find_questions(self) -> None:
         """Keep the questions for vitals that this firmware answers."""
-        try:
-            for _ in range(len(self._questions)):
+        for _ in range(len(self._questions)):
+            try:
                 self._ask_next()
-        except NoReplyError:
-            self._known, self._questions = Vitals(), []
+            except NoReplyError:
+                self._questions.pop()  # the one that was asked
 
     def _ask_next(self) -> None:
         began, question = self._clock.now(), self._questions.pop(0)
