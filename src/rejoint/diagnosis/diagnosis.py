@@ -12,17 +12,9 @@ from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
 from rejoint.diagnosis.metrics import COARSEST
+from rejoint.diagnosis.open_loop import OpenLoop, Postures, open_loop_errors, resting_postures, settled_postures
 from rejoint.diagnosis.regression import mean_of
-from rejoint.diagnosis.segments import (
-    FREE,
-    SHORTEST,
-    OpenLoop,
-    Postures,
-    join_logs,
-    open_loop_errors,
-    resting_postures,
-    settled_postures,
-)
+from rejoint.diagnosis.segments import FREE, SHORTEST, join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints

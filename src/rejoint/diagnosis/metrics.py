@@ -91,7 +91,9 @@ def window_averages(
     Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
     nothing = np.zeros(0)
-    parts = [Averages._make([np.zeros((len(delays), 0)), *[nothing] * 7, nothing.astype(np.intp), nothing])]
+    empty: dict[str, Any] = dict.fromkeys(Averages._fields, nothing)
+    empty |= {"error": np.zeros((len(delays), 0)), "cluster": nothing.astype(np.intp)}
+    parts = [Averages(**empty)]
     for index, segment in enumerate(segments):
         time = np.arange(segment.start + cut, segment.stop, _GRID)
         if len(time) * _GRID > length:

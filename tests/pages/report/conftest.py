@@ -24,7 +24,7 @@ from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
-from rejoint.diagnosis.segments import OpenLoop, TargetError
+from rejoint.diagnosis.open_loop import OpenLoop, TargetError
 from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.system.files import write_json

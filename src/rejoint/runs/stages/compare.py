@@ -27,7 +27,7 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
-from rejoint.diagnosis.segments import DWELL
+from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
