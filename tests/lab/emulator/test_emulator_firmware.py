@@ -1,5 +1,7 @@
 """The firmware: limits, fresh mode and queue, stop, pause, power; and requests byte by byte."""
 
+from operator import attrgetter
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.robots.mycobot.wire import ORDER, ROWS, Frame, answer
+from rejoint.robots.mycobot.wire import ORDER, ROWS, SIZES, Frame, answer
 from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()
@@ -141,3 +143,9 @@ def test_after_any_commands_the_arm_obeys_the_next(ideal_plant, history, seed):
     firmware.advance(4.0)
     np.testing.assert_allclose(plant.position[0], wanted, atol=1e-9)
     assert not firmware.moving
+
+
+def test_each_command_names_something_that_the_computer_has_and_known_parts(firmware):
+    for row in ROWS.values():
+        assert row.call == "" or attrgetter(row.call)(firmware) is not None
+        assert set(row.parts) <= set(SIZES)

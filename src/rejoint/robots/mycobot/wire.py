@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
 from rejoint.robots.mycobot.mover import Mover, solve_pose
 from rejoint.robots.wireserver import Format
-from rejoint.system.files import Table, read_toml
+from rejoint.system.files import Table, read_shipped
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -118,7 +117,7 @@ _JOG_TURN = np.radians(175.0)
 
 
 class Computer(Mover):
-    """A computer that understands the parts of payloads; False: an order is refused."""
+    """What the commands of the wire do; False: an order is refused."""
 
     def joint_index(self, identity: int) -> int | None:
         """Index of joint 1..n on the wire; None: another servo."""
@@ -262,7 +261,9 @@ def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN40
             return encoder_angle(unpack_int16(data), computer.arm.encoder_step)
         case "P":
             return to_pose(unpack_coords(data))
-    return data
+        case "x" | "y":
+            return data
+    raise ValueError(part)
 
 
 def write_answer(computer: Mover, kind: str, value: Any) -> bytes:  # noqa: ANN401
@@ -284,7 +285,9 @@ def write_answer(computer: Mover, kind: str, value: Any) -> bytes:  # noqa: ANN4
             return pack_bytes(value * 10.0)
         case "B":
             return pack_bytes(value)
-    return bytes(value)
+        case "x":
+            return bytes(value)
+    raise ValueError(kind)
 
 
 ORDER = "!"
@@ -306,7 +309,7 @@ class _Commands(Table):
 
 ROWS = {
     (row.command, sum(SIZES[part] for part in row.parts)): row
-    for row in read_toml(Path(__file__).with_name("commands.toml"), _Commands, "install rejoint again").rows
+    for row in read_shipped(__file__, "commands.toml", _Commands).rows
 }
 """By command and length of the payload [bytes]"""
 COMMANDS = frozenset(row.command for row in ROWS.values() if row.answer == ORDER)
