@@ -143,7 +143,7 @@ def _registers(arm: Arm, gains: ServoGains) -> dict[str, Any]:
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:
     """Write a controller and its LEAPP description (version 1.3, ``.yaml``), alone or in a package for ROS 2."""
-    require(f"rejoint export --format {kind}", "onnx", "torch")
+    require(f"rejoint export --format {kind}", "train")
     from onnx import helper
 
     from rejoint.pages.html import templates
