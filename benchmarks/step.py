@@ -18,7 +18,7 @@ def main(arms: int = 1024) -> None:
     arm, rng = mycobot280(), np.random.default_rng(0)
     twins = nominal_parameters(arm).repeat(arms)
     twins = replace(twins, stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape))
-    chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
+    chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins, stiction=1.5)
     start = np.tile(arm.rest, (arms, 1))
     chain.write(twins, stiction=1.5)
     for batch in (chain, judge):

@@ -165,7 +165,6 @@ def press_stop(hand: Hand, arm: str, truth: Path, stops: int) -> None:
         if len(took) == stops:
             break
         go(hand, FAR[arm][number % 2])
-        hand.reads("Going to the point")
         until = time.monotonic() + 20.0
         while time.monotonic() < until and speed_at(*read_truth(truth), time.monotonic()) < MOVES:
             time.sleep(0.02)
