@@ -123,7 +123,7 @@ class EmulatedRobot(TunedServos):
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:
         """Set one gain of all servos."""
-        if isinstance(self.plant, ServoPlant):
+        if isinstance(self.plant, ServoPlant):  # others have no gains: `tune` refuses
             self.plant.settings[name].T[:] = np.array(values)[:, None] * _UNITS.get(name, 1)
 
     def strain(self, joint: int) -> tuple[float, float]:

@@ -131,7 +131,6 @@ def test_what_is_written_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 import sys, time
 from pathlib import Path
-from types import SimpleNamespace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_journal import ROWS, begin
 journal = begin(Path(sys.argv[1]))

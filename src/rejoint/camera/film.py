@@ -95,7 +95,7 @@ class Film:
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
     def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
-        """Lens, camera and board as flat boards and the encoders have them, and the board in each usable shot."""
+        """Lens, and places of camera and board, by flat boards and encoders; and the board in each usable shot."""
         lens = first_lens(self.size, self.board, self.views)
         placed = [place(lens, self.board, view) for view in self.views]
         sights = np.array([one.pose for one in placed])

@@ -88,7 +88,7 @@ def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
 
 
 def seen_postures(arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD) -> Array:
-    """Draw up to ``count`` postures (C, n) [rad] about rest that a ``rig`` shows, free from `BEFORE` on either side."""
+    """Draw up to ``count`` postures (C, n) [rad] about rest that a ``rig`` shows, with room around (`BEFORE`)."""
     rng, room = np.random.default_rng(seed), _ROOM + BEFORE
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found = np.zeros((0, arm.joints))

@@ -102,7 +102,7 @@ def repair(
         with call.watched("repair") as observer:
             rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
         return {"robot": robot}
-    require("rejoint repair", "train", "report")  # before the address asks for a part of it
+    require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
     job = call.job(robot, run, seed)
     call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     plan = rejoint.RepairPlan(

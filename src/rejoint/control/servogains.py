@@ -294,11 +294,14 @@ class _Climb:
     first: Round = field(init=False)
     """under the gains that were there"""
     best: Round = field(init=False)
+    """so far"""
+    error: Array = field(init=False)
+    """(n,) [rad] least so far in this climb"""
     rounds: int = 0
 
     def climb(self, *, alone: bool) -> tuple[ServoGains, Round]:
         """Climb rungs and drive once more; returns the gains and round that are best now."""
-        last, self.error = self.gains, self.best.error  # the error: (n,) [rad] least so far
+        last, self.error = self.gains, self.best.error
         for rung in self.servos.rungs():
             if rung.alone == alone:
                 self.rung(rung)

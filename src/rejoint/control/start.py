@@ -138,7 +138,7 @@ def check_ready(robot: Robot) -> None:
 
 
 def _beyond(arm: Arm, state: JointState) -> Mask:
-    """Joints (B, n) beyond their limits."""
+    """Joints (B, n) more than `BEYOND` outside their limits."""
     believed = GuardLimits.of(arm, margin=-BEYOND)
     return (state.position < believed.lower) | (state.position > believed.upper)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import typing
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
@@ -144,9 +145,10 @@ class HistoryRow:
         return limit is not None and counts is not None and counts >= limit
 
 
-_ARROW = {"str": pa.string(), "float": pa.float64(), "datetime": pa.timestamp("us")}
+_ARROW = {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}
+_KINDS = typing.get_type_hints(HistoryRow)
 SCHEMA = pa.schema(
-    [(item.name, _ARROW[str(item.type).removesuffix(" | None")]) for item in fields(HistoryRow)],
+    [(item.name, _ARROW[(*typing.get_args(_KINDS[item.name]), _KINDS[item.name])[0]]) for item in fields(HistoryRow)],
     metadata={_FORMAT_KEY: str(FORMAT).encode()},
 )
 """Columns"""

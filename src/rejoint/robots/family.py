@@ -109,7 +109,7 @@ class Place(Generic[T]):
 
 
 PORT, BAUD = 9000, 1_000_000
-"""of addresses that name none: the port of the myCobot's server, and the rate of all arms as sold"""
+"""of addresses that name none: of the myCobot's server, and [1/s] of its Raspberry Pi (manual) and of set-up servos"""
 _HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
 
 

@@ -18,7 +18,7 @@ from serial.tools.list_ports import comports
 
 from rejoint.robots.family import Place, SerialAddress, TcpAddress
 from rejoint.system.errors import AddressError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 
 Wire = SerialAddress | TcpAddress
 
@@ -33,15 +33,18 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tcp: str
     serial: str
     hello: tuple[str, ...]
+    """questions, in hexadecimal digits"""
     begins: str
+    """of an answer, in hexadecimal digits"""
     bauds: tuple[int, ...]
+    """[1/s] the usual one first"""
 
     def scheme(self, wire: Wire) -> str:
         """Scheme of its address."""
         return self.tcp if isinstance(wire, TcpAddress) else self.serial
 
 
-KINDS = read_toml(Path(__file__).with_name("kinds.toml"), dict[str, Kind], "install rejoint again").values()
+KINDS = tuple(read_shipped(__file__, "kinds.toml", dict[str, Kind]).values())
 
 
 def ports() -> dict[str, str]:
@@ -79,7 +82,7 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
 
 
 def opened(wire: Wire, baud: int, timeout: float) -> Any:  # noqa: ANN401 - a socket, or a serial line
-    """Open a port for this program alone, a serial one at ``baud`` [1/s], another within ``timeout`` [s]; OSError."""
+    """Open a serial line at ``baud`` [1/s] for this program alone, or connect within ``timeout`` [s]; OSError."""
     if isinstance(wire, SerialAddress):
         return serial.Serial(wire.device, baud, exclusive=True)
     connection = socket.create_connection((wire.host, wire.port), timeout)

@@ -44,7 +44,7 @@ class ServoBus(TunedServos, Bus):
     """`ServoWire` of an address"""
 
     def __init__(self, address: ServoAddress, arm: Arm) -> None:
-        """InputError."""
+        """Read the calibration, and find the servos' IDs; InputError."""
         self.address, self.place, self._arm, kind, path = address, address.wire, arm, address.kind, address.calibration
         self.file = None if path is None else read_calibration(path, arm, turned=self.turned)
         ids = address.ids or (counted(arm) if self.file is None else self.file.ids)
@@ -118,10 +118,11 @@ class ServoBus(TunedServos, Bus):
 
     def stop(self) -> None:
         """Send the last goals again: at the measured position the arm would sink."""
-        self._send()
+        if self._goal:
+            self._send()
 
     def _send(self) -> None:
-        register, sent = self.table["goal"], zip(self.ids, self._goal, strict=False)  # none before the first
+        register, sent = self.table["goal"], zip(self.ids, self._goal, strict=True)
         goals = {servo: register.encode(count) for servo, count in sent if servo not in self._limp}
         if goals:
             self.wire.write_all(list(goals), register.address, list(goals.values()))

@@ -380,8 +380,6 @@ class ArmDriver:
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
-        if robot is None and about is None and arm is None:
-            raise InputError("session: without a robot and a run the arm is needed")
         self.arm: Arm = equipped(arm_of(robot, arm) if about is None else about.arm, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed

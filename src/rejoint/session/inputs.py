@@ -17,7 +17,7 @@ from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, describe
-from rejoint.robots import DEFAULT_ARM, place_of
+from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
@@ -88,9 +88,11 @@ def address_of(robot: RobotLike) -> str:
 
 
 def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
-    """Arm of a robot: its own, else ``arm``, else the address's."""
+    """Arm of a robot: its own, else ``arm``, else the address's; InputError without any."""
     if robot is None:
-        return as_arm(DEFAULT_ARM if arm is None else arm)
+        if arm is None:
+            raise InputError("neither a robot, a run nor an arm is given; give one of them")
+        return as_arm(arm)
     if not isinstance(robot, str):
         return robot.arm
     return as_arm(place_of(robot).default_arm if arm is None else arm)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 LOGGER = logging.getLogger("rejoint")
-"""Receives what is worth a word and no error"""
+"""Logger of warnings that are no errors"""
 
 
 class RejointError(Exception):

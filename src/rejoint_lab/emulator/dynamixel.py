@@ -9,13 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from rejoint.robots.wireserver import Format
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 from rejoint_lab.emulator.faults import BITS
 from rejoint_lab.emulator.servobus import (
     BROADCAST,
@@ -227,7 +226,7 @@ class Fitting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mode: int = POSITION
 
 
-FITTINGS = read_toml(Path(__file__).with_name("fittings.toml"), dict[str, Fitting], "install rejoint again")
+FITTINGS = read_shipped(__file__, "fittings.toml", dict[str, Fitting])
 _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 

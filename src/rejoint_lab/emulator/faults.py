@@ -9,7 +9,6 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_toml
+from rejoint.system.files import read_shipped
 
 if TYPE_CHECKING:
     from rejoint_lab.plant.plant import Plant
@@ -50,7 +49,7 @@ Faults = Mapping[str, tuple[Fault, ...]]
 """By name, see `FORMS`"""
 NONE: Faults = {}
 
-FORMS = read_toml(Path(__file__).with_name("faults.toml"), dict[str, str], "install rejoint again")
+FORMS = read_shipped(__file__, "faults.toml", dict[str, str])
 """How faults are written"""
 SERVO_BUS = ("mute", "same", "power", "sag")
 """Faults of arms on their servo bus only"""

@@ -315,7 +315,7 @@ class EmulatedBus(Generic[S]):
             for index, servo in enumerate(self.arm.servos)
             if index not in silent
             and servo.awake <= self.arm.clock
-            and self.rate in (None, *self.rates[servo["Baud_Rate"] :][:1])
+            and (self.rate is None or dict(enumerate(self.rates)).get(servo["Baud_Rate"]) == self.rate)
         ]
 
     def execute(self, request: Packet) -> list[Answer]:

@@ -61,7 +61,7 @@ def spread_over_time(found: Sequence[tuple[Array, Array]], time: Array) -> Array
 
 
 STYLED = style.context(Path(__file__).with_suffix(".mplstyle"))
-"""Inside, and in functions that it decorates, Matplotlib draws in the style of the page"""
+"""Decorates functions in which Matplotlib draws in the style of the page"""
 PNG_DPI = 160
 """[1/inch] (chosen)"""
 
