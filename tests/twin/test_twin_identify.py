@@ -1,5 +1,7 @@
 """Known truth: the fit finds the parameters that made a log, and says how well it knows them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
+from rejoint.twin.uncertainty import limiting
 
 
 @pytest.fixture(scope="session")
@@ -78,3 +81,12 @@ def test_correlation_time_of_an_autoregressive_process():
     window = np.zeros(len(r), dtype=int)
     assert correlation_time(r, window)[0] == pytest.approx((1 + a) / (1 - a), rel=0.12)
     assert correlation_time(noise, window)[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):
+    weak = replace(truth, torque_limit=0.6 * truth.torque_limit)
+    for twin, reached in ((weak, True), (replace(truth, torque_limit=np.full(arm.joints, 3.0)), False)):
+        moved = replace(log, position=Replay(arm, [log], cut([log], 100.0)).predict(twin.repeat(1))[0][0])
+        found = limiting(Problem(Replay(arm, [moved], cut([moved], 6.0)), prior(arm)), pack(twin))
+        assert found[[1, 2]].all() == reached
+        assert found.any() == reached

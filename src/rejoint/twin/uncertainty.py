@@ -4,7 +4,8 @@ The jackknife over clusters, each left out by one Newton step (CR3 of Bell and M
 with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
 are too narrow.
 
-What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
+What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8). A torque
+limit that explains no motion shows nothing: the prior remains.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rejoint.arms import Array, Index
+from rejoint.arms import Array, Index, Mask
 from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.system.statistics import NORMAL95, student95
-from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence
+from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
 from rejoint.twin.replay import Replay
+from rejoint.twin.structure import LIMIT_GAIN
 
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
@@ -84,10 +86,18 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     forward = problem.jacobian(base, residuals[1 : 1 + count], up)
     backward = problem.jacobian(base, residuals[1 + count :], down)
     central = 0.5 * (forward + backward)
-    lost = central[..., TORQUE_LIMIT] - forward[..., TORQUE_LIMIT]
+    shown = limiting(problem, x)
+    lost = central[..., TORQUE_LIMIT] - np.where(shown, forward[..., TORQUE_LIMIT], 0.0)
     central[..., TORQUE_LIMIT] -= lost
     central[..., STIFFNESS] += lost  # the slope along the common scale stays what was simulated
     return base, central
+
+
+def limiting(problem: Problem, x: Array) -> Mask:
+    """(n,) whether each joint's motion is worse explained without its torque limit in ``x`` (k,)."""
+    unlimited = np.where(problem.layout.kind == TORQUE_LIMIT, problem.prior.upper, x)
+    losses = loss(problem.residuals(np.array([x, unlimited]))).sum(axis=1)
+    return np.asarray(losses[0] < (1.0 - LIMIT_GAIN) * losses[1])
 
 
 COMMON = 0.10
