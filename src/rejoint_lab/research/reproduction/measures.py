@@ -8,7 +8,7 @@ a healthy and on a worn arm, by the trials of all evaluations.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -26,11 +26,10 @@ from rejoint.control.comparison.result import (
     ControllerRow,
     Key,
     Protocol,
-    summarise,
+    row_of,
 )
 from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_size, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
-from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
 from rejoint.pages.report.page import read_curves
@@ -39,7 +38,7 @@ from rejoint.pages.words import measured
 from rejoint.robots import open_robot
 from rejoint.system.files import read_json, read_shipped, write_json
 from rejoint.system.shell import __version__
-from rejoint.system.statistics import Spread, cluster
+from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.evaluation.evaluate import classical
@@ -292,7 +291,7 @@ def measure_course(bench: Bench) -> Found:
     }
     better = ends["own_reward"].min() > ends["other_reward"].max()
     panels = {
-        f"{name} per episode": [_over(label, CONDITIONS[label][2], one[key]) for label, one in found.items()]
+        f"{name} per episode": [_over(label, one[key]) for label, one in found.items()]
         for key, name in (("reward", "reward"), ("steps", "time steps"))
     }
     bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
@@ -329,12 +328,10 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     return {key: np.array(values) for key, values in read_json(kept, dict[str, list[float]]).items()}
 
 
-def _over(label: str, look: Look, values: Array) -> Series:
+def _over(label: str, values: Array) -> Series:
     """Means of ``values`` (R, K), with the smallest and the largest."""
-    known = np.isfinite(values).any(axis=0)
-    mean, low, high = found = np.full((3, values.shape[1]), np.nan)
-    found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
-    return Series(label=label, look=look, value=mean, low=low, high=high)
+    mean, low, high = (over(axis=0) for over in (values.mean, values.min, values.max))
+    return Series(label=label, look=CONDITIONS[label][2], value=mean, low=low, high=high)
 
 
 FIG_9_DWELL = 5.0
@@ -353,23 +350,18 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
     """Trials of controllers, or policies of trainings, on a kind of arm; what is kept of them is not driven again."""
     file = bench.folder / "trials" / f"{profile}-hold-{protocol.hold:g}s.json"
     return TrialRunner(
-        partial(_open, bench, profile),
-        {name: _maker(bench, name) for name in names},
+        lambda count, seed: open_robot(
+            f"emulated:{profile}", arm=bench.arm, seed=seed, count=count, threads=bench.threads
+        ),
+        {
+            name: classical(name).on(()) if name in NAMES else partial(load_policy, bench.training(name).policy)
+            for name in names
+        },
         bench.targets,
         Settings(repetitions=repetitions, seed=bench.seed, batched=True, wait=True, protocol=protocol),
         ledger=Ledger(file, repr((__version__, protocol))),
         on_progress=bench.on_progress,
     )
-
-
-def _open(bench: Bench, profile: str, count: int, seed: int) -> Robot:
-    return open_robot(f"emulated:{profile}", arm=bench.arm, seed=seed, count=count, threads=bench.threads)
-
-
-def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
-    if name in NAMES:
-        return classical(name).on(())
-    return partial(load_policy, bench.training(name).policy)
 
 
 def _together(found: Comparison, names: Sequence[str]) -> ControllerRow:
@@ -378,7 +370,7 @@ def _together(found: Comparison, names: Sequence[str]) -> ControllerRow:
         metric: np.concatenate([found.array(metric, name) for name in names], axis=1)
         for metric in (*METRICS, *found.protocol.stay_names)
     }
-    return summarise(names[0], columns, cluster(columns["crossed"].shape)[1], found.protocol)
+    return row_of(names[0], columns, found.protocol)
 
 
 def _mm(one: Spread | None, places: int = 2) -> str:
