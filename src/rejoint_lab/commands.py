@@ -199,13 +199,13 @@ def reproduce(
 ) -> object:
     """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
     require("rejoint research reproduce", "train", "report")
-    from rejoint_lab.research.reproduction.campaign import QUICK, Bench, choose, run_experiments, write_page
+    from rejoint_lab.research.reproduction.campaign import Bench, choose, run_experiments, write_page
 
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
-    size = QUICK if quick else {}
     with call.progress("reproduce") as update:
-        bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, threads=threads, on_progress=update, **size)
+        bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, threads=threads, on_progress=update)
+        bench = bench.quickly() if quick else bench
         found = run_experiments(bench, chosen, lambda one: call.say(one.title))
     for name, finished in found.items():
         call.table(chosen[name].title, ["", "ours", "paper"], finished.numbers)

@@ -12,7 +12,6 @@ from rejoint.control.controllers.policy import load_policy
 from rejoint.system.errors import InputError
 from rejoint_lab.research.reproduction.campaign import (
     EXPERIMENTS,
-    QUICK,
     WORN,
     Bench,
     choose,
@@ -28,7 +27,7 @@ ARM = mycobot280()
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Every experiment, run quickly, in a folder of its own."""
-    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, **QUICK, threads=2)
+    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, threads=2).quickly()
     run_experiments(made, EXPERIMENTS, str)
     return made
 

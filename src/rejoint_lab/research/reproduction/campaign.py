@@ -35,8 +35,8 @@ from rejoint.twin.simulation import Draw
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
-"""P and D without wear; Park et al. 2024, section IV-C, first condition of Fig. 10"""
+HEALTHY_STIFFNESS, HEALTHY_DIVISOR = (1e4, 1e4), (10.0, 10.0)
+"""P, and P over D, without wear; Park et al. 2024, section IV-C, first condition of Fig. 10"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +61,6 @@ class PaperRanges:
     """[rad] sigma of equation 19, once per episode; the paper's 5 degrees cannot be learned (measured)"""
     frequency: Interval = (30.0, 60.0)
     """[Hz]"""
-
-    @classmethod
-    def healthy(cls, arm: Arm) -> PaperRanges:
-        """Make the ranges of the task without wear: one pair of P and D."""
-        one, ratio = (HEALTHY_STIFFNESS, HEALTHY_STIFFNESS), HEALTHY_STIFFNESS / HEALTHY_DAMPING
-        return cls(arm=arm, stiffness=one, damping_divisor=(ratio, ratio))
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -171,6 +165,21 @@ class Bench:
     """of simulations"""
     on_progress: Progress = no_progress
 
+    def quickly(self) -> Bench:
+        """Return it at a size that is enough to try every step."""
+        return replace(
+            self,
+            quick=True,
+            sets=1,
+            repetitions=2,
+            count=3,
+            protocol=Protocol(dwell=2.0, hold=2.0),
+            agents=16,
+            updates=2,
+            snapshot_every=2,
+            judged=8,
+        )
+
     @cached_property
     def targets(self) -> Array:
         """(S, K, 3) [m] of all sets."""
@@ -188,20 +197,6 @@ class Bench:
         """Save a figure of the page."""
         path = self.folder / "figures" / f"{key}.png"
         write_whole(path, lambda temporary: figure.savefig(temporary, format="png", dpi=DPI, facecolor="white"))
-
-
-QUICK: dict[str, Any] = {
-    "quick": True,
-    "sets": 1,
-    "repetitions": 2,
-    "count": 3,
-    "protocol": Protocol(dwell=2.0, hold=2.0),
-    "agents": 16,
-    "updates": 2,
-    "snapshot_every": 2,
-    "judged": 8,
-}
-"""Size that is enough to try every step"""
 
 
 class Grid(NamedTuple):
@@ -283,7 +278,7 @@ def recipe(name: str) -> tuple[Preset, int]:
 def ranges_of(arm: Arm, name: str) -> PaperRanges:
     """Arms of a training: with the paper's P and D, or ``healthy`` ones."""
     if name.startswith("healthy"):
-        return PaperRanges.healthy(arm)
+        return PaperRanges(arm=arm, stiffness=HEALTHY_STIFFNESS, damping_divisor=HEALTHY_DIVISOR)
     return PaperRanges(arm=arm, joint_noise=LITERAL) if name in ("noise-5", "literal") else PaperRanges(arm=arm)
 
 
