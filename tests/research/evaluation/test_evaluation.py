@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 from evaluation_samples import outcome
 
@@ -66,7 +68,9 @@ def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_r
     assert len(made) == 2
     assert again == first == read_json(file, Evaluation)
     assert first.comparisons["worn"].controllers == ("mine",)
-    evaluate(ARM, [one._replace(identity="2")], variants, family, file, lambda *_: None)
-    assert len(made) == 4
+    assert (seen[0][0], seen[-1][0]) == (0, 1)
+    held = replace(family, crossings=0)
+    evaluate(ARM, [one._replace(identity="2")], variants, held, file, lambda *report: seen.append(report))
+    assert len(made) == 3
+    assert seen[-1] == (1, "worn: mine: hold protocol")
     assert outcome_path(tmp_path, "worn", one.name).exists()
-    assert seen[0][0] == 0

@@ -232,7 +232,7 @@ def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: Arm
     """Comparison of results (A, K) by controller and training seed, at ``targets`` (A, K, 3) [m]."""
     seeds, protocol = max(map(len, found.values())), family.protocol
     arms = np.indices((len(targets), seeds, targets.shape[1]))[0].ravel()
-    keys = {key for each in found.values() for key in each[0]}
+    keys = dict.fromkeys(key for each in found.values() for key in each[0])  # in order: the file is then the same
 
     def stacked(each: Sequence[Columns], key: str) -> Array:
         missing = np.full(targets.shape[:2], np.nan)

@@ -213,9 +213,10 @@ def try_on(
     places, ways = targets or (family_targets(arm, family), None)
     ledger, protocol, arms = ledger or Ledger(), family.protocol, len(places)
     counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
-    for kind, count in counts.items():
-        key = Key("", kind, tuple((a, 0) for a in range(arms)))
-        if not count or key in ledger.done:
+    asked = [kind for kind, count in counts.items() if count]
+    for done, kind in enumerate(asked):
+        count, key = counts[kind], Key("", kind, tuple((a, 0) for a in range(arms)))
+        if key in ledger.done:
             continue
         driven, recording = TrialRunner(
             lambda *_: opened(),
@@ -224,14 +225,15 @@ def try_on(
             Settings(seed=family.seed, batched=True, wait=True, protocol=protocol),
             ways=ways if kind == "hold" else None,
             correction=None if calibrations is None else lambda _: OwnCorrections(calibrations()),
-            on_progress=part(on_progress, 0.5 * (kind == "crossing"), 1.0 + 0.5 * (kind == "crossing")),
-        ).drive_batch(key)  # which is half of a runner's work
+            on_progress=part(on_progress, done / len(asked), (done + 2) / len(asked)),  # a runner expects two kinds
+        ).drive_batch(key)
         if calibrations is not None and kind == "hold":
             blind = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
             said = metrics_of(arm, blind, places[:, :count], protocol, models=calibrations())
             driven.columns.update({name: said[name] for name in MODELLED})
             driven.columns["used"] = np.repeat([[float(one.used)] for one in calibrations()], count, axis=1)
         ledger.add(driven)
+        on_progress((done + 1) / len(asked), f": {kind} protocol")
     found = collect(ledger.done.values(), (arms, 1, places.shape[1]), protocol)
     return {name: values[:, 0] for name, values in found.items()}
 
