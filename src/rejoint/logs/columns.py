@@ -126,10 +126,9 @@ class ColumnFrame:
     @classmethod
     def of(cls, path: Path, columns: Mapping[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
         """Make a frame of columns (T,) in memory; ``about``: its other fields."""
-        values = list(columns.values())
-        about = {"number": np.arange(1, len(values[0]) + 1 if values else 1)} | about
-        picked = lambda chosen: np.stack([values[i] for i in chosen], axis=1)  # noqa: E731
-        return cls(path=path, titles=tuple(columns), values=picked, **about)
+        table = np.array([*columns.values()]).T
+        about = {"number": np.arange(1, len(table) + 1)} | about
+        return cls(path=path, titles=tuple(columns), values=lambda chosen: table[:, chosen], **about)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
