@@ -38,7 +38,7 @@ from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.twin import NO_TWIN
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.emulator.feetech import FORMAT, StsArm, StsBus, encode
+from rejoint_lab.emulator.feetech import FORMAT, StsArm, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_READ, SYNC_WRITE, Packet
 from rejoint_lab.plant.plant import Plant, StsPlant
 from rejoint_lab.plant.wear import load_wear
@@ -111,7 +111,7 @@ def asked_of(bus, goal):
     write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([KIND.registers["goal"].address, 2]) + goals))
     read = encode(Packet(BROADCAST, SYNC_READ, bytes([*bus.span(MEASURED), *bus.ids])))
     size = (bus.span(MEASURED)[1] + FRAME) * len(bus.ids)
-    answers = StsBus(StsArm.build(ARM, "so101")).execute(Finder(FORMAT).feed(read)[0])
+    answers = StsArm.build(ARM, "so101").execute(Finder(FORMAT).feed(read)[0])
     return write, read, size, (len(write) + len(read)) * BYTE + answers[-1].after + ADAPTER
 
 

@@ -20,7 +20,7 @@ from rejoint.robots.mycobot import wire
 from rejoint.runs.run import Run
 from rejoint.system import extras
 from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.feetech import StsArm, StsBus
+from rejoint_lab.emulator.feetech import StsArm
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
@@ -39,7 +39,7 @@ class Bench:
         arm = StsArm.build(SO101, "so101")
         for name, value in registers.items():
             arm.servos[2][name] = value
-        return self._stack.enter_context(on_port(BusSession(StsBus(arm), faults=parse_faults(fault, 5)))).address
+        return self._stack.enter_context(on_port(BusSession(arm, faults=parse_faults(fault, 5)))).address
 
     def mycobot(self, fault=""):
         computer = build_firmware(mycobot280(), "worn")

@@ -53,18 +53,12 @@ def emulate(
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         truth = None if log is None else stack.enter_context(closing(servers.TruthLog(log, chosen.joints)))
         known: dict[str, Any] = {"seed": seed, "faults": faults, "log": truth}
-        resistance = size_of(faults, "sag")
         session: servers.EmulatedConversation[Any]
-        if not on_bus:
-            session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
-        elif chosen.name in dynamixel.FITTINGS:
-            session = BusSession(
-                dynamixel.XBus(dynamixel.XArm.build(chosen, wear, seed=seed, resistance=resistance)), **known
-            )
+        if on_bus:
+            kind = dynamixel.XArm if chosen.name in dynamixel.FITTINGS else feetech.StsArm
+            session = BusSession(kind.build(chosen, wear, seed=seed, resistance=size_of(faults, "sag")), **known)
         else:
-            session = BusSession(
-                feetech.StsBus(feetech.StsArm.build(chosen, wear, seed=seed, resistance=resistance)), **known
-            )
+            session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)

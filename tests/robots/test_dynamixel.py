@@ -19,7 +19,7 @@ from rejoint.robots.family import tcp_address
 from rejoint.robots.servobus import Gripper
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import AddressError, ConnectionLostError, GuardTripError, PowerLostError, RobotError
-from rejoint_lab.emulator.dynamixel import XArm, XBus
+from rejoint_lab.emulator.dynamixel import XArm
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
@@ -39,9 +39,7 @@ def built(arm=KOCH):
 @contextmanager
 def serving(arm=None, fault="", pty=False):
     arm = arm or built()
-    with (TerminalServer if pty else on_port)(
-        BusSession(XBus(arm), faults=parse_faults(fault, arm.arm.joints))
-    ) as server:
+    with (TerminalServer if pty else on_port)(BusSession(arm, faults=parse_faults(fault, arm.arm.joints))) as server:
         server.arm = arm
         yield server
 

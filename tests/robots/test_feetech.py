@@ -29,7 +29,7 @@ from rejoint.system.errors import (
     RobotError,
 )
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import HOMING, StsArm, StsBus
+from rejoint_lab.emulator.feetech import HOMING, StsArm
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 
@@ -44,7 +44,7 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 def serving(fault="", *, pty=False, arm=None):
     faults = parse_faults(fault, 5)
     arm = arm or StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
-    with (TerminalServer if pty else on_port)(BusSession(StsBus(arm), faults=faults)) as server:
+    with (TerminalServer if pty else on_port)(BusSession(arm, faults=faults)) as server:
         server.arm = arm
         yield server
 

@@ -12,8 +12,8 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator import dynamixel, feetech
-from rejoint_lab.emulator.servobus import BusSession, alone
-from rejoint_lab.plant.plant import Truth, XPlant
+from rejoint_lab.emulator.servobus import BusSession
+from rejoint_lab.plant.plant import Truth
 from rejoint_lab.plant.wear import load_wear
 
 NAMES = (*load_arm("so101").joint_names, "gripper")
@@ -45,7 +45,7 @@ def judged(session):
 
 def test_lerobot_connects_calibrates_moves_and_disconnects():
     arm = feetech.StsArm.build(load_arm("so101"), "so101")
-    seen = judged(BusSession(feetech.StsBus(arm)))
+    seen = judged(BusSession(arm))
     assert seen["models"] == [777]
     assert [seen["held"][name][0] for name in NAMES] == list(feetech.HOMING)
     for servo in arm.servos:  # as LeRobot leaves an arm: limp, its calibration kept
@@ -56,10 +56,8 @@ def test_lerobot_connects_calibrates_moves_and_disconnects():
 
 def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
     koch, floating = load_arm("koch"), Truth(gravity=np.zeros(3))  # limp for its calibration, it would fall
-    wear = load_wear("new", koch)
-    gripper = alone(koch, wear, np.array([-1.6, 0.03]), XPlant, "XL330-M288", 0)
-    arm = dynamixel.XArm(XPlant(koch, [wear], seed=0, truth=floating), gripper, koch)
-    seen = judged(BusSession(dynamixel.XBus(arm)))
+    arm = dynamixel.XArm(koch, load_wear("new", koch), truth=floating)
+    seen = judged(BusSession(arm))
     assert seen["models"] == [1060, 1200]
     assert [seen["held"][name][0] for name in NAMES] == list(dynamixel.FITTINGS["koch"].homing)
     for servo in arm.servos:

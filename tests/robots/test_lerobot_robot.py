@@ -17,7 +17,7 @@ from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator.feetech import StsArm, StsBus
+from rejoint_lab.emulator.feetech import StsArm
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.realtime
 @contextmanager
 def serving(tmp_path, pty=False):
     arm = StsArm.build(ARM, "so101")
-    with (TerminalServer if pty else on_port)(BusSession(StsBus(arm))) as server:
+    with (TerminalServer if pty else on_port)(BusSession(arm)) as server:
         server.arm = arm
         server.run = Run.create(tmp_path / "run", server.address, ARM).path
         yield server

@@ -23,7 +23,7 @@ from rejoint.system.files import read_json, write_json
 from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint.twin.parameters import nominal_parameters
-from rejoint_lab.emulator.feetech import StsArm, StsBus
+from rejoint_lab.emulator.feetech import StsArm
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 from servorobot import ARM, ServoRobot
@@ -116,7 +116,7 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
 
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, cli):
     arm = StsArm.build(ARM, "so101")
-    with on_port(BusSession(StsBus(arm))) as server:
+    with on_port(BusSession(arm)) as server:
         run = Run.create(tmp_path / "run", server.address, ARM)
         found = found_by(run, server.address)
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):

@@ -25,7 +25,6 @@ from rejoint_lab.emulator.servobus import (
     TURN,
     WRITE,
     Answer,
-    EmulatedBus,
     Packet,
     Part,
     Registers,
@@ -231,10 +230,15 @@ _MIDDLE = COUNTS // 2  # [counts] at joint zero, of all of them
 
 
 class XArm(ServoArm[XServo]):
-    """Servos of one arm, powered and holding."""
+    """Servos of one arm on their wire, powered and holding."""
 
     kind, table, jaw = XPlant, xseries.TABLE, (-1.6, 0.03)  # the Koch's: MuJoCo Menagerie
     gripper_model = staticmethod(lambda arm: FITTINGS[arm.name].gripper)
+    scheme, wire_format, words, ping_bytes, ping_pause = "dynamixel", FORMAT, struct.Struct("<HH"), 14, TURN
+    rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+    reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
+    writes = frozenset({SYNC_WRITE, BULK_WRITE})
+    bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
 
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
         for joint, described in enumerate((*self.arm.servos, self.gripper_model(self.arm))):
@@ -315,21 +319,6 @@ class XArm(ServoArm[XServo]):
             servo.setting[name] = value
         self._aim(servo, servo.count(servo["Goal_Position"]))
 
-    def apply(self, servo: XServo, address: int, data: bytes) -> int:
-        """Write registers of a servo; returns the error."""
-        on = servo["Torque_Enable"]
-        error, touched = servo.write(address, data)
-        if "Torque_Enable" in touched and self.alarms_of(servo) & servo["Shutdown"]:
-            servo["Torque_Enable"] = 0  # until it is rebooted
-        rises = servo["Torque_Enable"] > on and servo["Operating_Mode"] == POSITION
-        if rises or ("Operating_Mode" in touched and servo["Operating_Mode"] == POSITION):
-            goal = servo.count(servo["Goal_Position"])
-            servo.wrap(self.count(servo))
-            servo["Goal_Position"] = servo.position(goal)
-        if touched:
-            self.settle(servo)
-        return error
-
     def alarms_of(self, servo: XServo) -> int:
         """Hardware errors of a servo."""
         own, told = int(servo.status["alarms"]), int(self._of_joint(servo, self.alarms, 0))
@@ -369,16 +358,7 @@ class XArm(ServoArm[XServo]):
         if not servo.setting["torque_on"]:
             servo["Torque_Enable"] = 0
 
-
-class XBus(EmulatedBus[XServo]):
-    """Servos of X arms on their wire."""
-
-    scheme, wire_format, words, ping_bytes, ping_pause = "dynamixel", FORMAT, struct.Struct("<HH"), 14, TURN
-    rates = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-    reads = frozenset({SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
-    writes = frozenset({SYNC_WRITE, BULK_WRITE})
-    bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
-    arm: XArm
+    # --- the wire ---------------------------------------------------------------------------
 
     def _numbers(self, servo: XServo) -> tuple[int, ...]:
         return servo.number, servo["Secondary_ID"]
@@ -410,17 +390,17 @@ class XBus(EmulatedBus[XServo]):
             return self._write(servo, shadow, address, data[2:])
         if code == ACTION:
             waiting, servo.registered = servo.registered, None
-            return self.arm.apply(servo, *waiting) if waiting else 0
+            return self._write(servo, False, *waiting) if waiting else 0
         if code == REBOOT:
-            self.arm.restart(servo)
+            self.restart(servo)
         elif code == FACTORY_RESET and data in (b"\xff", b"\x01", b"\x02"):
             servo.restore(() if data == b"\xff" else ("ID",) if data == b"\x01" else ("ID", "Baud_Rate"))
-            self.arm.restart(servo)
+            self.restart(servo)
         elif code == CLEAR and data == _CLEAR:
             if servo.status["moving"]:
                 return FAILED
-            servo.wrap(self.arm.count(servo))
-            self.arm.settle(servo)
+            servo.wrap(self.count(servo))
+            self.settle(servo)
         else:
             return UNKNOWN
         return 0
@@ -428,16 +408,27 @@ class XBus(EmulatedBus[XServo]):
     def _write(self, servo: XServo, shadow: bool, address: int, data: bytes) -> int:
         if shadow and address < RAM:
             return ACCESS  # a shadow's own area is its own
-        return self.arm.apply(servo, address, data)
+        on = servo["Torque_Enable"]
+        error, touched = servo.write(address, data)
+        if "Torque_Enable" in touched and self.alarms_of(servo) & servo["Shutdown"]:
+            servo["Torque_Enable"] = 0  # until it is rebooted
+        rises = servo["Torque_Enable"] > on and servo["Operating_Mode"] == POSITION
+        if rises or ("Operating_Mode" in touched and servo["Operating_Mode"] == POSITION):
+            goal = servo.count(servo["Goal_Position"])
+            servo.wrap(self.count(servo))
+            servo["Goal_Position"] = servo.position(goal)
+        if touched:
+            self.settle(servo)
+        return error
 
     def _read(self, servo: XServo, address: int, size: int) -> tuple[int, bytes]:
         if not size or address + size > SIZE:
             return (ACCESS if size else LENGTH), b""
-        self.arm.measure(servo)
+        self.measure(servo)
         return 0, servo.read(address, size)
 
     def _error(self, servo: XServo, error: int) -> int:
-        return error | ALERT * bool(self.arm.alarms_of(servo))
+        return error | ALERT * bool(self.alarms_of(servo))
 
     def _status(self, servo: XServo, error: int, data: bytes) -> Packet:
         return Packet(servo.number, STATUS, bytes([self._error(servo, error)]) + data)

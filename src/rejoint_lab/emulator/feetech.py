@@ -18,7 +18,6 @@ from rejoint_lab.emulator.servobus import (
     READ,
     WRITE,
     Answer,
-    EmulatedBus,
     Packet,
     Part,
     Registers,
@@ -107,11 +106,19 @@ CURRENT_UNIT = 0.0065
 """[A] per count"""
 
 
+MOST_DATA = 128
+"""[bytes] buffer of a servo"""
+SLOT = 9
+"""[bytes] of an answer without data, with those between it and the next (the firmware's own sum)"""
+
+
 class StsArm(ServoArm[Servo]):
-    """Six servos of one arm, powered and holding."""
+    """Six servos of one arm on their wire, powered and holding."""
 
     kind, table, jaw = StsPlant, sts3215.TABLE, (-0.17, 1.75)  # so101_new_calib.xml
     gripper_model = staticmethod(lambda arm: arm.servos[-1])
+    scheme, wire_format, words, ping_bytes = "feetech", FORMAT, struct.Struct("<BB"), SLOT
+    rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
         for joint, (record, homing, limits) in enumerate(zip(records, HOMING, self._ranges(), strict=True)):
@@ -172,32 +179,17 @@ class StsArm(ServoArm[Servo]):
         ends[-2] = (0, COUNTS - 1)
         return ends
 
-
-def _shift(servo: Servo) -> int:
-    return servo["Homing_Offset"] - HOMING[servo.joint] - MIDDLE
-
-
-MOST_DATA = 128
-"""[bytes] buffer of a servo"""
-# [bytes] of an answer without data, with those between it and the next (the firmware's own sum)
-_SLOT = 9
-
-
-class StsBus(EmulatedBus[Servo]):
-    """Servos of an SO-101 on their wire."""
-
-    scheme, wire_format, words, ping_bytes = "feetech", FORMAT, struct.Struct("<BB"), _SLOT
-    rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+    # --- the wire ---------------------------------------------------------------------------
 
     def _row(self, code: int, asked: list[tuple[list[Servo], Part]]) -> list[Answer]:  # noqa: ARG002 - there is one
         return [
-            self._answer(servo, place * (part.size + _SLOT) * self.byte, *self._read(servo, part.address, part.size))
+            self._answer(servo, place * (part.size + SLOT) * self.byte, *self._read(servo, part.address, part.size))
             for place, (servos, part) in enumerate(asked)
             for servo in servos
         ]
 
     def _read(self, servo: Servo, address: int, size: int) -> tuple[int, bytes]:
-        self.arm.measure(servo)
+        self.measure(servo)
         return 0, servo.read(address, min(size, MOST_DATA))
 
     def _obey(self, servo: Servo, request: Packet) -> tuple[int, bytes] | None:
@@ -215,10 +207,14 @@ class StsBus(EmulatedBus[Servo]):
     def _write(self, servo: Servo, shadow: bool, address: int, data: bytes) -> int:  # noqa: ARG002 - there are none
         touched = servo.write(address, data)
         if touched - {"Goal_Position"}:
-            self.arm.settle(servo)
+            self.settle(servo)
         if "Goal_Position" in touched:
-            self.arm.go(servo)
+            self.go(servo)
         return 0
 
     def _status(self, servo: Servo, error: int, data: bytes) -> Packet:
-        return Packet(servo.number, error | self.arm.alarms_of(servo), data)
+        return Packet(servo.number, error | self.alarms_of(servo), data)
+
+
+def _shift(servo: Servo) -> int:
+    return servo["Homing_Offset"] - HOMING[servo.joint] - MIDDLE

@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm
 from rejoint.robots.registers import Register
 from rejoint.robots.wireserver import ByteStream, Format, await_data
 from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
-from rejoint_lab.plant.plant import StsPlant, Truth, XPlant
+from rejoint_lab.plant.plant import Truth
 from rejoint_lab.plant.servo import STEP, ServoTable
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
@@ -109,27 +109,42 @@ class Registers:
         self.cells = bytearray(self._kept)
 
 
-P = TypeVar("P", StsPlant, XPlant)
 S = TypeVar("S", bound=Registers)
 
 
-def alone(arm: Arm, wear: Wear, ends: Array, kind: type[P], servo: str, seed: int) -> P:
-    """Plant of a gripper's servo, worn as the last joint's; ``ends`` (2,) [rad]."""
-    own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia")
-    hinge = replace(
-        arm,
-        **{name: getattr(arm, name)[-1:] for name in own},
-        lower=ends[:1],
-        upper=ends[1:],
-        rest=np.zeros(1),
-        servos=(servo,),
-    )
-    worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
-    return kind(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
+BYTE = 10e-6
+"""[s] at 1 Mbaud, 8N1"""
+
+
+class Answer(NamedTuple):
+    """A returning status packet."""
+
+    after: float
+    """[s] from request to end of the answer"""
+    data: bytes
+
+
+BROADCAST = 0xFE
+"""ID of all servos"""
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+"""Instructions of both makers"""
+TURN, DELAY_UNIT = 20e-6, 2e-6
+"""[s] least pause before an answer (chosen: least seen), and unit of the return delay register"""
+
+
+class Part(NamedTuple):
+    """What a packet to several servos asks of one."""
+
+    number: int
+    """ID"""
+    address: int
+    size: int
+    data: bytes
+    """to write"""
 
 
 class ServoArm(EmulatedArm, Generic[S]):
-    """Servos of one arm, powered and holding."""
+    """Servos of one arm on their wire, powered and holding."""
 
     kind: ClassVar[Any]
     """of its plant"""
@@ -138,25 +153,58 @@ class ServoArm(EmulatedArm, Generic[S]):
     """[rad] range of the gripper"""
     gripper_model: ClassVar[Any]
     """of its servo"""
+    scheme: ClassVar[str]
+    """of its address"""
+    wire_format: ClassVar[Format[Packet]]
+    rates: ClassVar[tuple[int, ...]]
+    """[1/s] by register"""
+    reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
+    """instructions that read several servos"""
+    writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
+    bulk: ClassVar[frozenset[int]] = frozenset()
+    """those with an address and a size for each servo"""
+    words: ClassVar[struct.Struct]
+    """an address and a size"""
+    ping_bytes: ClassVar[int]
+    ping_pause: ClassVar[float] = 0.0
+    """for the answer of each ID to a ping of all; [s]"""
+
+    plant: Any
     servos: list[S]
     heard = 0.0
     """[s] of the clock at the last packet"""
+    rate: int | None = None
+    """[1/s] at which the client speaks; None: that of all"""
 
     def __init__(
-        self, plant: StsPlant | XPlant, gripper: StsPlant | XPlant, arm: Arm, *, resistance: float = 0.0
+        self, arm: Arm, wear: Wear, *, seed: int = 0, resistance: float = 0.0, truth: Truth | None = None
     ) -> None:
-        """``gripper``: its servo alone; ``resistance`` [ohm] of the supply."""
-        super().__init__(plant, arm)
-        self.plant: Any = plant
-        self.gripper: Any = gripper
+        """Put the arm at rest; ``resistance`` [ohm] of the supply."""
+        super().__init__(self.kind(arm, [wear], seed=seed, truth=truth), arm)
+        self.gripper = self._lone_gripper(wear, seed)
         self.resistance = resistance
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
         self.servos = []
-        settings, status = [*plant.settings[0], *gripper.settings[0]], [*plant.status[0], *gripper.status[0]]
-        self._fit(list(zip(settings, status, strict=True)))
+        plants = self.plant, self.gripper
+        self._fit([record for plant in plants for record in zip(plant.settings[0], plant.status[0], strict=True)])
         self._nominal = [float(servo.setting["voltage"]) for servo in self.servos]
+
+    def _lone_gripper(self, wear: Wear, seed: int) -> Any:  # noqa: ANN401
+        """Return the plant of the gripper's servo, worn as the last joint's."""
+        own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia")
+        lower, upper = np.array(self.jaw)[:, None]
+        hinge = replace(
+            self.arm,
+            **{name: getattr(self.arm, name)[-1:] for name in own},
+            lower=lower,
+            upper=upper,
+            rest=np.zeros(1),
+            servos=(self.gripper_model(self.arm),),
+        )
+        worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
+        return self.kind(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
 
     @abstractmethod
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
@@ -188,11 +236,9 @@ class ServoArm(EmulatedArm, Generic[S]):
                 self.restart(servo)
 
     @classmethod
-    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> Self:
-        """Arm at rest with the wear profile ``wear_name``; the gripper's servo is worn as the last joint's."""
-        wear = load_wear(wear_name, arm)
-        gripper = alone(arm, wear, np.array(cls.jaw), cls.kind, cls.gripper_model(arm), seed)
-        built = cls(cls.kind(arm, [wear], seed=seed), gripper, arm, resistance=resistance)
+    def build(cls, arm: Arm, wear_name: str, **options: Any) -> Self:  # noqa: ANN401
+        """Arm at rest with the wear profile ``wear_name``; ``options`` as of the class."""
+        built = cls(arm, load_wear(wear_name, arm), **options)
         built.advance(0.01)  # compiles the plant now instead of during the first request
         return built
 
@@ -246,61 +292,7 @@ class ServoArm(EmulatedArm, Generic[S]):
         if servo.joint < self.arm.joints:
             self.plant.servos["goal"][0, servo.joint] = goal * self.arm.encoder_step
 
-
-BYTE = 10e-6
-"""[s] at 1 Mbaud, 8N1"""
-
-
-class Answer(NamedTuple):
-    """A returning status packet."""
-
-    after: float
-    """[s] from request to end of the answer"""
-    data: bytes
-
-
-BROADCAST = 0xFE
-"""ID of all servos"""
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
-"""Instructions of both makers"""
-TURN, DELAY_UNIT = 20e-6, 2e-6
-"""[s] least pause before an answer (chosen: least seen), and unit of the return delay register"""
-
-
-class Part(NamedTuple):
-    """What a packet to several servos asks of one."""
-
-    number: int
-    """ID"""
-    address: int
-    size: int
-    data: bytes
-    """to write"""
-
-
-class EmulatedBus(Generic[S]):
-    """Servos of ``arm`` on their wire."""
-
-    scheme: ClassVar[str]
-    """of its address"""
-    wire_format: ClassVar[Format[Packet]]
-    rates: ClassVar[tuple[int, ...]]
-    """[1/s] by register"""
-    reads: ClassVar[frozenset[int]] = frozenset({SYNC_READ})
-    """instructions that read several servos"""
-    writes: ClassVar[frozenset[int]] = frozenset({SYNC_WRITE})
-    bulk: ClassVar[frozenset[int]] = frozenset()
-    """those with an address and a size for each servo"""
-    words: ClassVar[struct.Struct]
-    """an address and a size"""
-    ping_bytes: ClassVar[int]
-    ping_pause: ClassVar[float] = 0.0
-    """for the answer of each ID to a ping of all; [s]"""
-
-    def __init__(self, arm: Any) -> None:  # noqa: ANN401 - of its own kind
-        self.arm = arm
-        self.rate: int | None = None
-        """[1/s] at which the client speaks; None: that of all"""
+    # --- the wire ---------------------------------------------------------------------------
 
     @property
     def byte(self) -> float:
@@ -309,18 +301,18 @@ class EmulatedBus(Generic[S]):
 
     def hearing(self) -> list[S]:
         """Servos that hear the client."""
-        silent = self.arm.silent
+        silent = self.silent
         return [
             servo
-            for index, servo in enumerate(self.arm.servos)
+            for index, servo in enumerate(self.servos)
             if index not in silent
-            and servo.awake <= self.arm.clock
+            and servo.awake <= self.clock
             and (self.rate is None or dict(enumerate(self.rates)).get(servo["Baud_Rate"]) == self.rate)
         ]
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
-        hearing, self.arm.heard = self.hearing(), self.arm.clock
+        hearing, self.heard = self.hearing(), self.clock
         if request.code in self.writes:
             for part in self._parts(request):
                 for servo in hearing:
@@ -427,28 +419,28 @@ def await_promptly(readable: int | None, pause: float) -> bool:
 
 
 class BusSession(EmulatedConversation[Packet]):
-    """The servos of ``bus`` for one client at a time, with timing."""
+    """The servos of an ``arm`` for one client at a time, with timing."""
 
-    def __init__(self, bus: EmulatedBus[Any], **options: Any) -> None:  # noqa: ANN401
-        super().__init__(bus.arm, **{"await_data": await_promptly} | options)
-        self.bus, self.scheme, self.wire_format = bus, bus.scheme, bus.wire_format
+    def __init__(self, arm: ServoArm[Any], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(arm, **{"await_data": await_promptly} | options)
+        self.arm, self.scheme, self.wire_format = arm, arm.scheme, arm.wire_format
         # until when the wire is busy
         self._free = 0.0
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
-        self.bus.rate = None
+        self.arm.rate = None
         super().converse(channel)
 
     def _answer(self, channel: ByteStream, request: Packet) -> None:
         self._catch_up()
-        self.bus.rate, sent = rate_of(channel), self.wire_format.write(request)
-        self._free = max(self._came, self._free) + len(sent) * self.bus.byte
-        answers = overlaid(self.bus.execute(request))
+        self.arm.rate, sent = rate_of(channel), self.wire_format.write(request)
+        self._free = max(self._came, self._free) + len(sent) * self.arm.byte
+        answers = overlaid(self.arm.execute(request))
         if not answers:
             return
-        if request.code == READ or request.code in self.bus.reads:
-            self._emulated.was_read()
+        if request.code == READ or request.code in self.arm.reads:
+            self.arm.was_read()
         pieces = [b""]
         for answer in answers:
             first, *rest = self._wire.pieces(sent, answer.data) or [b""]

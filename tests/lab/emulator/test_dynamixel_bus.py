@@ -26,7 +26,6 @@ from rejoint_lab.emulator.dynamixel import (
     REG_WRITE,
     STATUS,
     XArm,
-    XBus,
     crc,
     encode,
 )
@@ -90,7 +89,7 @@ def test_packets_are_found_stuffed_cut_and_behind_garbage(packets, size, garbage
 
 
 def made(name="koch", wear="new"):
-    return XBus(XArm.build(load_arm(name), wear))
+    return XArm.build(load_arm(name), wear)
 
 
 @pytest.fixture
@@ -144,7 +143,7 @@ def test_lasting_registers_outlive_a_reboot_and_others_do_not(bus):
     assert read(bus, 1, 132) == turned
     assert ask(bus, 1, REBOOT) == [(1, 0, b"")]
     assert ask(bus, 1, PING) == []
-    bus.arm.advance(0.3)
+    bus.advance(0.3)
     assert (read(bus, 1, 9, 1), read(bus, 1, 84, 2), read(bus, 1, 64, 1)) == (50, 640, 0)
     assert read(bus, 1, 132) == turned
 
@@ -161,17 +160,17 @@ def test_another_mode_takes_the_gains_back(bus):
 
 @pytest.mark.parametrize(("fault", "bit"), [("overload=2@0", 32), ("voltage@0", 1), ("current=2@0", 16)])
 def test_a_tripped_servo_is_limp_and_says_so_until_it_is_rebooted(bus, fault, bit):
-    bus.arm.faults = parse_faults(fault, 5)
-    bus.arm.suffer(0.0)
-    bus.arm.advance(0.2)
-    bus.arm.faults = {}
+    bus.faults = parse_faults(fault, 5)
+    bus.suffer(0.0)
+    bus.advance(0.2)
+    bus.faults = {}
     assert write(bus, 2, 65, 1, 1) == 0x80
     assert read(bus, 2, 70, 1) == bit
     tripped = bool(bit & read(bus, 2, 63, 1))
     write(bus, 2, 64, 1, 1)
     assert read(bus, 2, 64, 1) == (not tripped)
     ask(bus, 2, REBOOT)
-    bus.arm.advance(0.3)
+    bus.advance(0.3)
     assert write(bus, 2, 64, 1, 1) == 0
     assert read(bus, 2, 70, 1) == 0
 
@@ -183,10 +182,10 @@ def test_a_servo_that_cannot_move_trips_and_one_that_limits_its_current_does_not
         assert write(bus, 15, 11, mode, 1) == 0
         write(bus, 15, 102, 100, 2)
         write(bus, 15, 64, 1, 1)
-        bus.arm.gripper.qvel[:] = 0.0
+        bus.gripper.qvel[:] = 0.0
         write(bus, 15, 116, 4000)
         for _ in range(50):
-            bus.arm.advance(0.1)
+            bus.advance(0.1)
         return read(bus, 15, 70, 1), read(bus, 15, 64, 1), read(bus, 15, 126, 2)
 
     assert blocked(3)[:2] == (32, 0)
@@ -199,11 +198,11 @@ def test_a_bus_that_falls_silent_stops_the_arm_where_it_has_a_watchdog(bus):
     write(bus, 1, 98, 5, 1)
     write(bus, 1, 112, 50)
     write(bus, 1, 116, 3000)
-    bus.arm.advance(0.4)
+    bus.advance(0.4)
     here = read(bus, 1, 132)
     assert read(bus, 1, 98, 1) == -1
     assert write(bus, 1, 116, 3000) == 4
-    bus.arm.advance(0.5)
+    bus.advance(0.5)
     assert read(bus, 1, 132) == pytest.approx(here, abs=20)
     assert write(bus, 1, 98, 0, 1) == write(bus, 1, 116, 3000) == 0
 
@@ -213,17 +212,17 @@ def test_a_profile_takes_the_time_that_was_asked_for():
     start = read(bus, 11, 132)
     for address, value in ((112, 100), (108, 50), (116, start + 800)):
         assert write(bus, 11, address, value) == 0
-    bus.arm.advance(0.25)  # 100 x 0.229 rpm are 1563 counts/s, 50 units of acceleration 12 207 counts/s^2
+    bus.advance(0.25)  # 100 x 0.229 rpm are 1563 counts/s, 50 units of acceleration 12 207 counts/s^2
     assert read(bus, 11, 140) - start == pytest.approx(1563 * (0.25 - 0.064), abs=15)
     write(bus, 11, 64, 0, 1)
     write(bus, 11, 10, 4, 1)  # times instead
-    bus.arm.advance(0.2)
+    bus.advance(0.2)
     write(bus, 11, 64, 1, 1)
     for address, value in ((112, 1000), (108, 200), (116, start)):
         assert write(bus, 11, address, value) == 0
-    bus.arm.advance(0.98)
+    bus.advance(0.98)
     assert abs(read(bus, 11, 140) - start) > 0
-    bus.arm.advance(0.05)
+    bus.advance(0.05)
     assert read(bus, 11, 140) == start
 
 
@@ -232,7 +231,7 @@ def test_two_servos_of_a_joint_work_together_or_against_each_other():
     place = [read(bus, servo, 132) for servo in (2, 3)]
     assert place[0] == place[1]
     ask(bus, BROADCAST, SYNC_WRITE, 116, 4, b"\2" + word(place[0] + 60))
-    bus.arm.advance(1.0)
+    bus.advance(1.0)
     assert read(bus, 2, 116) == read(bus, 3, 116)
     assert read(bus, 2, 126, 2) == read(bus, 3, 126, 2)
     for servo in (2, 3):
@@ -240,7 +239,7 @@ def test_two_servos_of_a_joint_work_together_or_against_each_other():
     write(bus, 3, 64, 0, 1)
     write(bus, 3, 20, 40)
     write(bus, 3, 64, 1, 1)
-    bus.arm.advance(0.5)
+    bus.advance(0.5)
     assert abs(read(bus, 2, 126, 2) - read(bus, 3, 126, 2)) > 100
 
 
@@ -254,7 +253,7 @@ def test_registers_are_gathered_and_writes_wait(bus):
     ask(bus, BROADCAST, ACTION)
     assert (read(bus, 3, 69, 1), read(bus, 3, 65, 1)) == (0, 1)
     before = read(bus, 3, 120, 2)
-    bus.arm.advance(0.05)
+    bus.advance(0.05)
     assert read(bus, 3, 120, 2) - before == 50
 
 
@@ -267,11 +266,11 @@ def test_answers_come_in_the_time_of_their_bytes_and_spoil_one_another(bus):
     assert (len(one.data), one.after) == (8 + 3 * 14, pytest.approx(50e-5 + 20e-6))
     ask(bus, 1, WRITE, 68, b"\1")
     assert ask(bus, 1, WRITE, 65, b"\1") == []
-    bus.arm.servos[2]["ID"] = 2
+    bus.servos[2]["ID"] = 2
     assert len(bus.execute(Packet(2, PING))) == 2
-    bus.arm.faults = parse_faults("power=0/9", 5)
-    bus.arm.suffer(0.1)
-    assert [servo["Torque_Enable"] for servo in bus.arm.servos] == [0] * 6
+    bus.faults = parse_faults("power=0/9", 5)
+    bus.suffer(0.1)
+    assert [servo["Torque_Enable"] for servo in bus.servos] == [0] * 6
 
 
 MANY = (SYNC_READ, FAST_SYNC_READ, SYNC_WRITE, BULK_READ, FAST_BULK_READ, BULK_WRITE)
@@ -284,8 +283,8 @@ def test_no_packet_ends_the_bus(servo, code, address, data, waits):
     for answer in WIDOWX.execute(Packet(servo, code, word(address, 2) + data)):
         assert code in (FAST_SYNC_READ, FAST_BULK_READ) or len(Finder(FORMAT).feed(answer.data)) == 1
     if waits:
-        WIDOWX.arm.advance(0.05)
-    assert np.isfinite(WIDOWX.arm.angles).all()
+        WIDOWX.advance(0.05)
+    assert np.isfinite(WIDOWX.angles).all()
 
 
 WIDOWX = made("wx250s")
@@ -308,7 +307,7 @@ class AnyPort(sdk.PortHandler):
 @contextmanager
 def client(kind, name="koch"):
     """ROBOTIS' port and packet handler on an emulated arm."""
-    with kind(BusSession(XBus(XArm.build(load_arm(name), "new")))) as server:
+    with kind(BusSession(XArm.build(load_arm(name), "new"))) as server:
         place = server.address.removeprefix("dynamixel://").partition("?")[0]
         port = AnyPort(place if kind is TerminalServer else f"socket://{place}")
         assert port.openPort()

@@ -9,7 +9,7 @@ from rejoint.arms import load_arm
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator import servobus as packets
 from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.feetech import FORMAT, SIZE, TABLE, StsArm, StsBus
+from rejoint_lab.emulator.feetech import FORMAT, SIZE, TABLE, StsArm
 from rejoint_lab.emulator.servobus import BROADCAST, Packet
 
 ARM = load_arm("so101")
@@ -17,7 +17,7 @@ ARM = load_arm("so101")
 
 @pytest.fixture
 def bus():
-    return StsBus(StsArm.build(ARM, "so101"))
+    return StsArm.build(ARM, "so101")
 
 
 def word(value):
@@ -60,12 +60,12 @@ def test_a_synchronous_read_is_answered_in_its_order_and_its_slots(bus):
 
 
 def test_silent_servos_neither_hear_nor_answer(bus):
-    bus.arm.faults = parse_faults("mute=2@0/9", 5)
-    bus.arm.suffer(0.0)
+    bus.faults = parse_faults("mute=2@0/9", 5)
+    bus.suffer(0.0)
     assert answers(bus, 2, packets.PING) == []
-    before = bus.arm.servos[1]["Goal_Position"]
+    before = bus.servos[1]["Goal_Position"]
     bus.execute(Packet(BROADCAST, packets.SYNC_WRITE, bytes([42, 2, 2, 0, 8])))
-    assert bus.arm.servos[1]["Goal_Position"] == before
+    assert bus.servos[1]["Goal_Position"] == before
     assert [a.id for a in answers(bus, BROADCAST, packets.SYNC_READ, 56, 2, 1, 2, 3)] == [1, 3]
 
 
@@ -74,10 +74,10 @@ def test_an_arm_goes_where_a_synchronous_write_sends_it(bus):
     goals = [h + 100 for h in here]
     data = b"".join(bytes([i + 1]) + word(goal) for i, goal in enumerate(goals))
     assert answers(bus, BROADCAST, packets.SYNC_WRITE, 42, 2, data) == []
-    bus.arm.advance(1.5)
+    bus.advance(1.5)
     there = [value(bus, number, 56) for number in range(1, 7)]
     assert np.abs(np.subtract(there, goals)).max() < 40
-    moved = np.degrees(bus.arm.angles - ARM.rest)
+    moved = np.degrees(bus.angles - ARM.rest)
     assert (moved > 5).all()
     assert (moved < 12).all()
 
@@ -85,14 +85,14 @@ def test_an_arm_goes_where_a_synchronous_write_sends_it(bus):
 def test_goals_stay_within_the_limits_of_the_servo(bus):
     low = value(bus, 1, 9)
     assert answers(bus, 1, packets.WRITE, 42, word(low - 300))[0].code == 0
-    bus.arm.advance(3.0)
+    bus.advance(3.0)
     assert value(bus, 1, 56) >= low - 2
 
 
 def test_settings_outlast_the_power_only_if_the_lock_was_open(bus):
-    servo = bus.arm.servos[0]
+    servo = bus.servos[0]
     answers(bus, 1, packets.WRITE, 21, 16)
-    assert bus.arm.plant.settings["p"][0, 0] == 16
+    assert bus.plant.settings["p"][0, 0] == 16
     servo.cycle_power()
     assert servo["P_Coefficient"] == 32
     answers(bus, 1, packets.WRITE, 55, 0)
@@ -102,26 +102,26 @@ def test_settings_outlast_the_power_only_if_the_lock_was_open(bus):
 
 
 def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
-    bus.arm.advance(0.5)
+    bus.advance(0.5)
     assert answers(bus, 2, packets.WRITE, 40, 0)[0].code == 0
-    bus.arm.advance(0.1)
+    bus.advance(0.1)
     assert value(bus, 2, 60) == 0
     limp = value(bus, 2, 56)
     answers(bus, 2, packets.WRITE, 42, word(limp))
     assert value(bus, 2, 40, 1) == 1
-    bus.arm.advance(0.5)
+    bus.advance(0.5)
     assert abs(value(bus, 2, 56) - limp) < 20
 
 
 @settings(max_examples=200)
 @given(number=st.integers(0, 254), code=st.integers(0, 255), parameters=st.binary(max_size=40))
 def test_no_packet_ends_the_bus(number, code, parameters):
-    before = bytes(BUS.arm.servos[0].cells[:5])
+    before = bytes(BUS.servos[0].cells[:5])
     for answer in BUS.execute(Packet(number, code, parameters)):
         assert len(Finder(FORMAT).feed(answer.data)) == 1
-    BUS.arm.advance(0.001)
-    assert bytes(BUS.arm.servos[0].cells[:5]) == before
-    assert np.isfinite(BUS.arm.angles).all()
+    BUS.advance(0.001)
+    assert bytes(BUS.servos[0].cells[:5]) == before
+    assert np.isfinite(BUS.angles).all()
 
 
-BUS = StsBus(StsArm.build(ARM, "so101"))
+BUS = StsArm.build(ARM, "so101")

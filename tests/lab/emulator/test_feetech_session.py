@@ -6,7 +6,7 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint.robots.wireserver import Finder
 from rejoint_lab.emulator.faults import parse_faults, size_of
-from rejoint_lab.emulator.feetech import FORMAT, StsArm, StsBus, encode
+from rejoint_lab.emulator.feetech import FORMAT, StsArm, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, READ, SYNC_READ, SYNC_WRITE, BusSession, Packet
 
 ARM = load_arm("so101")
@@ -25,9 +25,9 @@ class Client:
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
         arm = StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
-        self.session = BusSession(StsBus(arm), faults=faults, clock=lambda: self.now, await_data=self._await)
-        self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
-        self.session.bus.execute = self._obey
+        self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        self.moved, self.busy, self._execute = [], busy, self.session.arm.execute
+        self.session.arm.execute = self._obey
         self.session.converse(self)
 
     def fileno(self):
@@ -42,7 +42,7 @@ class Client:
         self.heard.append((self.now, data))
 
     def _obey(self, request):
-        self.moved.append(self.session.bus.arm.plant.time[0])
+        self.moved.append(self.session.arm.plant.time[0])
         self.now += self.busy
         return self._execute(request)
 
