@@ -18,8 +18,7 @@ from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
-from rejoint.robots.mycobot.mover import COLLISION
-from rejoint.robots.mycobot.wire import FORMAT, Frame, encode, pack_angles, pack_coords
+from rejoint.robots.mycobot.wire import COLLISION, FORMAT, Frame, encode, pack_angles, pack_coords
 from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, ServedArm
 from rejoint.robots.wireserver import Finder
 from rejoint.runs.run import Run

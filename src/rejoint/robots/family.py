@@ -149,6 +149,9 @@ class SerialAddress:
         return os.path.realpath(self.device)
 
 
+Wire = TcpAddress | SerialAddress
+
+
 def tcp_address(text: str) -> TcpAddress:
     """Read ``SCHEME://HOST:PORT``; ValueError."""
     parts = urlsplit(text)

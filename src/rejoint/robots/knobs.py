@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
-from rejoint.robots.family import BAUD, SerialAddress, TcpAddress, serial_address, tcp_address
+from rejoint.robots.family import BAUD, Wire, serial_address, tcp_address
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_shipped
@@ -236,7 +236,7 @@ class ServoAddress:
     }
     """how further fields are read"""
 
-    wire: TcpAddress | SerialAddress
+    wire: Wire
     calibration: Path | None = None
     """LeRobot's; None: none"""
     zero: tuple[float, ...] = ()
@@ -266,7 +266,7 @@ class ServoAddress:
         if set(options) - set(known) or any(len(values) > 1 or not values[0] for values in options.values()):
             raise ValueError(f"expected each of {', '.join(known)} once at most, got {query!r}")
         given = {name: values[0] for name, values in options.items()}
-        wire: TcpAddress | SerialAddress
+        wire: Wire
         if not urlsplit(plain).netloc:
             wire = serial_address(f"{plain}?baud={given.get('baud', BAUD)}")
         elif "baud" in given:

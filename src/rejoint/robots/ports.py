@@ -16,11 +16,9 @@ import msgspec
 import serial
 from serial.tools.list_ports import comports
 
-from rejoint.robots.family import Place, SerialAddress, TcpAddress
+from rejoint.robots.family import Place, SerialAddress, TcpAddress, Wire
 from rejoint.system.errors import AddressError
 from rejoint.system.files import read_shipped
-
-Wire = SerialAddress | TcpAddress
 
 HEARD = 0.15
 """[s] in which an arm answers (chosen: ten times its usual time)"""
@@ -105,7 +103,7 @@ def _answer(port: int, question: bytes) -> bytes:
 def other_arm(place: Place[Any]) -> str:
     """Say which arm answers at a ``place`` that another one does not; empty where nothing does."""
     wire = getattr(place.detail, "wire", place.detail)
-    if not isinstance(wire, SerialAddress | TcpAddress) or (found := answering(wire)) is None:
+    if not isinstance(wire, Wire) or (found := answering(wire)) is None:
         return ""
     kind, baud = found
     if (kind.scheme(wire), baud) == (place.family.scheme, getattr(wire, "baud", 0)):

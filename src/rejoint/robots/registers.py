@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+COMPLEMENT = -1
+"""`Register.sign` of two's complement"""
+
 
 class Register(NamedTuple):
     """A value in the memory of a servo, lowest byte first."""
@@ -21,26 +24,14 @@ class Register(NamedTuple):
     def decode(self, data: bytes) -> int:
         """Read the value."""
         word = int.from_bytes(data, "little", signed=self.sign == COMPLEMENT)
-        return word if self.sign in (None, COMPLEMENT) else signed(word, self.sign)
+        if self.sign in (None, COMPLEMENT) or not word & 1 << self.sign:
+            return word
+        return -(word & ~(1 << self.sign))
 
     def encode(self, value: int) -> bytes:
-        """Write a value, without a sign bit as two's complement."""
+        """Write a value, without a sign bit as two's complement; ValueError if it does not fit beside one."""
         if self.sign not in (None, COMPLEMENT):
-            value = magnitude(value, self.sign)
+            if abs(value) >= 1 << self.sign:
+                raise ValueError(f"{value} does not fit into {self.sign} bits and a sign")
+            value = -value | 1 << self.sign if value < 0 else value
         return value.to_bytes(self.size, "little", signed=value < 0)
-
-
-COMPLEMENT = -1
-"""`Register.sign` of two's complement"""
-
-
-def magnitude(value: int, bit: int) -> int:
-    """Return the size and sign ``bit`` of a value; ValueError if it does not fit."""
-    if abs(value) >= 1 << bit:
-        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
-    return -value | 1 << bit if value < 0 else value
-
-
-def signed(word: int, bit: int) -> int:
-    """Inverse of `magnitude`."""
-    return -(word & ~(1 << bit)) if word & 1 << bit else word

@@ -38,16 +38,22 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.robots.mycobot.bus import ORDERS as NAMES
-from rejoint.robots.mycobot.mover import (
+from rejoint.robots.mycobot.wire import (
     ARRIVED_LENGTH,
     COLLISION,
+    COMMANDS,
+    FORMAT,
     NO_LINE,
     NO_SOLUTION,
+    Computer,
+    Frame,
     Sensed,
+    answer,
     at_angles,
     at_place,
+    encode,
+    flag,
 )
-from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Computer, Frame, answer, encode, flag
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError
 from rejoint.system.files import writing

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import SerialAddress, Wire
 from rejoint.robots.ports import opened
 
 CONNECT = 5.0
@@ -20,16 +20,47 @@ OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
 """Results of Feetech's client and ROBOTIS'; all others are garbled answers"""
 
 
-class BlockingPort:
-    """A port for the makers' clients that waits in the system; a base before their ``PortHandler``."""
+def judge(result: int, servo: int) -> None:
+    """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
+    if result == OK:
+        return
+    if result in SILENT:
+        raise TimeoutError(f"servo {servo} does not answer")
+    if result in UNSENT:
+        raise OSError("the port did not take the request")
+    raise ValueError(f"the answer of servo {servo} is garbled")
 
+
+class ServoWire(ABC):
+    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken).
+
+    A base before a maker's ``PortHandler``, which it makes wait in the system.
+    """
+
+    places: ClassVar[tuple[int, int]]
+    """of ID and error in a status packet"""
     is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
-    port_name: TcpAddress | SerialAddress
     baudrate: int
+    _client: Any
+    """the maker's, on this port"""
+    _first: tuple[Self, ...] = ()
+    """what its methods take before all else"""
+
+    def __init__(self, address: Wire) -> None:
+        """Open at the address's rate; ValueError, OSError."""
+        super().__init__(address)  # type: ignore[call-arg]  # the maker's
+        self._address = address
+        baud = address.baud if isinstance(address, SerialAddress) else self.baudrate
+        if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
+            raise ValueError(f"the maker's client knows no baud rate {baud}")
+
+    def close(self) -> None:
+        """Release the port."""
+        self.closePort()  # type: ignore[attr-defined]  # the maker's
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
-        self.ser = opened(self.port_name, self.baudrate, CONNECT)
+        self.ser = opened(self._address, self.baudrate, CONNECT)
         self._descriptor: int = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
@@ -55,43 +86,12 @@ class BlockingPort:
         """Write; returns the number of bytes."""
         return os.write(self._descriptor, bytes(packet))
 
-    def connect(self) -> Self:
-        """Open at the address's rate; ValueError, OSError."""
-        place = self.port_name
-        baud = place.baud if isinstance(place, SerialAddress) else self.baudrate
-        if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
-            raise ValueError(f"the maker's client knows no baud rate {baud}")
-        return self
-
     def quieten(self, pause: float) -> bool:
         """Drop what comes within ``pause`` [s]; whether anything did."""
         end, found = time.monotonic() + pause, False
         while (left := end - time.monotonic()) > 0.0:
             found = bool(self.readPort(4096, left)) or found
         return found
-
-
-def judge(result: int, servo: int) -> None:
-    """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
-    if result == OK:
-        return
-    if result in SILENT:
-        raise TimeoutError(f"servo {servo} does not answer")
-    if result in UNSENT:
-        raise OSError("the port did not take the request")
-    raise ValueError(f"the answer of servo {servo} is garbled")
-
-
-class ServoWire(ABC):
-    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken)."""
-
-    places: ClassVar[tuple[int, int]]
-    """of ID and error in a status packet"""
-
-    def __init__(self, client: Any, port: BlockingPort, *first: BlockingPort) -> None:  # noqa: ANN401 - the maker's
-        """Speak by a maker's ``client``, whose methods take ``first`` before all else."""
-        self.quieten, self.close = port.quieten, port.closePort  # type: ignore[attr-defined]  # the maker's
-        self._client, self._port, self._first = client, port, first
 
     @abstractmethod
     def model(self, servo: int) -> int:

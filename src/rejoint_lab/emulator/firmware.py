@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
-from rejoint.robots.mycobot.mover import FULL_SPEED, Mask, Sensed
-from rejoint.robots.mycobot.wire import Computer
+from rejoint.arms import Arm, Array, Mask
+from rejoint.robots.mycobot.motion import FULL_SPEED
+from rejoint.robots.mycobot.wire import Computer, Sensed
 from rejoint_lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
 
 if TYPE_CHECKING:

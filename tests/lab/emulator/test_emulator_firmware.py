@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.robots.mycobot.wire import ORDER, ROWS, SIZES, Frame, answer
+from rejoint.robots.mycobot.motion import FULL_SPEED
+from rejoint.robots.mycobot.wire import NO_LINE, NO_SOLUTION, ORDER, ROWS, SIZES, Frame, answer
 from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()

@@ -12,7 +12,7 @@ from reaching import place, until
 
 from emulatedservers import serve_tcp
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.mover import MAX_QUEUE
+from rejoint.robots.mycobot.motion import MAX_QUEUE
 from rejoint.robots.mycobot.wire import Frame, answer, encode, pack_angles
 from rejoint_lab.emulator.firmware import MAX_WRITES
 from rejoint_lab.emulator.servers import Timing

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.robots.mycobot.mover import ACCELERATION, CARTESIAN_SPEED, FULL_SPEED, Motion, joint_path, line_path
+from rejoint.robots.mycobot.motion import ACCELERATION, CARTESIAN_SPEED, FULL_SPEED, Motion, joint_path, line_path
 
 ARM = mycobot280()
 

@@ -18,10 +18,10 @@ from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel import CURRENT_BASED, KIND, DynamixelAddress
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import SerialAddress, Wire
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
-from rejoint.robots.servowire import OK, BlockingPort, ServoWire, judge
+from rejoint.robots.servowire import OK, ServoWire, judge
 from rejoint.system.errors import LOGGER, InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
 
@@ -38,30 +38,26 @@ _LENGTH = 5  # its place in a status packet
 _BETWEEN = 4  # [bytes] error, ID and CRC around each servo's data in a fast answer
 
 
-class DynamixelPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the maker's package has no types
-    """Waits for whole answers."""
-
-    def setPacketTimeout(self, length: int) -> None:  # noqa: N802 - the maker's name
-        """Begin to wait for ``length`` bytes."""
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * length + LATENCY)
-
-
-class DynamixelWire(ServoWire):
-    """An open bus of Dynamixel servos."""
+class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's package has no types
+    """An open bus of Dynamixel servos, whose answers are waited for whole."""
 
     places = 4, 8
 
-    def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        port = DynamixelPort(address).connect()
-        super().__init__(Protocol2PacketHandler(), port, port)
+    def __init__(self, address: Wire) -> None:
+        super().__init__(address)
+        self._client, self._first = Protocol2PacketHandler(), (self,)
         self.fast = False
         """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
         """servos whose last answer had the alert bit"""
 
+    def setPacketTimeout(self, length: int) -> None:  # noqa: N802 - the maker's name
+        """Begin to wait for ``length`` bytes."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * length + LATENCY)
+
     def model(self, servo: int) -> int:
         """Model number of a servo; ValueError where two answer."""
-        number, result, error = self._client.ping(self._port, servo)
+        number, result, error = self._client.ping(self, servo)
         if result == COMM_RX_CORRUPT or (result == OK and self.quieten(ECHO)):
             raise ValueError(f"have two servos the ID {servo}? A new one has 1")
         self._take(result, servo, error)
@@ -77,21 +73,21 @@ class DynamixelWire(ServoWire):
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
-        judge(self._client.reboot(self._port, servo)[0], servo)
+        judge(self._client.reboot(self, servo)[0], servo)
 
     def _receive(self) -> tuple[list[int], int]:
-        packet, result = self._client.rxPacket(self._port, False)
+        packet, result = self._client.rxPacket(self, False)
         return packet, result
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        found: int = self._client.syncReadTx(self._port, address, size, list(servos), len(servos), self.fast)
+        found: int = self._client.syncReadTx(self, address, size, list(servos), len(servos), self.fast)
         return found
 
     def _answers(self, count: int, size: int) -> Iterable[tuple[int, int, bytes]]:
         if not self.fast:
             return super()._answers(count, size)
         step = size + _BETWEEN
-        data, result, _ = self._client.fastSyncReadRx(self._port, BROADCAST_ID, step * count)
+        data, result, _ = self._client.fastSyncReadRx(self, BROADCAST_ID, step * count)
         places = range(0, len(data) if result == OK else 0, step)
         return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in places]
 

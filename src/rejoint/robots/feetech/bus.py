@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array
 from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import Wire
 from rejoint.robots.feetech import KIND, torque_share
 from rejoint.robots.servobus import (
     STEP,
@@ -27,7 +27,7 @@ from rejoint.robots.servobus import (
     listed,
     trouble,
 )
-from rejoint.robots.servowire import BlockingPort, ServoWire
+from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import shielded
 
@@ -37,18 +37,14 @@ MODEL = 3
 """Register address of the model"""
 
 
-class FeetechPort(BlockingPort, PortHandler):  # type: ignore[misc]  # the maker's package has no types
-    """A port of the maker's client."""
-
-
-class FeetechWire(ServoWire):
+class FeetechWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's package has no types
     """An open bus of Feetech servos."""
 
     places = PKT_ID, PKT_ERROR
 
-    def __init__(self, address: TcpAddress | SerialAddress) -> None:
-        port = FeetechPort(address).connect()
-        super().__init__(sms_sts(port), port)
+    def __init__(self, address: Wire) -> None:
+        super().__init__(address)
+        self._client = sms_sts(self)
 
     def model(self, servo: int) -> int:
         """Model number of a servo; ignores late answers."""
@@ -56,7 +52,7 @@ class FeetechWire(ServoWire):
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
         result: int = self._client.syncReadTx(address, size, list(servos), len(servos))
-        self._client.portHandler.setPacketTimeout((size + FRAME) * len(servos))
+        self.setPacketTimeout((size + FRAME) * len(servos))
         return result
 
     def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:

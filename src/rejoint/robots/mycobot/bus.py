@@ -21,7 +21,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.bus import ATTEMPTS, SILENCE, Bus, Reading, Vitals, asked, connected, persist
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import TcpAddress, Wire
 from rejoint.system.errors import (
     ConnectionLostError,
     ImpossibleReplyError,
@@ -52,7 +52,7 @@ ORDERS: dict[int, str] = dict(reversed(_CODES))
 """The client's names of commands"""
 
 
-def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
+def make_client(address: Wire) -> MyCobot280 | MyCobot280Socket:
     """Construct the vendor's client; OSError for a busy port."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
@@ -100,7 +100,7 @@ class MyCobotBus(Bus):
     name = "myCobot 280"
     advice = f"{Bus.advice} `rejoint emulate` starts an arm to try"
 
-    def __init__(self, address: TcpAddress | SerialAddress, arm: Arm) -> None:
+    def __init__(self, address: Wire, arm: Arm) -> None:
         if arm.joints != _JOINTS:
             raise InputError(f"a myCobot 280 has {_JOINTS} joints, arm {arm.name} has {arm.joints}")
         self.address = address

@@ -1,210 +1,22 @@
-"""From requests to a moving reference.
+"""The moving reference of joints.
 
 A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, solve_position, tcp_pose
-from rejoint.arms import Mask as Mask
+from rejoint.arms import Arm, Array, Mask, solve_position, tcp_pose
 from rejoint.arms.rotations import Orientation, difference, moved, tool_axis
 
 FULL_SPEED = float(np.radians(120.0))
 """[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
 ACCELERATION = float(np.radians(200.0))
 """[rad/s^2] (vendor's communication protocol page)"""
-NO_SOLUTION, NO_LINE, COLLISION = 32, 33, 16
-"""Error codes of the vendor's ``get_error_information``; 1..6: joint over its limit; 16: any contact"""
-ARRIVED_ANGLE, ARRIVED_LENGTH = float(np.radians(1.0)), 0.003
-"""[rad], [m] (chosen)"""
-
-
-def at_angles(here: Array, angles: Array) -> bool:
-    """Whether ``here`` (n,) [rad] is within a degree of ``angles``."""
-    return bool((np.abs(here - angles) < ARRIVED_ANGLE).all())
-
-
-def at_place(here: Array, pose: Array) -> bool:
-    """Whether ``here`` (4, 4) is within 3 mm and a degree of ``pose``."""
-    shift, turn = np.linalg.norm(difference(here, pose).reshape(2, 3), axis=1)
-    return bool(shift < ARRIVED_LENGTH and turn < ARRIVED_ANGLE)
-
-
-class Sensed(NamedTuple):
-    """What the servos measure, (n,) each."""
-
-    speed: Array
-    """[rad/s]"""
-    current: Array
-    """[A]"""
-    voltage: Array
-    """[V]"""
-    temperature: Array
-    """[deg C]"""
-    alarms: NDArray[np.uint8]
-    """status bits"""
-
-
-class Mover(ABC):
-    """Computer of an arm of n joints, at ``start`` (n,) [rad]."""
-
-    powered = True
-
-    def __init__(self, arm: Arm, start: Array) -> None:
-        self.arm = arm
-        self.enabled: Mask = np.ones(arm.joints, dtype=bool)
-        """(n,)"""
-        self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
-        self.fresh = False
-        """a new move replaces the present one, else is queued"""
-        self.error = 0
-        """as in ``get_error_information``"""
-        self._motion = Motion(start)
-
-    @property
-    @abstractmethod
-    def angles(self) -> Array:
-        """(n,) [rad] measured."""
-
-    @property
-    @abstractmethod
-    def moving(self) -> bool:
-        """Whether a move is under way."""
-
-    @property
-    @abstractmethod
-    def sensed(self) -> Sensed:
-        """What else is measured."""
-
-    @abstractmethod
-    def stop(self, joint: int | None = None) -> None:
-        """Hold: one joint, or the arm."""
-
-    def pause(self) -> None:
-        """Hold where the reference is, until `resume`."""
-        self._motion.paused = True
-
-    def resume(self) -> None:
-        """Continue."""
-        self._motion.paused = False
-
-    def power(self, on: bool) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Power all servos."""
-
-    def enable(self, wanted: Mask) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Hold with the servos in ``wanted`` (n,); release the others."""
-
-    def calibrate(self, joint: int) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Set a joint's zero here."""
-
-    @property
-    def pose(self) -> Array:
-        """(4, 4) TCP pose."""
-        return tcp_pose(self.arm, self.angles)
-
-    def in_position(self, angles: Array) -> bool:
-        """Whether the arm is at ``angles`` (n,) [rad], as `at_angles`."""
-        return at_angles(self.angles, angles)
-
-    def at_pose(self, pose: Array) -> bool:
-        """Whether the TCP is at ``pose`` (4, 4), as `at_place`."""
-        return at_place(self.pose, pose)
-
-    @property
-    def planned_angles(self) -> Array:
-        """(n,) [rad]."""
-        return self._motion.reference.copy()
-
-    @property
-    def destination(self) -> Array:
-        """(n,) [rad]."""
-        return self._motion.end
-
-    @property
-    def paused(self) -> bool:
-        """Whether a move is suspended."""
-        return self._motion.paused
-
-    def clear_queue(self) -> None:
-        """Drop waiting moves."""
-        self._motion.queue.clear()
-
-    def move_joints(self, angles: Array, rate: float) -> bool:
-        """Move to ``angles`` (n,) [rad]; False beyond a limit."""
-        inside = (angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9)
-        if not inside.all():
-            self.error = int(np.argmin(inside)) + 1
-            return False
-        if not self._is_clear(angles) or not self._ready():
-            return False
-        if not self.fresh:
-            return self._motion.enqueue(joint_path(self.destination, angles), rate)
-        self._motion.ramp(angles, rate)
-        self._write(rate * FULL_SPEED, angles)
-        return True
-
-    def move_tool(self, pose: Array, rate: float, *, straight: bool, turned: bool = True) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False, and an error code, where no posture does.
-
-        Without ``turned`` orientation is kept where possible.
-        """
-        start = self.planned_angles if self.fresh else self.destination
-        if not straight:
-            goal = self._posture(pose, start, turned=turned)
-            if goal is None:
-                self.error = NO_SOLUTION
-            return goal is not None and self.move_joints(goal, rate)
-        path, complete = line_path(self.arm, start, pose)
-        if not complete or self._reach(path) < len(path.points):
-            self.error = NO_LINE
-            return False
-        if not self._is_clear(path.points[-1]) or not self._ready():
-            return False
-        return self._motion.enqueue(path, rate, now=self.fresh)
-
-    def jog_joint(self, joint: int, forwards: int, rate: float) -> bool:
-        """Run one joint to its limit or a stop."""
-        goal = self.planned_angles
-        goal[joint] = self.upper[joint] if forwards else self.lower[joint]
-        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper))
-        return self._ready() and self._motion.enqueue(path, rate, now=True)
-
-    def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight to ``pose`` (4, 4)."""
-        path, _ = line_path(self.arm, self.planned_angles, pose)
-        reach = self._reach(path)
-        if reach < 2:
-            self.error = NO_LINE
-            return False
-        within = TimedPath(path.points[:reach], path.time[:reach])
-        return self._ready() and self._motion.enqueue(within, rate, now=True)
-
-    def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:  # noqa: ARG002 - always turned here
-        """Return a posture (n,) [rad] for a pose (4, 4), or None."""
-        return solve_pose(self.arm, pose, start)
-
-    def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
-        """Whether ``angles`` (n,) [rad] are clear; else sets an error code."""
-        return True
-
-    def _ready(self) -> bool:
-        return True
-
-    def _write(self, speed: float, goal: Array) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Send a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s] to the servos."""
-
-    def _reach(self, path: TimedPath) -> int:
-        inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
-        return int(np.argmin(np.append(inside, False)))
-
-
 CARTESIAN_SPEED = 0.1
 """[m/s] on a line (vendor's protocol page)"""
 TURN_SPEED = np.radians(40.0)
