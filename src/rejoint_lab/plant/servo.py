@@ -110,11 +110,17 @@ def fill_constants(records: NDArray[np.void], max_speed: Array, torque: Array, t
 
 
 @njit(cache=True)
+def within(value, most):
+    """``value`` between ``-most`` and ``most``."""
+    return min(max(value, -most), most)
+
+
+@njit(cache=True)
 def read_encoder(joint, servo_angle, gear_angle):
     """Angle in whole counts; behind the gear with play, without flex."""
     angle = servo_angle
     if joint.play_in_loop:
-        angle += min(max(gear_angle, -0.5 * joint.play), 0.5 * joint.play)
+        angle += within(gear_angle, 0.5 * joint.play)
     return np.rint(angle / joint.encoder_step) * joint.encoder_step
 
 
@@ -126,12 +132,12 @@ def motor_torque(joint, servo, angle, speed):
     if not servo.powered:
         return 0.0  # the windings are open: not even back-EMF
     stride = servo.speed_limit * STEP
-    servo.reference += min(max(servo.goal - servo.reference, -stride), stride)
+    servo.reference += within(servo.goal - servo.reference, stride)
     error = servo.reference + joint.offset - angle
     if abs(error) <= joint.encoder_step:
         error = 0.0
     wanted = joint.position_gain * error - joint.damping_gain * servo.measured_speed
-    duty = min(max(wanted / joint.torque_limit, -1.0), 1.0)
+    duty = within(wanted / joint.torque_limit, 1.0)
     return joint.torque_limit * (duty - speed / joint.no_load_speed)
 
 
@@ -142,16 +148,14 @@ def friction_torque(joint, servo, speed, load):
     most = joint.coulomb + (joint.stiction - joint.coulomb) * stribeck + joint.load_friction * abs(load)
     stiffness = joint.reflected_inertia * _BRISTLE_RATE**2
     damping = 2.0 * _BRISTLE_DAMPING * joint.reflected_inertia * _BRISTLE_RATE
-    bristle = servo.bristle + speed * STEP
-    servo.bristle = min(max(bristle, -most / stiffness), most / stiffness)
-    return -min(max(stiffness * servo.bristle + damping * speed, -most), most)
+    servo.bristle = within(servo.bristle + speed * STEP, most / stiffness)
+    return -within(stiffness * servo.bristle + damping * speed, most)
 
 
 @njit(cache=True)
 def gear_torque(joint, angle, speed):
     """Torque on the link, turned by ``angle`` against the servo output."""
-    half = 0.5 * joint.play
-    bent = angle - min(max(angle, -half), half)
+    bent = angle - within(angle, 0.5 * joint.play)
     if bent == 0.0:
         return -joint.grease * speed
     torque = -joint.link_stiffness * (bent + _GEAR_DAMPING_TIME * speed)
@@ -211,7 +215,7 @@ def trapezoid(reference, rate, goal, speed, acceleration):
     braking = gain * (np.sqrt(0.25 + 2.0 * abs(left) / (gain * STEP)) - 0.5)  # from it the goal is reached in steps
     wanted = min(speed, braking)
     wanted = wanted if left >= 0.0 else -wanted
-    rate += min(max(wanted - rate, -gain), gain)
+    rate += within(wanted - rate, gain)
     stride = rate * STEP
     if abs(left) <= max(abs(stride), 0.5) and abs(rate) <= 2.0 * gain:
         return goal, 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid
+from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid, within
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -94,13 +94,13 @@ def output_of(setting, status, errors, tick):
         status.sum = 0.0
     part = int(status.sum * setting.i / _INTEGRAL_DIVISOR)
     if setting.limit:
-        part = min(max(part, -4 * setting.limit), 4 * setting.limit)
+        part = within(part, 4 * setting.limit)
     output += part
     if output > 0:
         output += setting.startup
     elif output < 0:
         output -= setting.startup
-    held = min(max(output, -setting.torque_limit), setting.torque_limit)
+    held = within(output, setting.torque_limit)
     if setting.i != 0 and abs(status.speed) < _SPEED_STEP and not status.alarms & setting.unloading:
         status.sum += error + (held - output)  # what the clamp cut off is not counted
     return held
@@ -143,7 +143,7 @@ def protect(setting, status, output, temperature):
     if masked & HEAT:
         return 0
     if masked & OVERLOAD:
-        return min(max(output, -setting.protective), setting.protective)
+        return within(output, setting.protective)
     return output
 
 
@@ -157,7 +157,7 @@ def torque_of(setting, status, powered, speed, no_load_speed):
     if setting.torque_on == 2:
         status.output = 0
         return -braked
-    duty = min(max(status.output, -PWM_MOST), PWM_MOST) / PWM_FULL
+    duty = within(status.output, PWM_MOST) / PWM_FULL
     torque = setting.stall * duty * setting.voltage / NOMINAL_VOLTAGE - braked
     status.current = STALL_CURRENT * torque / setting.stall
     return torque

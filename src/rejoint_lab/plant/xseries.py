@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid
+from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid, within
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -128,7 +128,7 @@ def output_of(setting, status, speed):
         most = setting.current_goal
         if setting.input_current:  # the XL330 limits the current of its supply, at stall the duty times the motor's
             most = np.sqrt(most * setting.stall_current)
-        current = min(max(output / FULL * setting.stall_current, -most), most)
+        current = within(output / FULL * setting.stall_current, most)
         output = FULL * (current / setting.stall_current + speed / setting.no_load)
     return output
 
@@ -166,10 +166,8 @@ def tick_servo(setting, status, state, count, speed):
         return 0.0  # the windings are open
     wanted = output_of(setting, status, speed)
     protect(setting, status, wanted, state.temperature + setting.warmth)
-    most = setting.limit
     slope = FULL * setting.slope / max(setting.voltage, 0.1)
-    output = min(max(wanted, -most), most)
-    status.output += min(max(output - status.output, -slope), slope)
+    status.output += within(within(wanted, setting.limit) - status.output, slope)
     status.moving = status.rate != 0.0
     duty = status.output / FULL
     torque = setting.stall * (duty * setting.voltage / setting.nominal - speed / setting.no_load)
