@@ -236,9 +236,9 @@ class ServoArm(EmulatedArm, Generic[S]):
                 self.restart(servo)
 
     @classmethod
-    def build(cls, arm: Arm, wear_name: str, **options: Any) -> Self:  # noqa: ANN401
-        """Arm at rest with the wear profile ``wear_name``; ``options`` as of the class."""
-        built = cls(arm, load_wear(wear_name, arm), **options)
+    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> Self:
+        """Arm at rest with the wear profile ``wear_name``."""
+        built = cls(arm, load_wear(wear_name, arm), seed=seed, resistance=resistance)
         built.advance(0.01)  # compiles the plant now instead of during the first request
         return built
 
