@@ -118,8 +118,8 @@ class WireFaults:
         self.delay = size_of(faults, "slow")
         """[s] extra time of every answer"""
         self._streams = {name: np.random.default_rng([seed, place]) for place, name in enumerate(_CHANCES)}
-        # id -> the last request of this id and what was answered
-        self._earlier: dict[int, tuple[bytes, bytes]] = {}
+        # kind of a request and head of its answer, which names who answers -> the last of both
+        self._earlier: dict[tuple[int, bytes], tuple[bytes, bytes]] = {}
 
     def check(self, elapsed: float) -> None:
         """DeathError after the end, LinkGoneError without a link."""
@@ -141,11 +141,12 @@ class WireFaults:
         """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
         hit = {name for name in _CHANCES if name in self._faults and self._hits(name)}
         if "stale" in self._faults:
-            asked, answered = self._earlier.get(request[3], (b"", b""))
+            key = request[3], answer[:5]
+            asked, answered = self._earlier.get(key, (b"", b""))
             if "stale" in hit and asked == request:
                 answer = answered
             else:
-                self._earlier[request[3]] = request, answer
+                self._earlier[key] = request, answer
         if "drop" in hit:
             return []
         if "half" in hit:

@@ -105,6 +105,13 @@ def test_an_answer_is_doubled_echoed_cut_or_split(talk):
     assert 0.03 < second - first < 0.3
 
 
+def test_a_stale_answer_is_an_earlier_one_of_the_same_servo():
+    line, question = WireFaults(faults("stale=1")), b"\xff\xff\xfd\x00\xfe read all"
+    first, later = ([b"\xff\xff\xfd\x00" + bytes([servo]) + word for servo in (1, 2, 3)] for word in (b"here", b"gone"))
+    assert [line.pieces(question, answer) for answer in first] == [[answer] for answer in first]
+    assert [line.pieces(question, answer) for answer in later] == [[answer] for answer in first]
+
+
 def test_garbage_comes_before_an_answer_or_inside(talk):
     answers = [data for _, data in talk("garbage=1", [GET_ANGLES] * 60)]
     before = [data for data in answers if data.endswith(ANGLES)]

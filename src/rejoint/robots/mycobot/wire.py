@@ -229,6 +229,10 @@ class Computer(ABC):
         """Whether a move is suspended."""
         return self._motion.paused
 
+    def clear_queue(self) -> None:
+        """Drop waiting moves."""
+        self._motion.queue.clear()
+
     def move_joints(self, angles: Array, rate: float) -> bool:
         """Move to ``angles`` (n,) [rad]; False beyond a limit."""
         inside = (angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9)
