@@ -16,7 +16,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, PathReference, standard_path
-from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
 from rejoint.control.recording import Recording
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
@@ -32,17 +32,10 @@ WEAK = (10007, 10021, 10061, 30018, 40023, 40045, 40069, 40077)
 PATHS = [standard_path(name, ARM) for name in STANDARD]
 
 
-def servos(twins: Sequence[TwinParameters]) -> Servos:
-    rows = {
-        name: np.stack([getattr(twin, name) for twin in twins for _ in PATHS]) for name in Servos.__dataclass_fields__
-    }
-    return Servos(**rows)
-
-
 def drive(
     profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides, *, fold: bool = True
 ) -> Recording:
-    known = servos(twins)
+    known = TwinParameters.stacked([twin for twin in twins for _ in PATHS])
     home = home_of(ARM, known) if fold else ARM.rest
     start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]

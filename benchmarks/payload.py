@@ -35,7 +35,6 @@ from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.session.context import heavy, noticed_load
-from rejoint.session.motions import servos_of
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -128,7 +127,7 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     """Root mean square error [m] along a path that is known ahead."""
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
-    servos = servos_of(twin)
+    servos = twin.parameters.repeat(1)
     home = home_of(robot.arm, servos)
     sent = move(robot, PathPostures(robot.arm, path.place[:1], home=home).last[0], sent=sent, settle=0.5).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)

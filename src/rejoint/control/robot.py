@@ -96,23 +96,27 @@ def part_of(robot: Robot, kind: type[T]) -> T | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlInput:
-    """Inputs of a controller."""
+    """Inputs of a controller: readings, and where B arms are to be now."""
 
     state: JointState
     target: Array
-    """(B, 3) [m] TCP targets; NaN: the joints alone count"""
+    """(B, 3) [m] of the tools, corrected; NaN: the joints alone count"""
     goal: Array
     """(B, n) [rad] of the targets"""
     sent: Array
     """(B, n) [rad] last command, after the guard"""
     since_target: Array
-    """(B,) [s]"""
+    """(B,) [s] since the goal stopped, 0 on a planned way"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
     arrived: Mask = field(default_factory=lambda: np.ones(1, dtype=bool))
     """(B,) the goals have stopped"""
+    place: Array | None = None
+    """(B, 3) [m] recorded target, at the end of the way; None: the tool's at the goal"""
+    aim: Array | None = None
+    """(B, 3) [m] the same, corrected; None: as ``place``"""
     ahead: Callable[[Array], Array] | None = None
-    """See `goals`"""
+    """goals (k, B, n) [rad] in ``later`` (k, B) [s]; None: as now"""
 
     def goals(self, later: Array) -> Array:
         """Goals (k, B, n) [rad] in ``later`` (k, B) [s], as far as known."""
@@ -166,6 +170,26 @@ class Stillness:
         """Begin again for the arms in ``where`` (B,)."""
         if len(self._anchor) == len(where):
             self._anchor[where] = np.nan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Servos:
+    """Servos of arms, with any leading shape."""
+
+    stiffness: Array
+    """(..., n) [N m/rad] the servo's position gain"""
+    damping: Array
+    """(..., n) [N m s/rad] viscous friction, back-EMF and derivative gain"""
+    coulomb: Array
+    """(..., n) [N m] dry friction"""
+    armature: Array
+    """(..., n) [kg m^2] inertia of motor and gears at the joint"""
+    torque_limit: Array
+    """(..., n) [N m]"""
+    offset: Array
+    """(..., n) [rad] position without load minus command"""
+    delay: Array
+    """(...) [s] from a command to reading its first effect"""
 
 
 BEHIND = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, TypeAlias, cast
@@ -37,7 +37,7 @@ from rejoint.control.moving.reference import (
     Stream,
     read_path,
 )
-from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
 from rejoint.control.recording import Cycle, Observer, Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
@@ -322,7 +322,7 @@ class PathDrive:
             return name, partial(make, arm), None
         if twin is None:
             raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
-        servos = servos_of(twin)
+        servos = twin.parameters.repeat(1)
         return TRACKER, lambda: Tracker(arm, servos, period=session.usual), home_of(arm, servos)[0]
 
     def work(self, motion: ArmMotion) -> Followed | None:
@@ -396,9 +396,3 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
         path = Path(time=points[:, 0], place=points[:, 1:])
     path.require_followable(arm)
     return path
-
-
-def servos_of(twin: Twin) -> Servos:
-    """Return what a tracker takes from the twin of one arm."""
-    own = twin.parameters.repeat(1)
-    return Servos(**{item.name: getattr(own, item.name) for item in fields(Servos)})

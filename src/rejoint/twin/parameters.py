@@ -7,7 +7,7 @@ friction 0.8-1.6 N m s/rad); ranges of unknown arms, industrial joints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import reach
+from rejoint.control.robot import Servos
 from rejoint.system.errors import InputError
 
 TIMESTEP = 0.005
@@ -62,23 +63,9 @@ class Parameter:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TwinParameters:
+class TwinParameters(Servos):
     """Physical parameters of one twin or a batch, with any leading shape."""
 
-    stiffness: Array
-    """(..., n) [N m/rad] the servo's position gain"""
-    damping: Array
-    """(..., n) [N m s/rad] viscous friction, back-EMF and derivative gain"""
-    coulomb: Array
-    """(..., n) [N m] dry friction"""
-    armature: Array
-    """(..., n) [kg m^2] inertia of motor and gears at the joint"""
-    torque_limit: Array
-    """(..., n) [N m]"""
-    offset: Array
-    """(..., n) [rad] position without load minus command"""
-    delay: Array
-    """(...) [s] from a command to reading its first effect"""
     ramp_speed: Array
     """(...) [rad/s] speed of the servo's reference"""
     compensation: Array = field(default_factory=lambda: np.zeros(()))
@@ -119,9 +106,14 @@ class TwinParameters:
         """Select twins along the first leading axis."""
         return TwinParameters(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
+    @classmethod
+    def stacked(cls, twins: Sequence[TwinParameters]) -> TwinParameters:
+        """Stack twins along a leading axis."""
+        return cls(**{f.name: np.stack([getattr(one, f.name) for one in twins]) for f in fields(cls)})
+
     def repeat(self, count: int) -> TwinParameters:
         """Repeat a single twin along a leading axis."""
-        return TwinParameters(**{f.name: np.stack([getattr(self, f.name)] * count) for f in fields(self)})
+        return self.stacked([self] * count)
 
 
 PARAMETERS: tuple[Parameter, ...] = (

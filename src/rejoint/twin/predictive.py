@@ -8,7 +8,7 @@ AIChE Journal 49(2), 2003).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -68,9 +68,9 @@ class PredictiveController:
         """Make it for B twins, all compiled; ContractError for other arms."""
         for twin in twins:
             twin.require(arm)
-        count, own = len(twins), [twin.parameters for twin in twins]
+        count = len(twins)
         draw = Draw.of(
-            TwinParameters(**{f.name: np.stack([getattr(one, f.name) for one in own]) for f in fields(TwinParameters)}),
+            TwinParameters.stacked([twin.parameters for twin in twins]),
             np.array([[twin.stiction] for twin in twins]),
             np.array([twin.acceleration for twin in twins]),
         )

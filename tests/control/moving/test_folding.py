@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import collides, gravity_torque, load_arm, tcp_position
-from rejoint.control.moving.tracker import PathPostures, Servos, home_of
+from rejoint.control.moving.tracker import PathPostures, home_of
+from rejoint.control.robot import Servos
 
 
 def servos_with(arm, limits):

@@ -10,7 +10,8 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Repetition, along, judge
 from rejoint.control.moving.reference import PathReference, standard_path
-from rejoint.control.moving.tracker import PathPostures, PushObserver, Servos, Tracker, command_for, home_of
+from rejoint.control.moving.tracker import PathPostures, PushObserver, Tracker, command_for, home_of
+from rejoint.control.robot import Servos
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of

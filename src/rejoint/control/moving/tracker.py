@@ -7,7 +7,6 @@ x, x' and the disturbance d. The command subtracts d, and adds stiffness and dam
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -28,7 +27,7 @@ from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation, task
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.reference import TURNING
-from rejoint.control.robot import ControlInput
+from rejoint.control.robot import ControlInput, Servos
 
 SPARED = 20.0
 """of the lightest joints over the heaviest (measured)"""
@@ -48,13 +47,6 @@ def joint_weights(arm: Arm) -> Array:
     lever = np.linalg.norm(position_kinematics(arm, postures)[1], axis=-2).max(axis=0)
     weights[np.argsort(-lever, kind="stable")[:_KEEP]] = 1.0
     return weights
-
-
-def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
-    """Joint motions (..., n) [rad] for tool motions ``way`` (..., k) [m], mostly of heavy joints."""
-    turned = np.swapaxes(jacobian, -1, -2) / joint_weights(arm)[:, None]
-    ridge = _SOFT * np.eye(way.shape[-1])
-    return (turned @ np.linalg.solve(jacobian @ turned + ridge, way[..., None]))[..., 0]
 
 
 class PathPostures:
@@ -81,12 +73,14 @@ class PathPostures:
         return np.concatenate([self.at(place[None], turns and turns[k, None]) for k, place in enumerate(places)])
 
     def _search(self, place: Array, q: Array, rounds: int, turn: Orientation | None) -> Array:
-        arm = self._arm
+        arm, weights = self._arm, joint_weights(self._arm)
         for _ in range(rounds):
             missed, jacobian = task(arm, q, place, turn)
             home = self._home - q
             way = missed - (jacobian @ home[..., None])[..., 0]
-            step = home + spread(arm, jacobian, way)
+            spread = np.swapaxes(jacobian, -1, -2) / weights[:, None]  # mostly over heavy joints
+            ridge = _SOFT * np.eye(way.shape[-1])
+            step = home + (spread @ np.linalg.solve(jacobian @ spread + ridge, way[..., None]))[..., 0]
             largest = np.abs(step).max(axis=-1, keepdims=True)
             q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), arm.lower, arm.upper)
         return q
@@ -125,26 +119,6 @@ def home_of(arm: Arm, servos: Servos) -> Array:
                 better = weak & (share(postures) < least)
                 homes[better], least = home, np.where(better, share(postures), least)
     return homes
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Servos:
-    """Servos of B arms by a twin."""
-
-    stiffness: Array
-    """(B, n) [N m/rad]"""
-    damping: Array
-    """(B, n) [N m s/rad]"""
-    coulomb: Array
-    """(B, n) [N m]"""
-    armature: Array
-    """(B, n) [kg m^2]"""
-    torque_limit: Array
-    """(B, n) [N m]"""
-    offset: Array
-    """(B, n) [rad] unloaded joint minus command"""
-    delay: Array
-    """(B,) [s] command to first effect"""
 
 
 STEP = 0.03
@@ -205,17 +179,12 @@ class PushObserver:
         brake = 1.0 / (1.0 + step * servos.damping / self.mass)
         away, speed = self.away, self.speed
         for k in range(_PARTS):
-            beyond = self._in_force(start + (k + 0.5) * step[:, 0] - servos.delay)
+            beyond, time = np.zeros_like(self.push), start + (k + 0.5) * step[:, 0] - servos.delay
+            for sent, one in self._sent:  # the last one before this time
+                beyond = np.where((sent <= time)[:, None], one, beyond)
             speed = brake * (speed + pull * (beyond + self.push - away))
             away = away + step * speed
         return away, speed
-
-    def _in_force(self, time: Array) -> Array:
-        """Last (B, n) sent before ``time`` (B,) [s]."""
-        found = np.zeros_like(self.push)
-        for sent, beyond in self._sent:
-            found = np.where((sent <= time)[:, None], beyond, found)
-        return found
 
 
 def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -38,7 +38,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Guide, PathReference, Stream, standard_path
 from rejoint.control.moving.reference import Path as MotionPath
-from rejoint.control.moving.tracker import PathPostures, Servos, Tracker, command_for, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker, command_for, home_of
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Controller
 from rejoint.control.start import play
@@ -53,6 +53,7 @@ from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, Spread, clustered_share, paired_difference, spread
+from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
@@ -439,7 +440,7 @@ def _follow(
 ) -> dict[str, list[tuple[Along, bool]]]:
     """Follow all paths with each arm; returns errors, and whether the guard stopped it, of each case."""
     pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
-    servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
+    servos = TwinParameters.stacked([parameters for parameters, *_ in pairs])
     paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
     home, driven = home_of(arm, servos), dict[str, Recording]()
 
