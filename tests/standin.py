@@ -17,6 +17,13 @@ def inputs_of(state, target, goal, sent, since=0.0):
     return ControlInput(state=state, target=target, goal=goal, sent=sent, since_target=np.zeros(len(sent)) + since)
 
 
+def now_at(position, time=0.0, since=None, **told):
+    """What a reference is asked with: arms at ``position``, ``since`` [s] in its leg; by default its time."""
+    state = state_of(position, time, **told)
+    nowhere = np.full((len(state.time), 3), np.nan)
+    return inputs_of(state, nowhere, state.position, state.position, state.time if since is None else since)
+
+
 class StandIn:
     """Arms (B) that begin at rest; each active one is where ``moved`` says, a period after its command."""
 

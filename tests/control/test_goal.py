@@ -9,13 +9,13 @@ from rejoint.arms import Box, Motors, gravity_torque, link_inertia, mycobot280, 
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import UNKNOWN, TargetSequence, beginning_at, lead, pace, waiting, with_ways
-from rejoint.control.robot import JointState
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import HELD, ArmFamily, targets_anywhere
 from runs.test_connect import a_twin
+from standin import now_at
 
 ARM = mycobot280()
 POSTURES = np.radians([[100.0, 20.0, -70.0, -20.0, 10.0, 0.0], [-60.0, -30.0, -60.0, 10.0, -20.0, 0.0]])
@@ -26,21 +26,20 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
     aim = tcp_position(ARM, POSTURES[:1]) + 0.005
     reference, way = TargetSequence(ARM, aim[None], ways=[ways]), ways[0]
     reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None], ARM.rest[None])
-    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
-    end = reference.advance(state, np.array([way.duration])).goal
+    end = reference.advance(now_at(ARM.rest, since=way.duration)).goal
     np.testing.assert_allclose(tcp_position(ARM, end), aim, atol=1e-4)
     for share in (0.0, 0.3, 0.9):
         since = np.array([share * way.duration])
-        now = reference.advance(state, since)
+        now = reference.advance(now_at(ARM.rest, since=since))
         place = way.at(float(since[0])) + share * (end[0] - way.goal)
         np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
         np.testing.assert_allclose(now.goal[0], way.at(since[0] + UNKNOWN.delay) + place - way.at(since[0]), atol=1e-9)
-        assert now.since[0] == 0.0
+        assert now.since_target[0] == 0.0
         assert not now.arrived[0]
-    late = reference.advance(state, np.array([way.duration + 0.5]))
+    late = reference.advance(now_at(ARM.rest, since=way.duration + 0.5))
     assert late.arrived[0]
     np.testing.assert_array_equal(late.goal, end)
-    np.testing.assert_allclose(late.since, 0.5)
+    np.testing.assert_allclose(late.since_target, 0.5)
 
 
 def test_a_servo_follows_a_way_by_the_lead_of_its_own_inverse():

@@ -1,5 +1,7 @@
 """Bringing joints to postures: on the emulated worn arm, and by the parts of the law."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.posture import PostureController, _without
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
+from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.start import move
 from rejoint.robots import open_robot
 from rejoint_lab.plant.wear import load_wear
@@ -27,7 +29,8 @@ class Ways(Reference):
         self.reference = np.repeat(ARM.rest[None], len(postures), axis=0)
         self.began: np.ndarray | None = None
 
-    def advance(self, state, since, /):  # noqa: ARG002
+    def advance(self, now):
+        state = now.state
         if self.began is None:
             self.began = self.last = state.time.copy()
         k = np.minimum((state.time - self.began) // DWELL, self.postures.shape[1] - 1).astype(int)
@@ -35,7 +38,7 @@ class Ways(Reference):
         reach = SPEED * (state.time - self.last)[:, None]
         self.reference = self.reference + np.clip(goal - self.reference, -reach, reach)
         self.last = state.time.copy()
-        return Setpoint(self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
+        return replace(now, goal=self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
 
 
 def test_a_worn_arm_comes_to_postures_and_stays():

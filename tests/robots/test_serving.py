@@ -26,7 +26,7 @@ from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear
-from standin import state_of
+from standin import now_at
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
 PACE = 6.0
@@ -95,8 +95,7 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run, twin):
 
 
 def advance(served, clock, position):
-    reading = state_of(position, clock)
-    return served.advance(reading, reading.time)
+    return served.advance(now_at(position, clock))
 
 
 def answering(served, passes=None, listener=None):

@@ -16,13 +16,14 @@ from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
 from rejoint.control.controllers.posture import PlannedWay, UnloadedWay, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
-from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState
+from rejoint.control.reference import Reference
+from rejoint.control.robot import ControlInput
 from rejoint.runs.run import Run
 from rejoint.session.driver import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 from rejoint_lab.plant.wear import load_wear
+from standin import now_at
 
 ARM = mycobot280()
 TIME = np.linspace(0.0, 4.0, 100)
@@ -265,12 +266,12 @@ def test_a_joint_that_sticks_under_its_load_comes_to_its_goal_over_another_postu
 
 def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() -> None:
     class Stays(Reference):
-        def advance(self, state: JointState, since: np.ndarray, /) -> Setpoint:  # noqa: ARG002
-            return Setpoint(ARM.rest[None], arrived=np.ones(1, dtype=bool))
+        def advance(self, now: ControlInput) -> ControlInput:
+            return replace(now, goal=ARM.rest[None])
 
     way = UnloadedWay(Stays(), Unloading(ARM))
     for now in np.arange(0.0, 6.0, 0.05):
-        wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)), np.array([now]))
+        wanted = way.advance(now_at(ARM.rest + (0.2 if now > 2.0 else 0.0), now))
         np.testing.assert_array_equal(wanted.goal[0], ARM.rest)
 
 
@@ -278,7 +279,7 @@ def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
     stream, rng, at = GoalStream(Apparent(arm=ARM), ARM.rest), np.random.default_rng(0), ARM.rest
     for now in np.arange(0.0, 3.0, 0.02):
         stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
-        wanted = stream.advance(_read(now, at), np.array([now]))
+        wanted = stream.advance(now_at(at, now))
         at = wanted.goal[0]
     assert wanted.arrived.all()
     np.testing.assert_allclose(np.degrees(at - ARM.rest), 10.0, atol=0.1)
@@ -289,19 +290,15 @@ def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
     stuck, follows = PlannedWay(ARM, line), PlannedWay(ARM, line)
     at = ARM.rest
     for now in np.arange(0.0, 2.0 * line.duration, 0.02):
-        there = follows.advance(_read(now, at), np.array([now]))
+        there = follows.advance(now_at(at, now))
         at = there.goal[0]
-        waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
+        waits = stuck.advance(now_at(ARM.rest, now))
     assert there.arrived.all()
     assert not waits.arrived.any()
     assert np.radians(12.0) < np.abs(waits.goal[0] - ARM.rest).max() < 0.5
     for now in np.arange(2.0, 30.0, 0.02) * line.duration:
-        waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
+        waits = stuck.advance(now_at(ARM.rest, now))
     assert waits.arrived.all()
-
-
-def _read(now: float, position: Array) -> JointState:
-    return JointState(time=np.full(1, now), position=position[None], age=np.zeros(1))
 
 
 def test_an_arm_without_a_run_is_guarded_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,21 +219,13 @@ class RunState:
             self.on_cycle(cycle)
 
     def _ask(self) -> None:
-        since = self.state.time - self.set_at
-        now = self.reference.advance(self.state, since)
+        nowhere, since = np.full((self.robot.count, 3), np.nan), self.state.time - self.set_at
+        self.inputs = now = self.reference.advance(
+            ControlInput(state=self.state, target=nowhere, goal=self.sent, sent=self.sent, since_target=since)
+        )
         # (B, 3) [m] recorded
         self.place = tcp_position(self.limits.arm, now.goal) if now.place is None else now.place
         self.aim = self.place if now.aim is None else now.aim
-        self.inputs = ControlInput(
-            state=self.state,
-            sent=self.sent,
-            goal=now.goal,
-            target=np.full_like(self.place, np.nan) if now.target is None else now.target,
-            since_target=since if now.since is None else now.since,
-            turn=now.turn,
-            arrived=now.arrived,
-            ahead=now.ahead,
-        )
 
     def _leave_out(self, longest: float) -> None:
         """End the dwell of arms stationary for ``longest`` [s]; call in every cycle, or in none."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import Modelled
-from rejoint.control.robot import ControlInput, JointState
+from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
@@ -159,31 +158,6 @@ def nearest_postures(
     return posture
 
 
-ARRIVED = np.ones(1, dtype=bool)
-"""At rest, of any number of arms"""
-
-
-class Setpoint(NamedTuple):
-    """Where B arms are to be now."""
-
-    goal: Array
-    """(B, n) [rad]"""
-    target: Array | None = None
-    """(B, 3) [m] of the tools, corrected; None: the joints alone count"""
-    since: Array | None = None
-    """(B,) [s] since the goal stopped, 0 on the way; None: the reference's time"""
-    arrived: Mask = ARRIVED
-    """(B,) or (1,) the goal has stopped"""
-    turn: Orientation | None = None
-    """(B,) wanted orientations; None: any"""
-    place: Array | None = None
-    """(B, 3) [m] recorded target, at the end of the way; None: the tool's at the goal"""
-    aim: Array | None = None
-    """(B, 3) [m] the same, corrected; None: as ``place``"""
-    ahead: Callable[[Array], Array] | None = None
-    """goals (k, B, n) [rad] in ``later`` (k, B) [s]; None: as now"""
-
-
 class Reference(ABC):
     """Where B arms are to be. The loop counts its time, without waits."""
 
@@ -203,8 +177,11 @@ class Reference(ABC):
         """
 
     @abstractmethod
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:
-        """Setpoint ``since`` (B,) [s]; called once per cycle, and again where a leg begins."""
+    def advance(self, now: ControlInput) -> ControlInput:
+        """Return ``now`` with the goals, ``now.since_target`` after the leg began.
+
+        Called once per cycle, and again where a leg begins.
+        """
 
     def again(self, inputs: ControlInput) -> Mask | None:  # noqa: ARG002 - most correct nothing
         """Correct the aims; returns the changed arms (B,), or None."""
@@ -221,13 +198,13 @@ class Reference(ABC):
 class JointMotion(Reference):
     """Joint positions by the clock."""
 
-    def __init__(self, trajectory: Callable[[Array], Array], count: int) -> None:
+    def __init__(self, trajectory: Callable[[Array], Array]) -> None:
         """``trajectory(since)``: (B,) [s] to (B, n) [rad]."""
-        self._trajectory, self._nowhere = trajectory, np.full((count, 3), np.nan)
+        self._trajectory = trajectory
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
-        return Setpoint(self._trajectory(since), place=self._nowhere)
+        return replace(now, goal=self._trajectory(now.since_target), place=now.target)
 
 
 class ToolAtGoals(Reference):
@@ -237,11 +214,11 @@ class ToolAtGoals(Reference):
         self._arm, self._reference = arm, reference
         self._moved: Array | float = 0.0  # [s] when the goals moved last
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
-        now = self._reference.advance(state, since)
+        since, now = now.since_target, self._reference.advance(now)
         self._moved = np.where(now.arrived, self._moved, since)
-        return now._replace(target=tcp_position(self._arm, now.goal), since=since - self._moved)
+        return replace(now, target=tcp_position(self._arm, now.goal), since_target=since - self._moved)
 
 
 class TargetSequence(Reference):
@@ -309,26 +286,27 @@ class TargetSequence(Reference):
         self._aim_at(fresh, self._goal, changed)
         return changed
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`. The correction of the aim grows along the way; the goal has a `lead`."""
-        goal, target, ways = self._goal, self._aim, self._ways
+        goal, target, ways, since, time = self._goal, self._aim, self._ways, now.since_target, now.state.time
+        now = replace(now, goal=goal, target=target, turn=self._turn, place=self._place, aim=target)
         if not ways:
-            return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)
-        self._went = np.where((self._pace > 0.0) | (since <= 0.0), state.time, self._went)
-        self.patience = np.where(state.time - self._went > STOPPED, -np.inf, self.patience)
+            return now
+        self._went = np.where((self._pace > 0.0) | (since <= 0.0), time, self._went)
+        self.patience = np.where(time - self._went > STOPPED, -np.inf, self.patience)
         duration = np.array([way.duration for way in ways])
         moving = since < duration
         if moving.any():
             goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
             leads = np.zeros_like(goal)
             for b in rows:
-                way, now = ways[b], max(float(since[b]), 0.0)
-                goal[b] = way.at(now) + now / duration[b] * (self._goal[b] - way.goal)
-                leads[b] = lead(self._arm, way, now, self._pace[b])
+                way, gone = ways[b], max(float(since[b]), 0.0)
+                goal[b] = way.at(gone) + gone / duration[b] * (self._goal[b] - way.goal)
+                leads[b] = lead(self._arm, way, gone, self._pace[b])
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
             goal += leads
         at_end = np.where(moving, 0.0, since - duration)
-        return Setpoint(goal, target, at_end, ~moving, self._turn, self._place, self._aim)
+        return replace(now, goal=goal, target=target, since_target=at_end, arrived=~moving)
 
     def left_out(self, since: Array, before: Array, position: Array) -> Array | float:
         """See `Reference`."""

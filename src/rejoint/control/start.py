@@ -213,7 +213,7 @@ def play(
     on_cycle: OnCycle | None = None,
 ) -> Recording:
     """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded; ``sent`` as in `Schedule`."""
-    reference, schedule = JointMotion(trajectory, robot.count), Schedule(dwell=duration, sent=sent, give_up=give_up)
+    reference, schedule = JointMotion(trajectory), Schedule(dwell=duration, sent=sent, give_up=give_up)
     return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
 
 

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from datetime import datetime
 from io import FileIO
 from pathlib import Path
@@ -35,8 +36,8 @@ from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState
+from rejoint.control.reference import Reference
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.robots.mycobot.bus import ORDERS as NAMES
 from rejoint.robots.mycobot.wire import (
     ARRIVED_LENGTH,
@@ -120,7 +121,8 @@ class ServedArm(Computer, Reference):
         self._position = position.copy()
         self._speed = np.zeros(arm.joints)
         self._state: JointState | None = None
-        self._wanted = self._aim = Setpoint(position[None].copy())
+        self._aim = position.copy()
+        self._goal, self._arrived = self._aim[None], np.ones(1, dtype=bool)
         # when [s] the reference ended its way; inf while it moves
         self._since = np.inf
         self._settled = True
@@ -131,19 +133,22 @@ class ServedArm(Computer, Reference):
 
     # --- what the control loop does ---------------------------------------------------------
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - moves have their own clock
+    def advance(self, now: ControlInput) -> ControlInput:
         """Take a reading; return where the arm is to be."""
-        if not self.lock.acquire(blocking=False):
-            return self._wanted  # a posture is being searched: the reference waits
-        try:
-            self._observe(state)
-            self._aim = self._next()
-            ends = self._settled or self._stopped
-            self._wanted = self._aim if ends else self._unloading.advance(state, self._aim)
-            self._judge()
-            return self._wanted
-        finally:
-            self.lock.release()
+        if self.lock.acquire(blocking=False):  # else a posture is being searched: the reference waits
+            try:
+                self._observe(now.state)
+                under_way = self._motion.moving and not self.paused
+                if under_way or np.isinf(self._since):
+                    self._aim = self._apparent.measured(self._motion.reference)
+                wanted = replace(now, goal=self._aim[None], arrived=np.array([not under_way]))
+                if not (self._settled or self._stopped):
+                    wanted = self._unloading.advance(wanted)
+                self._goal, self._arrived = wanted.goal, wanted.arrived
+                self._judge()
+            finally:
+                self.lock.release()
+        return replace(now, goal=self._goal, arrived=self._arrived)
 
     def _observe(self, state: JointState) -> None:
         now, position = float(state.time[0]), state.position[0].copy()
@@ -153,23 +158,15 @@ class ServedArm(Computer, Reference):
             self._motion.advance(min(elapsed, LONGEST))
         self._time, self._position, self._seen, self._state = now, position, time.monotonic(), state
 
-    def _next(self) -> Setpoint:
-        under_way = self._motion.moving and not self.paused
-        if under_way or np.isinf(self._since):
-            posture = self._apparent.measured(self._motion.reference)
-        else:
-            posture = self._aim.goal[0]
-        return Setpoint(posture[None], arrived=np.array([not under_way]))
-
     def _judge(self) -> None:
         """End a move whose tool stays in place, that was stopped and stands, or that came no nearer for long."""
-        if not self._wanted.arrived[0]:
+        if not self._arrived[0]:
             self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return
         self._since = min(self._since, self._time)
         if self._settled:
             return
-        posture, after = self._wanted.goal[0], self._time - self._since
+        posture, after = self._goal[0], self._time - self._since
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         away = float(np.abs(posture - self._position).max())
         if self._stopped:
@@ -183,7 +180,8 @@ class ServedArm(Computer, Reference):
         self._settled = True
         if self._stopped or held_back:  # what is ordered next begins where the arm is, not where it will never come
             self._stay()
-            self._wanted = self._aim = Setpoint(self._position[None].copy())
+            self._aim = self._position.copy()
+            self._goal = self._aim[None]
         if not self._stopped:
             short = self._unloading.short(self._position)
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))

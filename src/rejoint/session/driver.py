@@ -23,7 +23,7 @@ from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
-from rejoint.control.reference import Reference, Setpoint
+from rejoint.control.reference import Reference
 from rejoint.control.robot import (
     ControlInput,
     Controller,
@@ -340,22 +340,22 @@ class GoalStream(Reference):
         self._mean, self._posture = np.full_like(position, np.nan), position
         self._time, self._changed = np.inf, -np.inf
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
+    def advance(self, now: ControlInput) -> ControlInput:
         """Return where the arm is to be: at first, where it is."""
-        now, goal = float(state.time[0]), self.goal
-        elapsed, self._time = max(now - self._time, 0.0), now
-        rested = now - self._changed > RESTS
+        time, goal = float(now.state.time[0]), self.goal
+        elapsed, self._time = max(time - self._time, 0.0), time
+        rested = time - self._changed > RESTS
         if goal is None:
-            return Setpoint(self._posture[None])
+            return replace(now, goal=self._posture[None])
         if not np.abs(goal - self._mean).max() < JITTER:
-            self._mean, self._changed, rested = goal, now, False
+            self._mean, self._changed, rested = goal, time, False
         # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
-        self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)
+        self._mean = self._mean + elapsed / (time - self._changed + RESTS) * (goal - self._mean)
         aim = self.apparent.measured(self._mean if rested else goal)
         reach = self.apparent.arm.max_speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         arrived = rested and bool((self._posture == aim).all())
-        return Setpoint(self._posture[None], arrived=np.array([arrived]))
+        return replace(now, goal=self._posture[None], arrived=np.array([arrived]))
 
 
 class ArmDriver:

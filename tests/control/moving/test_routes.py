@@ -16,7 +16,7 @@ from rejoint.control.moving.reference import (
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
 from rejoint_lab.research.evaluation.evaluate import played
-from standin import state_of
+from standin import now_at
 
 ARM = mycobot280()
 CIRCLE = standard_path("circle-4s", ARM)
@@ -101,10 +101,9 @@ def test_courses_keep_arms_apart():
     assert aims.shape == (2, 2, 3)
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
-    both.begin(np.ones(2, dtype=bool), np.zeros(2, dtype=int), *np.zeros((2, 2, ARM.joints)))
-    setpoint = both.advance(state_of(np.zeros((2, ARM.joints)), now), now)
-    assert np.array_equal(setpoint.place[1], other.at(2.0))
-    np.testing.assert_allclose(tcp_position(ARM, setpoint.goal), setpoint.target, atol=1e-3)
+    wanted = both.advance(now_at(np.zeros((2, ARM.joints)), now))
+    assert np.array_equal(wanted.place[1], other.at(2.0))
+    np.testing.assert_allclose(tcp_position(ARM, wanted.goal), wanted.target, atol=1e-3)
 
 
 def test_only_what_is_known_ahead_waits_for_its_arm():

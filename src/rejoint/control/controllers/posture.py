@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,8 +29,8 @@ from rejoint.arms import (
 from rejoint.arms.postures import pool_of
 from rejoint.control.controllers.classical import between, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
-from rejoint.control.reference import Reference, Setpoint, pace
-from rejoint.control.robot import ControlInput, JointState, Stillness
+from rejoint.control.reference import Reference, pace
+from rejoint.control.robot import ControlInput, Stillness
 from rejoint.system.errors import InputError
 
 COUNTS = 1.5
@@ -163,13 +163,13 @@ class PlannedWay(Reference):
     def __init__(self, arm: Arm, way: JointTrajectory) -> None:
         self._arm, self._way, self._since, self._time = arm, way, 0.0, np.nan
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it waits by itself
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`. The first call begins the way."""
-        now = float(state.time[0])
-        if now > self._time:
-            self._since += (now - self._time) * pace(self._arm, self._way, self._since, state.position[0])
-        self._time = now
-        return Setpoint(self._way.at(self._since)[None], arrived=np.array([self._since >= self._way.duration]))
+        time = float(now.state.time[0])
+        if time > self._time:
+            self._since += (time - self._time) * pace(self._arm, self._way, self._since, now.state.position[0])
+        self._time, arrived = time, np.array([self._since >= self._way.duration])
+        return replace(now, goal=self._way.at(self._since)[None], arrived=arrived)
 
 
 class UnloadedWay(Reference):
@@ -178,9 +178,9 @@ class UnloadedWay(Reference):
     def __init__(self, way: Reference, unloading: Unloading) -> None:
         self._way, self._unloading = way, unloading
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
-        return self._unloading.advance(state, self._way.advance(state, since))
+        return self._unloading.advance(self._way.advance(now))
 
 
 class Unloading:
@@ -217,9 +217,10 @@ class Unloading:
         why = f", where it would carry {load:.2f} N m and surely lifts {lifts:.2f} N m" if load > lifts else ""
         return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
 
-    def advance(self, state: JointState, wanted: Setpoint) -> Setpoint:
-        """``wanted``, or another setpoint, not arrived, from which a joint starts."""
-        now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
+    def advance(self, wanted: ControlInput) -> ControlInput:
+        """``wanted``, or with another goal, not arrived, from which a joint starts."""
+        state, goal = wanted.state, wanted.goal[0]
+        now, position = float(state.time[0]), state.position[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
             self._goal, self._tries, self._arrived, self._said = goal.copy(), 0, now, False
             self._legs.clear()
@@ -227,7 +228,7 @@ class Unloading:
         if not wanted.arrived[0]:
             return wanted
         if self._legs:
-            return self._on_legs(state, stood)
+            return self._on_legs(wanted, stood)
         if (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
@@ -247,21 +248,21 @@ class Unloading:
                 return wanted
             self._legs.extend(PlannedWay(self._arm, leg) for leg in legs)
             self._still.restart(np.ones(1, dtype=bool))
-            return self._on_legs(state, 0.0 * stood)
-        return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
+            return self._on_legs(wanted, 0.0 * stood)
+        return replace(wanted, arrived=np.zeros(1, dtype=bool))
 
     def _off(self, position: Array, goal: Array) -> int | None:
         away = np.abs(goal - position)
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
 
-    def _on_legs(self, state: JointState, stood: Array) -> Setpoint:
-        now, found = float(state.time[0]), self._legs[0].advance(state, state.time)
+    def _on_legs(self, wanted: ControlInput, stood: Array) -> ControlInput:
+        found = self._legs[0].advance(wanted)
         if found.arrived[0] or stood.min() > 2.0 * STANDS:  # there, or as near as it comes
             self._legs.popleft()
             self._still.restart(np.ones(1, dtype=bool))
-            self._arrived = now
-        return Setpoint(found.goal, arrived=np.zeros(1, dtype=bool))
+            self._arrived = float(wanted.state.time[0])
+        return replace(found, arrived=np.zeros(1, dtype=bool))
 
 
 def unloaded_way(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from threading import Lock
 from typing import NamedTuple, TypeAlias
@@ -16,14 +16,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array, Index, Mask, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.tracker import PathPostures
-from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState
+from rejoint.control.reference import Reference
+from rejoint.control.robot import ControlInput
 from rejoint.control.targets import (
     PLACE,
     Pose,
@@ -241,28 +241,18 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
     value = float(found[2] or found[4])
     if not 0.05 <= value <= 600.0:
         raise InputError(f"path {name}: expected between 0.05 and 600")
-    middle = (arm.targets.lower + arm.targets.upper) / 2
-    if found[1]:
-        laps = max(1, round(LENGTH / value))
-        time, phase = _phase(laps * value)
-        angle = 2.0 * np.pi * phase / value
-        radius = RADIUS * length_size(arm)
-        return Path(
-            time=time,
-            name=name,
-            place=middle + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1),
-        )
-    time, phase = _phase(LENGTH)
-    waves = _waves(value, phase, seed)
-    half = _FILL * (arm.targets.upper - arm.targets.lower) / 2
-    return Path(time=time, place=middle + half * waves / np.abs(waves).max(axis=0), name=name)
-
-
-def _phase(length: float) -> tuple[Array, Array]:
-    """Return times (T,) [s] and phase (T,) [s] of a motion of ``length`` [s] between rests."""
+    length = max(1, round(LENGTH / value)) * value if found[1] else LENGTH
     duration = length + EASE
     time = np.linspace(0.0, duration, round(duration / _STEP) + 1)
-    return time, _rising(time) - _rising(time - length)
+    phase = _rising(time) - _rising(time - length)  # [s]
+    if found[1]:
+        angle = 2.0 * np.pi * phase / value
+        circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+        shape = RADIUS * length_size(arm) * circle
+    else:
+        waves, half = _waves(value, phase, seed), _FILL * (arm.targets.upper - arm.targets.lower) / 2
+        shape = half * waves / np.abs(waves).max(axis=0)
+    return Path(time=time, place=(arm.targets.lower + arm.targets.upper) / 2 + shape, name=name)
 
 
 def _rising(time: Array) -> Array:
@@ -413,21 +403,19 @@ class PathReference(Reference):
 
     def __init__(self, arm: Arm, guides: Sequence[Guide], home: Array | None = None) -> None:
         """``home`` (n,) or (B, n) [rad]: postures stay near to it; None: rest."""
-        self._arm, self._guides, self._home, self.count = arm, guides, home, len(guides)
+        self._guides, self.count = guides, len(guides)
         self.waits = np.array([isinstance(guide, Path) for guide in guides])
-
-    def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:  # noqa: ARG002 - all at once
-        """See `Reference`."""
         now = np.zeros(self.count)
         places, turns = self.poses(now, now[None])
-        start = places[0], turns and turns[0]
-        self._now, self._later = (PathPostures(self._arm, *start, home=self._home) for _ in range(2))
+        self._now, self._later = (PathPostures(arm, places[0], turns and turns[0], home) for _ in range(2))
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+    def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
-        place = np.stack([guide.target(float(now)) for guide, now in zip(self._guides, since, strict=True)])
+        since = now.since_target
+        place = np.stack([guide.target(float(time)) for guide, time in zip(self._guides, since, strict=True)])
         aims, turns = self.poses(since, np.zeros((1, self.count)))
-        return Setpoint(
+        return replace(
+            now,
             goal=self._now.at(aims, turns)[0],
             target=aims[0],
             turn=turns and turns[0],
