@@ -10,7 +10,8 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.moving.drive import Deployment, deployed_of, judge_targets
+from rejoint.control.moving.drive import Deployment, judge_targets
+from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
@@ -66,7 +67,7 @@ def test_what_was_done_before_a_trip_is_told(monkeypatch):
     plan = job(np.vstack([NEAR, NEAR]))
     with pytest.raises(GuardTripError) as caught:
         deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), plan)
-    done = deployed_of(caught.value, ARM, plan)
+    done = judge_targets(ARM, recording_of(caught.value), plan, ended=True)
     assert [visit.remark for visit in done.visits] == ["", "ended early", "not tried", "not tried"]
     assert done.visits[0].reached
     assert done.missed == (2, 3, 4)

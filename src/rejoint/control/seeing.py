@@ -134,8 +134,8 @@ class Seen(Modelled):
         return self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra
 
     def shifted(self) -> float | None:
-        """Return common offset [m] from the model, or None."""
-        if len(self.beyond) < ALIKE:
+        """Return common offset [m] from the model, or None: without a calibration all of the sag is seen."""
+        if len(self.beyond) < ALIKE or not self.displacement.play.any():
             return None
         found = np.array(list(self.beyond.values()))
         side = found.mean(axis=0)

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array, Displacement, JointTrajectory
 from rejoint.arms.rotations import tool_axis
-from rejoint.control.correction import TrueError
 from rejoint.control.loop import Schedule
 from rejoint.control.moving.drive import (
     REACHED,
@@ -24,7 +23,6 @@ from rejoint.control.moving.drive import (
     Pass,
     Repetition,
     corrected,
-    deployed_of,
     judge,
     judge_targets,
     missed,
@@ -38,7 +36,7 @@ from rejoint.control.moving.reference import (
     read_path,
 )
 from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
-from rejoint.control.recording import Cycle, Observer, Recording
+from rejoint.control.recording import Cycle, Observer, Recording, recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.seeing import Eye, Finishing, Seen
@@ -153,14 +151,24 @@ def _deployed(
         target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
         session.progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
 
+    def judged(recording: Recording, *, ended: bool) -> Deployed:
+        sightings, far = ((), None) if seen is None else (seen.visits, seen.shifted())
+        if far is not None:
+            LOGGER.warning(
+                "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: "
+                "were camera or board moved? Then calibrate with the camera again, the arm went where it says",
+                1e3 * far,
+            )
+        return judge_targets(arm, recording, job, session.calibration, sightings=sightings, ended=ended)
+
     try:
         recording = session.drive(controller, Schedule(dwell=job.dwell), reference, watch)
     except BaseException as error:
-        done = deployed_of(error, arm, job, session.calibration)
-        if done is not None:
-            session.observer.partial(with_sightings(done, seen))
+        so_far = recording_of(error)
+        if so_far is not None and np.isfinite(so_far.target).any():
+            session.observer.partial(judged(so_far, ended=True))
         raise
-    found = with_sightings(judge_targets(arm, recording, job, session.calibration), seen)
+    found = judged(recording, ended=False)
     asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if job.turns else None
     found = replace(found, log=recording.log(0, f"deploy/{job.controller}", asked))
     with saving(found):
@@ -189,26 +197,6 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
             yield eye
     else:
         raise InputError(f"no camera is called {given!r}; expected the number of a camera, or emulated")
-
-
-def with_sightings(done: Deployed, seen: Seen | None) -> Deployed:
-    """Add what was seen at each target."""
-    if seen is None:
-        return done
-    far = seen.shifted() if seen.displacement.play.any() else None  # without a calibration all of the sag is seen
-    if far is not None:
-        LOGGER.warning(
-            "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: were "
-            "camera or board moved? Then calibrate with the camera again, the arm went where it says",
-            1e3 * far,
-        )
-    visits = list(done.visits)
-    for k, (count, error) in enumerate(seen.visits[: len(visits)]):
-        true = visits[k].true_error
-        if error is not None and true.how != "known":
-            true = TrueError(how="measured", value=error)
-        visits[k] = replace(visits[k], sightings=count, seen_error=error, true_error=true)
-    return replace(done, visits=tuple(visits))
 
 
 PathLike: TypeAlias = "Path | FilePath | ArrayLike"
@@ -342,7 +330,11 @@ class PathDrive:
             session.go(PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0], motion.give_up)
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
-            last = self._carry(motion, make(), PathReference(arm, [aimed], home), number)
+            schedule, reference = (
+                Schedule(dwell=self.duration, give_up=motion.give_up),
+                PathReference(arm, [aimed], home),
+            )
+            last = session.drive(make(), schedule, reference, partial(self._show, number))
             if motion.ended.is_set():
                 return None
             passes.append(replace(judge(arm, last, guide, model=session.calibration), log=last.log(0, label)))
@@ -361,14 +353,9 @@ class PathDrive:
         say_noticed(arm, session.twin_now, passes[-1].log, session.observer.message)
         return session.followed
 
-    def _carry(self, motion: ArmMotion, controller: Controller, reference: PathReference, number: int) -> Recording:
-        session, total = self.session, self.repeat
-
-        def watch(cycle: Cycle) -> None:
-            share = min(float(cycle.since_target[0]) / self.duration, 1.0)
-            session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
-
-        return session.drive(controller, Schedule(dwell=self.duration, give_up=motion.give_up), reference, watch)
+    def _show(self, number: int, cycle: Cycle) -> None:
+        share, total = min(float(cycle.since_target[0]) / self.duration, 1.0), self.repeat
+        self.session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
 
 
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Guide:

@@ -5,6 +5,7 @@ Repetition adds the share of the error that repeats to the path (Wiener's filter
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError
 from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, interpolated
 from rejoint.control.moving.tracker import PathPostures
-from rejoint.control.recording import Recording, recording_of
+from rejoint.control.recording import Recording
 from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
 from rejoint.system.results import Readable
@@ -263,23 +264,16 @@ class Deployed(Readable):
         return sum(errors) / len(errors) if errors else np.nan
 
 
-def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
-    """Return result up to ``error``, or None."""
-    partial = recording_of(error)
-    if partial is None or not np.isfinite(partial.target).any():
-        return None
-    return judge_targets(arm, partial, job, model, ended=error)
-
-
 def judge_targets(
     arm: Arm,
     recording: Recording,
     job: Deployment,
     model: ToolModel | None = None,
     *,
-    ended: BaseException | None = None,
+    sightings: Sequence[tuple[int, float | None]] = (),
+    ended: bool = False,
 ) -> Deployed:
-    """Judge each target; ``ended``: final error."""
+    """Judge each target; ``sightings`` as `rejoint.control.seeing.Seen.visits`; ``ended``: by an error."""
     rows = np.flatnonzero(recording.active[:, 0])
     errors = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     gap, index, visits = recording.gaps(), recording.target_index[:, 0], list[Visit]()
@@ -289,7 +283,8 @@ def judge_targets(
         own = rows[index[rows] == k]
         if not len(own):
             continue
-        row, early = int(own[-1]), ended is not None and k == index[rows[-1]]
+        row, early = int(own[-1]), ended and k == index[rows[-1]]
+        count, seen = sightings[k] if k < len(sightings) else (0, None)
         error, turned, paused = float(errors[row]), float(recording.turned[row, 0]), float(gap[own].max())
         far, askew = not error < job.within, job.turns is not None and turned > REACHED_TURN
         remarks = {
@@ -299,11 +294,16 @@ def judge_targets(
             f"no answers for {paused:.1f} s": paused > 0.0,
             f"still turned {np.degrees(turned):.0f} deg off": askew,
         }
-        true = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
+        off = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
+        true = true_error(off, model, recording.position[row], target[None])
+        if seen is not None and true.how != "known":
+            true = TrueError(how="measured", value=seen)
         visits[k] = replace(
             visits[k],
             error=error,
-            true_error=true_error(true, model, recording.position[row], target[None]),
+            true_error=true,
+            sightings=count,
+            seen_error=seen,
             reached=not (far or early or askew),
             remark="; ".join(remark for remark, said in remarks.items() if said),
             turned=None if job.turns is None or np.isnan(turned) else turned,
