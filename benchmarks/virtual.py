@@ -38,9 +38,8 @@ class VirtualClient:
             timing=timing or Timing(),
             seed=seed,
             faults=faults or {},
-            clock=lambda: self.now,
-            await_data=self._await,
         )
+        self.session.clock, self.session.await_data = lambda: self.now, self._await
         self.sent: Callable[[float, bytes], object] = lambda _now, _data: None
         """is told what the robot sends, and when [s]"""
         self._requests: Iterator[bytes] = iter(())

@@ -60,7 +60,6 @@ def emulate(
         else:
             session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
-        server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)
         call.say(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
         if servers.beyond_loopback(server.address):
@@ -68,6 +67,8 @@ def emulate(
         if fault:
             call.say(f"Faults: {fault}")
         server.run()
+        if server.died:
+            os._exit(DIED)
     call.say("Emulator ended.")
     return {"wear": wear, "address": server.address, "faults": fault}
 

@@ -116,11 +116,8 @@ class ServedArm(Computer, Reference):
         """is told how each move ended"""
         self.held_back = ""
         """what the guard keeps the arm from now, in words"""
-        self._time = np.inf
-        self._seen = time.monotonic()
-        self._position = position.copy()
-        self._speed = np.zeros(arm.joints)
-        self._state: JointState | None = None
+        self._state = JointState(time=np.full(1, np.inf), position=position[None].copy(), age=np.zeros(1))
+        self._seen, self._speed = time.monotonic(), np.zeros(arm.joints)
         self._aim = position.copy()
         self._goal, self._arrived = self._aim[None], np.ones(1, dtype=bool)
         # when [s] the reference ended its way; inf while it moves
@@ -151,39 +148,39 @@ class ServedArm(Computer, Reference):
         return replace(now, goal=self._goal, arrived=self._arrived)
 
     def _observe(self, state: JointState) -> None:
-        now, position = float(state.time[0]), state.position[0].copy()
-        elapsed = now - self._time
+        before, self._state, self._seen = self._state, state, time.monotonic()
+        elapsed = float(state.time[0] - before.time[0])
         if elapsed > 0.0:
-            self._speed += _SMOOTHING * ((position - self._position) / elapsed - self._speed)
+            self._speed += _SMOOTHING * ((state.position[0] - before.position[0]) / elapsed - self._speed)
             self._motion.advance(min(elapsed, LONGEST))
-        self._time, self._position, self._seen, self._state = now, position, time.monotonic(), state
 
     def _judge(self) -> None:
         """End a move whose tool stays in place, that was stopped and stands, or that came no nearer for long."""
         if not self._arrived[0]:
             self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return
-        self._since = min(self._since, self._time)
+        now, position = float(self._state.time[0]), self._state.position[0]
+        self._since = min(self._since, now)
         if self._settled:
             return
-        posture, after = self._goal[0], self._time - self._since
-        error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
-        away = float(np.abs(posture - self._position).max())
+        posture, after = self._goal[0], now - self._since
+        error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, position)))
+        away = float(np.abs(posture - position).max())
         if self._stopped:
             calm, lasts = bool((np.abs(self._speed) < MOVING).all()), STANDS
         else:
             calm, lasts = error < IN_PLACE and (away < OFF or self._unloading.given_up), CALM
-        self._calm_since = min(self._calm_since, self._time) if calm else np.inf
-        if self._time - self._calm_since < lasts and after <= PATIENCE:
+        self._calm_since = min(self._calm_since, now) if calm else np.inf
+        if now - self._calm_since < lasts and after <= PATIENCE:
             return
         held_back = self.held_back if error > ARRIVED_LENGTH else ""
         self._settled = True
         if self._stopped or held_back:  # what is ordered next begins where the arm is, not where it will never come
             self._stay()
-            self._aim = self._position.copy()
+            self._aim = position.copy()
             self._goal = self._aim[None]
         if not self._stopped:
-            short = self._unloading.short(self._position)
+            short = self._unloading.short(position)
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
 
     def _stay(self) -> None:
@@ -199,13 +196,12 @@ class ServedArm(Computer, Reference):
     @property
     def angles(self) -> Array:
         """(n,) [rad] shown joint angles."""
-        return self._apparent.shown(self._position)
+        return self._apparent.shown(self._state.position[0])
 
     @property
     def sensed(self) -> Sensed:
         """What the robot tells, else zeros."""
-        none, state = np.zeros(self.arm.joints), self._state
-        heat, fault = (None, None) if state is None else (state.temperature, state.fault)
+        none, heat, fault = np.zeros(self.arm.joints), self._state.temperature, self._state.fault
         return Sensed(
             speed=self._speed,
             current=none,

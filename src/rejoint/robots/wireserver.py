@@ -117,13 +117,10 @@ class Conversation(ABC, Generic[R]):
     """of TCP addresses"""
     wire_format: Format[R]
     tick = TICK
+    clock = staticmethod(time.monotonic)
+    await_data = staticmethod(await_data)
 
-    def __init__(
-        self,
-        clock: Callable[[], float] = time.monotonic,
-        await_data: Callable[[int | None, float], bool] = await_data,
-    ) -> None:
-        self._clock, self._await_data = clock, await_data
+    def __init__(self) -> None:
         self._stopping = threading.Event()
 
     @property
@@ -139,9 +136,9 @@ class Conversation(ABC, Generic[R]):
         """Wait until ``until`` [s] or data on ``readable``; LinkGoneError or DeathError."""
         while not self.stopping:
             self._look(readable)
-            if self._await_data(readable, max(0.0, min(until - self._clock(), self.tick))):
+            if self.await_data(readable, max(0.0, min(until - self.clock(), self.tick))):
                 return True
-            if self._clock() >= until:
+            if self.clock() >= until:
                 break
         return False
 
@@ -174,7 +171,7 @@ class Conversation(ABC, Generic[R]):
 
     def _hear(self, channel: ByteStream, timeout: float) -> bytes | None:
         """Return bytes within ``timeout`` [s], empty: gone; None: silence."""
-        return channel.receive() if self.wait(channel.fileno(), self._clock() + timeout) else None
+        return channel.receive() if self.wait(channel.fileno(), self.clock() + timeout) else None
 
 
 class Server(ABC):
@@ -187,8 +184,8 @@ class Server(ABC):
         self._thread = threading.Thread(target=self._run, name=f"serve {address}", daemon=True)
         self.failure: Exception | None = None
         """a bug that ended the thread"""
-        self.on_death: Callable[[], object] = lambda: None
-        """called when a fault ends the server"""
+        self.died = False
+        """a fault ended the server"""
 
     def run(self) -> None:
         """Serve until `stop`, a signal or a fault."""
@@ -200,7 +197,7 @@ class Server(ABC):
                     self._vanish()
         except DeathError:
             self._close()
-            self.on_death()
+            self.died = True
 
     def _run(self) -> None:
         try:
@@ -220,10 +217,6 @@ class Server(ABC):
     def _close(self) -> None:
         """Release the port."""
 
-    def start(self) -> None:
-        """Serve in a thread."""
-        self._thread.start()
-
     def stop(self) -> None:
         """End serving and release the port."""
         self._session.end()
@@ -232,7 +225,8 @@ class Server(ABC):
         self._close()
 
     def __enter__(self) -> Self:
-        self.start()
+        """Serve in a thread."""
+        self._thread.start()
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:

@@ -86,10 +86,8 @@ class EmulatedConversation(Conversation[R]):
         seed: int = 0,
         log: TruthLog | None = None,
         faults: Faults = NONE,
-        **clock: Any,  # noqa: ANN401
     ) -> None:
-        """``clock``: as in `Conversation`."""
-        super().__init__(**clock)
+        super().__init__()
         self._timing = timing or Timing()
         self._emulated, self.tick, self._log = arm, self._timing.tick, log
         self._wire = WireFaults(faults, seed)
@@ -106,36 +104,36 @@ class EmulatedConversation(Conversation[R]):
             try:
                 self._look(None)
             except LinkGoneError:
-                self._await_data(None, self.tick)
+                self.await_data(None, self.tick)
             else:
                 break
 
     def converse(self, channel: ByteStream) -> None:
         """Serve one client until it is gone or the end."""
-        self._came = self._clock()
+        self._came = self.clock()
         super().converse(channel)
 
     def _hear(self, channel: ByteStream, timeout: float) -> bytes | None:
-        lay_there = self._await_data(channel.fileno(), 0.0)
-        if not self.wait(channel.fileno(), self._clock() + timeout) or not self._moves_on():
+        lay_there = self.await_data(channel.fileno(), 0.0)
+        if not self.wait(channel.fileno(), self.clock() + timeout) or not self._moves_on():
             return None
         if not lay_there:
-            self._came = self._clock()
+            self._came = self.clock()
         data = channel.receive()
         if data and self._began is None:
-            self._began = self._clock()
+            self._began = self.clock()
             self._emulated.suffer(0.0)
         return data
 
     def _say(self, channel: ByteStream, pieces: list[bytes]) -> None:
         for place, piece in enumerate(pieces):
             if place:
-                self.wait(None, self._clock() + SPLIT_PAUSE)
+                self.wait(None, self.clock() + SPLIT_PAUSE)
             if self._moves_on() and piece:
                 channel.send(piece)
 
     def _moves_on(self) -> bool:
-        now = self._clock()
+        now = self.clock()
         left = self._wire.still_until(self._elapsed(now)) - self._elapsed(now)
         if left <= 0.0:
             return True
@@ -150,7 +148,7 @@ class EmulatedConversation(Conversation[R]):
         self._wire.check(self._elapsed(self._catch_up()))
 
     def _catch_up(self) -> float:
-        now = self._clock()
+        now = self.clock()
         if self._now is None:
             self._now = now
         if now - self._now >= 1e-3:
@@ -185,7 +183,7 @@ class WireSession(EmulatedConversation[Frame]):
             self._emulated.was_read()
         mean = self._timing.state if request.command not in COMMANDS else self._timing.acknowledgement
         delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
-        self.wait(None, self._clock() + delay + self._wire.delay)
+        self.wait(None, self.clock() + delay + self._wire.delay)
         self._say(channel, self._wire.pieces(encode(request), encode(reply)))
 
 

@@ -421,8 +421,10 @@ def await_promptly(readable: int | None, pause: float) -> bool:
 class BusSession(EmulatedConversation[Packet]):
     """The servos of an ``arm`` for one client at a time, with timing."""
 
+    await_data = staticmethod(await_promptly)
+
     def __init__(self, arm: ServoArm[Any], **options: Any) -> None:  # noqa: ANN401
-        super().__init__(arm, **{"await_data": await_promptly} | options)
+        super().__init__(arm, **options)
         self.arm, self.scheme, self.wire_format = arm, arm.scheme, arm.wire_format
         # until when the wire is busy
         self._free = 0.0
@@ -449,5 +451,5 @@ class BusSession(EmulatedConversation[Packet]):
         self._free += answers[-1].after
         due = self._free + ADAPTER + self._wire.delay
         self.wait(None, due - PROMPT)
-        self._await_data(None, max(due - self._clock(), 0.0))
+        self.await_data(None, max(due - self.clock(), 0.0))
         self._say(channel, pieces)

@@ -25,7 +25,8 @@ class Client:
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
         arm = StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
-        self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        self.session = BusSession(arm, faults=faults)
+        self.session.clock, self.session.await_data = lambda: self.now, self._await
         self.moved, self.busy, self._execute = [], busy, self.session.arm.execute
         self.session.arm.execute = self._obey
         self.session.converse(self)
