@@ -1,10 +1,14 @@
 """Laws of what is known ahead: a path knows its future, a stream guesses for a fifth of a second and then holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import Displacement, mycobot280, tcp_position
 from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
+from rejoint.control.correction import Modelled
+from rejoint.control.moving.drive import corrected
 from rejoint.control.moving.reference import (
     EXTRAPOLATED,
     LAG,
@@ -13,6 +17,7 @@ from rejoint.control.moving.reference import (
     Stream,
     standard_path,
 )
+from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
 from rejoint_lab.research.evaluation.evaluate import played
@@ -104,6 +109,19 @@ def test_courses_keep_arms_apart():
     wanted = both.advance(now_at(np.zeros((2, ARM.joints)), now))
     assert np.array_equal(wanted.place[1], other.at(2.0))
     np.testing.assert_allclose(tcp_position(ARM, wanted.goal), wanted.target, atol=1e-3)
+
+
+def test_a_corrected_stream_is_judged_by_the_postures_of_its_own_way():
+    none, stream, times = Displacement.none(ARM), Stream(), np.arange(0.0, 10.0, 0.05)
+    correction = Modelled(ARM, replace(none, compliance=none.compliance + 0.01, play=none.play + 0.005))
+    places = np.stack([0.2 * np.cos(0.3 * times), 0.2 * np.sin(0.3 * times), 0.2 + 0.0 * times], axis=-1)
+    for time, place in zip(times, places, strict=True):
+        stream.put(place, time)
+    corrected(ARM, stream, correction)
+    for time in times:  # as an arm follows it
+        stream.ahead(time, np.zeros(1))
+    way = PathPostures(ARM, places[:1]).along(places[:, None])[:, 0]
+    np.testing.assert_allclose(stream.route().aim, places - correction.shift(way), atol=1e-5)
 
 
 def test_only_what_is_known_ahead_waits_for_its_arm():

@@ -279,6 +279,7 @@ EXTRAPOLATED = 0.2
 _MOST_TURN = float(np.radians(120.0))
 """[rad] between targets of a stream"""
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
+_NEAR_ROWS = 5  # targets of a stream whose postures are found from one (chosen: half a second at 10 Hz)
 
 
 Corrected = Callable[[Array, Orientation | None], Poses]
@@ -350,7 +351,9 @@ class Stream:
     def route(self) -> Route:
         """See `Path`."""
         rows, time = np.array(self.rows), np.array(self.time)
-        return Route(self.time[0], time - time[0], rows[:, :3], self._aims(rows)[0])
+        back = rows[::-1]  # from the posture that the arm has now: each part begins near the last
+        aims = np.concatenate([self._aims(back[k : k + _NEAR_ROWS])[0] for k in range(0, len(back), _NEAR_ROWS)])
+        return Route(self.time[0], time - time[0], rows[:, :3], aims[::-1])
 
     def _aims(self, rows: Array) -> Poses:
         """Corrected targets (k, 3) [m] and orientations (k,) of ``rows`` (k, m)."""
