@@ -30,14 +30,9 @@ PATIENCE = 0.05
 """[s] The excess, integrated twice, may reach the band times its square"""
 LONGEST = 0.1
 """[s] longest counted cycle"""
-TRACK = np.dtype(
-    [
-        ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
-        ("home", "f8"), ("moved", "f8"),
-        ("before", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
-        ("still", "i8"), ("moves", "i8"), ("late", "i8"),
-    ]
-)  # fmt: skip
+_MEASURES = "position held since travel stuck home moved before reach width push pushed due"
+_COUNTS = "still moves late"
+TRACK = np.dtype([(name, "f8") for name in _MEASURES.split()] + [(name, "i8") for name in _COUNTS.split()])
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
 ``home``. ``before``: load at the last change of the reading. Following errors beyond ``reach`` [rad] push no harder.
