@@ -159,7 +159,7 @@ class Path:
                 f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
                 "seconds, and what takes longer as paths one after the other"
             )
-        times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
+        times = np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK)))
         places, turns = self.poses(times)
         postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
         beyond = np.linalg.norm(places - tcp_position(arm, postures), axis=-1)

@@ -236,21 +236,17 @@ class Tracker:
     name = "tracker"
 
     def __init__(self, arm: Arm, servos: Servos, period: float = NOMINAL_PERIOD) -> None:
-        self._arm, self._servos, self._usual, self._begun = arm, servos, period, False
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
-        """Begin here; later resets change nothing."""
-        if self._begun:
-            return
-        self._begun = True
-        count = len(inputs.sent)
-        self._observer = PushObserver(self._arm, self._servos, self._usual)
-        self._pace = Pace()
-        self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
-        self._wanted = self._expected = inputs.sent.copy()
-        self._shift = np.zeros_like(self._wanted)  # (B, n) [rad] of heavy joints, for light ones
+        self._arm, self._servos, self._usual = arm, servos, period
+        self._observer, self._pace = PushObserver(arm, servos, period), Pace()
+        self._shift = np.zeros_like(servos.stiffness)  # (B, n) [rad] of heavy joints, for light ones
         self._last: Array | None = None  # (B,) [s] when the last command went out
-        self._period = np.full(count, self._usual)
+        self._period = np.full(len(servos.delay), period)
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Begin here; resets after the first command change nothing: a gap in the answers forgets nothing."""
+        if self._last is None:
+            self._pace.begin(inputs.state.time, where)
+            self._wanted = self._expected = inputs.sent.copy()
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
