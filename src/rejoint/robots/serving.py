@@ -447,20 +447,15 @@ class Clients(Conversation[Frame]):
         return Frame(request.command, flag(False))
 
     def _pass_on(self, request: Frame) -> Frame | None:
-        found = self._ask_robot(request)
+        found, future = None, Future[bytes | None]()
+        if self._passes is not None and request.command not in self._silent:
+            self._waiting = request, future
+            with contextlib.suppress(TimeoutError):
+                found = future.result(RELAY_PATIENCE)
         if request.command not in _ASKS:
             why = "" if found is not None else "the robot does not answer it, or its driver cannot pass it on"
             self._log.ordered(request.command, request.payload, done=found is not None, why=why)
         return None if found is None else Frame(request.command, found)
-
-    def _ask_robot(self, request: Frame) -> bytes | None:
-        if self._passes is None or request.command in self._silent:
-            return None
-        future: Future[bytes | None] = Future()
-        self._waiting = request, future
-        with contextlib.suppress(TimeoutError):
-            return future.result(RELAY_PATIENCE)
-        return None
 
     def relay(self) -> None:
         """Pass on what waits for the robot; for the control loop."""
