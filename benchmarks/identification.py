@@ -30,7 +30,7 @@ from rejoint.twin.identify import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
 from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.motionfit import free_windows, thin
-from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
+from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import OPTIONAL, rough_fit, simplest
 from rejoint.twin.table import friction_solref, twin_spec
@@ -88,10 +88,10 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
     windows = thin(free_windows(seen, excluded, 8.0), seen, seconds)
-    structure = simplest(unknown_prior(arm), 1.0)
-    frozen, mean = (*OPTIONAL, "delay"), structure.prior.mean.copy()
-    mean[vector_names(arm.joint_names).index("delay")] = 0.0
-    problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1, 1.0), structure.prior, frozen)
+    structure = simplest(unknown_prior(arm))
+    frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
+    mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0
+    problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1), structure.prior, frozen)
     start = time.process_time()
     rough = np.where(problem.frozen, mean, rough_fit(problem))
     ours = unpack(fit(problem, rough, 8, SCALES).vector, arm.joints)
@@ -119,8 +119,8 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     judgement = judge(
         arm,
         [
-            Candidate(name="ours", parameters=ours, stiction=1.0),
-            Candidate(name="sysid", parameters=theirs, stiction=1.0),
+            Candidate(name="ours", parameters=ours),
+            Candidate(name="sysid", parameters=theirs),
         ],
         unseen,
     )

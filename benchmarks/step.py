@@ -17,10 +17,14 @@ ROUNDS, CYCLES = 9, 8
 def main(arms: int = 1024) -> None:
     arm, rng = mycobot280(), np.random.default_rng(0)
     twins = nominal_parameters(arm).repeat(arms)
-    twins = replace(twins, stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape))
-    chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins, stiction=1.5)
+    twins = replace(
+        twins,
+        stiction=np.full_like(twins.stiffness, 1.5),
+        stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape),
+    )
+    chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
     start = np.tile(arm.rest, (arms, 1))
-    chain.write(twins, stiction=1.5)
+    chain.write(twins)
     for batch in (chain, judge):
         batch.restart(start)
     goals = start[:, None] + rng.normal(0.0, 0.2, (CYCLES, arms, 1, arm.joints)).repeat(SUBSTEPS, axis=2)

@@ -58,7 +58,7 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     write_twin(run.folder.twin, twin)
     path, _ = export_run(run, "mjcf")
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
-    replay = Replay(arm, logs, windows, stiction=twin.stiction)
+    replay = Replay(arm, logs, windows)
     measured = replay.measured()
     ours = rms([path[0] for path in replay.predict(twin.parameters.repeat(1))], measured)
     theirs = rms([predicted(path, logs[window.log], window) for window in windows], measured)
@@ -67,11 +67,13 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
 
 def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     arm = so101()
-    parameters = replace(nominal_parameters(arm), delay=np.array(0.021), offset=np.full(arm.joints, 0.01))
+    parameters = replace(
+        nominal_parameters(arm), stiction=np.full(5, 1.5), delay=np.array(0.021), offset=np.full(arm.joints, 0.01)
+    )
     run = Run.create(tmp_path / "run", "emulated:so101", arm, 0)
     with pytest.raises(FileError, match="rejoint identify"):
         export_run(run, "isaaclab")
-    write_twin(run.folder.twin, made_twin(arm, parameters, stiction=1.5))
+    write_twin(run.folder.twin, made_twin(arm, parameters))
     stub = types.ModuleType("isaaclab.actuators")
     stub.DelayedPDActuatorCfg = SimpleNamespace
     monkeypatch.setitem(sys.modules, "isaaclab.actuators", stub)

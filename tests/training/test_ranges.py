@@ -35,7 +35,7 @@ def test_broad_ranges_keep_their_bounds():
         (draw.command_delay, (0.005, 0.040)),
         (draw.readback_delay, (0.005, 0.030)),
         (draw.period, (0.018, 0.055)),
-        (draw.stiction, (1.0, 2.2)),
+        (draw.twin.stiction, (1.0, 2.2)),
     ):
         width = high - low
         assert low <= values.min() < low + 0.05 * width

@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.parameters import STICTION, TwinParameters
+from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import Draw, Simulation
 
@@ -37,7 +37,7 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     grid = time[0] + np.arange(int((time[-1] - time[0]) / timestep) + 2) * timestep
     control = reference.sample(grid, np.atleast_1d(truth.delay))
     simulation = Simulation(arm, 1)
-    simulation.place(Draw.of(truth.repeat(1), STICTION), command[:1], command[:1])
+    simulation.place(Draw.of(truth.repeat(1)), command[:1], command[:1])
     simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
     path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
     clock = time[0] + np.arange(len(path)) * timestep
@@ -59,6 +59,7 @@ def truth():
         stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5],
         damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
         coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04],
+        stiction=1.25,
         armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
         torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4],
         offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
@@ -69,4 +70,4 @@ def truth():
 
 @pytest.fixture(scope="session")
 def log(arm, truth):
-    return simulate_log(arm, truth, np.random.default_rng(5), 48.0)
+    return simulate_log(arm, truth, np.random.default_rng(5), 60.0)

@@ -17,6 +17,7 @@ TRUTH = TwinParameters(
     stiffness=[20.0, 17.0, 18.0, 15.0, 18.0],
     damping=[1.4, 1.0, 1.1, 0.9, 1.2],
     coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],
+    stiction=1.25,
     armature=[0.02, 0.012, 0.014, 0.010, 0.012],
     torque_limit=[20.0] * 5,
     offset=np.radians([0.1, 0.6, 0.8, 0.2, -0.1]),
@@ -43,12 +44,12 @@ def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     return time, command
 
 
-def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf, own=ARM):
+def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, own=ARM):
     """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on."""
     twin = truth.repeat(1)
-    arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP, stiction=stiction)
+    arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP)
     if table is None:
-        arm.write(twin, stiction=stiction)
+        arm.write(twin)
     arm.restart(command[:1])
     reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed))
     if acceleration < np.inf:

@@ -38,7 +38,7 @@ def drawn():
     """Two arms, and their twins as an identification has them: the whole delay lies on the way out."""
     draw = RANGES.draw(np.random.default_rng(11), 2)
     whole = replace(draw.twin, delay=draw.command_delay + draw.readback_delay)
-    return draw, replace(Draw.of(whole), stiction=draw.stiction)
+    return draw, Draw.of(whole)
 
 
 def drive(draw, controller, dwell=2.5):
@@ -72,8 +72,8 @@ def test_a_wrong_model_leaves_no_lasting_error():
 def test_the_shadow_of_the_right_model_is_the_arm():
     draw, twins = drawn()
     none = 0.0 * draw.twin.coulomb
-    draw = replace(draw, twin=replace(draw.twin, coulomb=none), stiction=none + 1.0, gravity_scale=np.ones(2))
-    twins = replace(twins, twin=replace(twins.twin, coulomb=none), stiction=none + 1.0)
+    draw = replace(draw, twin=replace(draw.twin, coulomb=none), gravity_scale=np.ones(2))
+    twins = replace(twins, twin=replace(twins.twin, coulomb=none))
     robot = TwinRobot(ARM, draw, seed=0)
     planner = Planner(ARM, twins, replace(FEW, correction=0.0, offset_rate=0.0))
     missed = []

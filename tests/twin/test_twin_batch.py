@@ -16,7 +16,8 @@ ARM = mycobot280()
 def random_parameters(rng, count):
     p = prior(ARM)
     drawn = unpack(p.mean + p.sigma * rng.standard_normal((count, len(p.mean))), ARM.joints)
-    return replace(drawn, load_friction=0.0 * drawn.coulomb)  # MuJoCo's models have none
+    none = 0.0 * drawn.coulomb
+    return replace(drawn, load_friction=none, stiction=none + 1.0)  # as in MuJoCo's models
 
 
 def test_batch_equals_single_models_bit_for_bit():

@@ -92,14 +92,14 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
     arm, rng, count = ARMS["mycobot280"], np.random.default_rng(4), 3 * LANES + 5
     twins, position, velocity = drawn(arm, count, rng)
     control = position[:, None] + rng.normal(0.0, 0.2, (count, 12, 6))
-    stiction = rng.uniform(1.0, 2.0, (count, 6))
+    twins = replace(twins, stiction=rng.uniform(1.0, 2.0, (count, 6)))
     together = ChainBatch(arm, count, threads=threads)
-    together.write(twins, stiction=stiction)
+    together.write(twins)
     together.restart(position, velocity)
     path = together.rollout(control)
     for i in (0, GROUP, LANES - 1, LANES, count - GROUP, count - 1):
         alone = ChainBatch(arm, 1)
-        alone.write(twins[i : i + 1], stiction=stiction[i : i + 1])
+        alone.write(twins[i : i + 1])
         alone.restart(position[i : i + 1], velocity[i : i + 1])
         assert_array_equal(alone.rollout(control[i : i + 1])[0], path[i])
 

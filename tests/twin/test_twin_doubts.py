@@ -17,7 +17,7 @@ from rejoint.twin.structure import simplest
 from rejoint.twin.twin import smaller
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
-TWIN = Candidate(name="twin", parameters=TRUTH, stiction=1.25)
+TWIN = Candidate(name="twin", parameters=TRUTH)
 
 
 def shifted(log, rows):
@@ -68,11 +68,11 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     shaking = np.cumsum(rng.standard_normal(LOGS[0].position.shape), axis=0)
     shaking = np.radians(5.0) * (shaking - shaking.mean(axis=0)) / shaking.std(axis=0)
     logs = [*LOGS, replace(LOGS[0], label="shaken", position=LOGS[0].position + shaking)]
-    structure = simplest(unknown_prior(ARM), 1.25)
+    structure = simplest(unknown_prior(ARM))
     start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
     off = []
     for freedom in (FREEDOM, np.inf):
-        replay = Replay(ARM, logs, cut(logs, 5.0), STEP, 1, 1.25)
+        replay = Replay(ARM, logs, cut(logs, 5.0), STEP, 1)
         problem = Problem(replay, structure.prior, structure.frozen, memory=1.0, freedom=freedom)
         found = fit(problem, start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())

@@ -31,7 +31,10 @@ from rejoint.twin.twin import HeldOut, Twin
 
 arm, rng, step = mycobot280(), np.random.default_rng(0), 0.005
 truth = dataclasses.replace(
-    nominal_parameters(arm), coulomb=np.full(6, 0.15), asymmetry=np.array([0.4, -0.3, 0.2, 0.0, -0.4, 0.3])
+    nominal_parameters(arm),
+    coulomb=np.full(6, 0.15),
+    stiction=np.ones(6),
+    asymmetry=np.array([0.4, -0.3, 0.2, 0.0, -0.4, 0.3]),
 )
 time = np.arange(0.0, 8.0, 0.025)
 command = arm.rest + 0.3 * np.sin(np.outer(time, rng.uniform(2.0, 5.0, 6)) + rng.uniform(0, 6, 6)) * np.minimum(
@@ -47,12 +50,12 @@ def log(position):
 
 def predicted(twin):
     logs = [log(np.tile(command[:1], (len(time), 1)))]
-    return Replay(arm, logs, cut(logs, 100.0), stiction=1.0).predict(twin.repeat(1))[0][0]
+    return Replay(arm, logs, cut(logs, 100.0)).predict(twin.repeat(1))[0][0]
 
 
 logs, belief = [log(predicted(truth))], prior(arm)
 others = [p.name for p in PARAMETERS if p.name != "asymmetry"]
-problem = Problem(Replay(arm, logs, cut(logs, 2.0), stiction=1.0), belief, frozen=others)
+problem = Problem(Replay(arm, logs, cut(logs, 2.0)), belief, frozen=others)
 start = np.where(np.array([n.startswith("asym") for n in vector_names(arm.joint_names)]), 0.0, pack(truth))
 found = fit(problem, start, 4)
 names = np.array(vector_names(arm.joint_names))

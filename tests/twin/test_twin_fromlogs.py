@@ -47,7 +47,7 @@ def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
     """It says so, has seen more than the fit that was judged, and is not that one."""
     assert REFITTED in found.notes
     fitted = sum(log.time[-1] - log.time[0] for log in logs if log.label in found.fitted)
-    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0, stictions=(1.25,))
+    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0)
     chosen = [log for log in logs if log.label in ("motion0", "motion1", "motion2", "motion3")]
     held = identify_logs(ARM, chosen, replace(few, hold_out=("motion3",)))
     assert held.fit_seconds > 1.2 * 60.0 < fitted
@@ -55,7 +55,6 @@ def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
 
 
 def test_the_structure_is_that_of_the_truth(found):
-    assert found.stiction == 1.25
     assert found.parameters.ramp_speed > 20.0
     assert (found.parameters.torque_limit > 2.0).all()
     assert not found.identified[vector_names(ARM.joint_names).index("ramp_speed")]
@@ -77,10 +76,8 @@ def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
     write_twin(tmp_path / "twin.toml", found)
     back = read_twin(tmp_path / "twin.toml", ARM)
     assert back.table == found.table
-    assert back.stiction == found.stiction
     assert back.digest() == found.digest()
     assert replace(back, table=None).digest() != back.digest()
-    assert replace(back, stiction=2.0).digest() != back.digest()
     assert back.acceleration == found.acceleration == np.inf
     limited = replace(back, acceleration=39.0)
     assert limited.digest() != back.digest()
@@ -97,11 +94,11 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
         windows = cut(logs, 8.0)
 
         def problem(structure, logs=logs, windows=windows):
-            replay = Replay(ARM, logs, windows, STEP, 1, structure.stiction, acceleration=structure.acceleration)
+            replay = Replay(ARM, logs, windows, STEP, 1, acceleration=structure.acceleration)
             return Problem(replay, structure.prior, structure.frozen)
 
         for known, expected in found.items():
-            simple = simplest(unknown_prior(ARM), 1.25, known)
+            simple = simplest(unknown_prior(ARM), known)
             truth = replace(TRUTH, delay=TRUTH.delay - (EARLIER if known < np.inf else 0.0))
             start = np.clip(pack(truth), simple.prior.lower, simple.prior.upper)
             assert find_acceleration(problem, simple, start).acceleration == expected

@@ -25,9 +25,9 @@ def logs():
 
 @pytest.fixture(scope="module")
 def judgement(logs):
-    truth = Candidate(name="truth", parameters=TRUTH, stiction=1.25)
-    tabled = Candidate(name="truth on its table", parameters=TRUTH, stiction=1.25, table=TABLE)
-    healthy = Candidate(name="healthy", parameters=healthy_parameters(ARM), stiction=1.0)
+    truth = Candidate(name="truth", parameters=TRUTH)
+    tabled = Candidate(name="truth on its table", parameters=TRUTH, table=TABLE)
+    healthy = Candidate(name="healthy", parameters=healthy_parameters(ARM))
     return judge(ARM, [truth, tabled, healthy], logs)
 
 
@@ -61,8 +61,9 @@ def test_a_published_set_is_read(tmp_path):
     path = tmp_path / "maker.toml"
     path.write_text("stiffness = 17.0\ndamping = [1, 2, 3, 4, 5]\ncoulomb = 0.05\narmature = 0.028\n")
     found = read_published(path, ARM)
-    assert (found.name, found.stiction, found.table) == ("maker", 1.0, None)
+    assert (found.name, found.table) == ("maker", None)
     assert found.parameters.stiffness.tolist() == [17.0] * 5
+    assert found.parameters.stiction.tolist() == [1.0] * 5
     assert found.parameters.damping.tolist() == [1, 2, 3, 4, 5]
     assert found.parameters.offset.tolist() == [0.0] * 5
     assert (found.parameters.torque_limit > 40).all()

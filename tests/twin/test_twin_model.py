@@ -1,5 +1,7 @@
 """The twin's physics: sag, friction, saturation and energy have the values they must have."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -59,7 +61,9 @@ def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
     moved = []
     for stiction in (1.0, 1.5):
         simulation = Simulation(arm, 1)
-        simulation.place(Draw.of(parameters.repeat(1), stiction), arm.rest[None], arm.rest[None])
+        simulation.place(
+            Draw.of(replace(parameters, stiction=np.full(6, stiction)).repeat(1)), arm.rest[None], arm.rest[None]
+        )
         moved.append(np.abs(simulation.rollout(np.tile(arm.rest + lead, (1, 100, 1)))[0, -1, 5] - arm.rest[5]))
     assert moved[0] > 1e-3
     assert moved[1] < 1e-5
@@ -67,7 +71,7 @@ def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
 
 def test_prior_scales_with_the_arm_and_contains_its_twins(arm):
     belief, names = prior(arm), vector_names(arm.joint_names)
-    assert len(names) == len(belief.mean) == 8 * arm.joints + 2
+    assert len(names) == len(belief.mean) == 9 * arm.joints + 2
     fitted = Layout(arm.joints).is_fitted
     assert (belief.lower <= belief.mean)[fitted].all()
     assert (belief.mean < belief.upper).all()

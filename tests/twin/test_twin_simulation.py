@@ -26,8 +26,10 @@ def commands():
 
 @pytest.mark.parametrize("acceleration", [np.inf, 25.0])
 def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(acceleration):
-    twin = dataclasses.replace(TWIN, delay=2 * STEP, ramp_speed=1.5)  # a command arrives at the start of a step
-    draw, start, command = Draw.of(twin.repeat(1), 1.7, acceleration), ARM.rest[None], commands()
+    twin = dataclasses.replace(
+        TWIN, stiction=np.full(ARM.joints, 1.7), delay=2 * STEP, ramp_speed=1.5
+    )  # a command arrives at the start of a step
+    draw, start, command = Draw.of(twin.repeat(1), acceleration), ARM.rest[None], commands()
     driven = Simulation(ARM, 1)
     driven.place(draw, start, start)
     asked, passed = [], []

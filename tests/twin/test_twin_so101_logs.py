@@ -56,7 +56,6 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
         fit_seconds=160.0,
         contact_seconds=40.0,
         threads=1,
-        stictions=(1.25,),
     )
     found = identify_logs(ARM, logs, settings)
     assert sorted(found.fitted) == sorted(FITTED_TO)

@@ -304,7 +304,13 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
         friction.set_to_dcmotor(
             motorconst=(0.0, 0.0),
             resistance=1.0,  # without a motor, but MuJoCo asks for one
-            lugre=(inertia[i] * BRISTLES**2, inertia[i] * BRISTLES, dry[i], twin.stiction * dry[i], STRIBECK_SPEED),
+            lugre=(
+                inertia[i] * BRISTLES**2,
+                inertia[i] * BRISTLES,
+                dry[i],
+                twin.parameters.stiction[i] * dry[i],
+                STRIBECK_SPEED,
+            ),
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
         )
     rest = arm.rest.tolist()
@@ -323,7 +329,7 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
 
 def isaaclab_text(arm: Arm, twin: Twin) -> str:
     """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
-    about = {"arm": arm, "p": twin.parameters, "stiction": twin.stiction, "missing": _missing(arm, twin)}
+    about = {"arm": arm, "p": twin.parameters, "missing": _missing(arm, twin)}
     return render("export/isaaclab.py.txt", by_joint=_by_joint, **about) + "\n"
 
 

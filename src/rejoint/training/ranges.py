@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.twin.parameters import STICTION, TwinParameters, nominal_parameters
+from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
 
@@ -97,7 +97,7 @@ class BroadRanges:
             Draw.of(twin, acceleration=self.acceleration),
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
-            stiction=rng.uniform(*self.stiction, joints),
+            twin=replace(twin, stiction=rng.uniform(*self.stiction, joints)),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
         )
@@ -147,7 +147,6 @@ class IdentifiedRanges:
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count)
         share, acceleration = rng.uniform(*self.outward, count), np.full(count, np.inf)
         weakened = twins.torque_limit * self.broad.weaken(rng, count)
-        known = np.full_like(free.stiction, self.twin.stiction)
         if self.twin.acceleration < np.inf:  # else nothing is drawn: other numbers stay what they were
             acceleration = self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
         return replace(
@@ -155,7 +154,6 @@ class IdentifiedRanges:
             twin=replace(twins, torque_limit=weakened),
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
-            stiction=free.stiction if self.twin.stiction == STICTION else known,
             acceleration=acceleration,
         )
 

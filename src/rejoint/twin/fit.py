@@ -320,6 +320,11 @@ def influence(residual: Array) -> Array:
     return 1.0 / np.sqrt(1.0 + (residual / HUBER) ** 2)
 
 
+def explained(residual: Array) -> Mask:
+    """(n,) whether the motion of each joint is explained, by rms residuals (rows, n) [rad]."""
+    return np.asarray((residual**2).mean(axis=0) < HUBER**2)
+
+
 def correlation_time(residual: Array, window: Index, longest: int = 200) -> Array:
     """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05; by Wiener and Khinchin."""
     rows = np.bincount(window)

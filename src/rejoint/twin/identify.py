@@ -18,7 +18,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import SCALES, Fit, Problem, fit, search
+from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit, search
 from rejoint.twin.judge import TIMESTEP, Candidate, judge
 from rejoint.twin.motionfit import (
     MOSTLY,
@@ -55,11 +55,10 @@ from rejoint.twin.replay import (
     recorded_gain,
 )
 from rejoint.twin.structure import (
-    SELDOM,
-    STICTIONS,
     Structure,
     decide_compensation,
     drive_torque,
+    explored,
     expressible,
     find_acceleration,
     find_structure,
@@ -100,8 +99,6 @@ LEAST_CONTACT = 5.0
 
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
-SATURATED = 0.3
-"""Share of rows beyond a torque limit in which a weak joint looks like a stuck one; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -137,8 +134,6 @@ class LogSettings:
     """[s] of the fastest motion, which shows a limited acceleration"""
     contact_seconds: float = 240.0
     """[s] of contact for the table; measured: 80 s are a fifth worse"""
-    stictions: tuple[float, ...] = STICTIONS
-    """to try"""
     timestep: float = TIMESTEP
     threads: int = 2
 
@@ -215,6 +210,7 @@ def identify(
     rng = np.random.default_rng(seed)
     x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
     x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
+    x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
     fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
     found = fit(fine, x, iterations)
@@ -250,8 +246,8 @@ def fitted_twin(
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held, limit = largest_static_torque(replay.arm, replay.logs, parameters.coulomb), parameters.torque_limit
-    most, usual = drive_torque(problem, found.vector, (SELDOM, SATURATED))
-    identified[problem.layout.at("torque_limit")] &= (usual < limit) & (limit < most)
+    most = drive_torque(problem, found.vector)
+    identified[problem.layout.at("torque_limit")] &= limit < most
     shown = np.where(limit < most, held, np.maximum(held, most))
     lower = unpack(belief.lower, problem.joints)
     raised = np.clip(shown, lower.torque_limit, 0.99 * limit)
@@ -266,7 +262,6 @@ def fitted_twin(
         identified=identified,
         held_out=held_out,
         fit_seconds=replay.seconds,
-        stiction=replay.stiction,
         acceleration=replay.acceleration,
         table=table,
     )
@@ -327,11 +322,10 @@ def identify_logs(
     own = Candidate(
         name=FITTED,
         parameters=unpack(found.vector, arm.joints),
-        stiction=structure.stiction,
         table=table,
         acceleration=structure.acceleration,
     )
-    healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []
+    healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
     judgement = judge(
         arm, [own, *healthy, *beside], unseen, table=height, timestep=settings.timestep, threads=settings.threads
     )
@@ -378,14 +372,14 @@ def fit_motions(
 
     fast = fastest(windows, logs, settings.fast_seconds)
     slow = thin(windows, logs, settings.coarse_seconds)
-    simple = simplest(belief, settings.stictions[0], arm.servo_acceleration)
+    simple = simplest(belief, arm.servo_acceleration)
     x = rough_fit(problem(slow, simple))
     on_progress(0.3, "structure")
     expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
     if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
         x = rough_fit(problem(slow, simple))
     usable = expressible(problem(sorted({*slow, *fast}), simple), x)
-    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
+    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, x)
     on_progress(0.5, "fit")
     return *settle(arm, logs, excluded, structure, x, settings), structure
 
@@ -415,7 +409,7 @@ def _problem(
     stride: float = STRIDE,
 ) -> Problem:
     timestep, threads = settings.timestep, settings.threads
-    replay = Replay(arm, logs, windows, timestep, threads, structure.stiction, structure.acceleration)
+    replay = Replay(arm, logs, windows, timestep, threads, structure.acceleration)
     return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
 
 

@@ -24,7 +24,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.twin.chain.dynamics import GROUP
-from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
+from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window, at_gain
 from rejoint.twin.twin import (
     NO_TWIN,
@@ -52,8 +52,6 @@ class Candidate:
 
     name: str
     parameters: TwinParameters
-    stiction: float = STICTION
-    """friction at rest over friction in motion"""
     table: TablePlane | None = None
     """for contacts"""
     acceleration: float = np.inf
@@ -67,7 +65,6 @@ class Candidate:
         return Candidate(
             name=name,
             parameters=twin.parameters,
-            stiction=twin.stiction,
             table=twin.table,
             acceleration=twin.acceleration,
             gain=twin.gain,
@@ -139,7 +136,7 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
     for start in range(0, len(order), GROUP * threads):
         part = order[start : start + GROUP * threads]
         chosen = [windows[i] for i in part]
-        replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, candidate.acceleration)
+        replay = Replay(arm, logs, chosen, timestep, threads, candidate.acceleration)
         found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]
@@ -234,6 +231,8 @@ def _delayed(log: RunLog, lag: float) -> Array:
 Values = Positive | list[Positive]
 """Of all joints, or of each"""
 
+AtLeastOne = Annotated[float, msgspec.Meta(ge=1.0)]
+
 
 class PublishedSet(Table, kw_only=True):
     """A file of published parameters."""
@@ -250,7 +249,7 @@ class PublishedSet(Table, kw_only=True):
     load_friction: Number | list[Number] = 0.0
     delay: Number = 0.0
     ramp_speed: Positive | None = None
-    stiction: Annotated[float, msgspec.Meta(ge=1.0)] = 1.0
+    stiction: AtLeastOne | list[AtLeastOne] = 1.0
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:
@@ -263,4 +262,4 @@ def read_published(path: Path, arm: Arm) -> Candidate:
             values[p.name] = np.broadcast_to(getattr(reached, p.name) if given is None else given, shape)
         except ValueError as error:
             raise FileError(path, f"{p.name} is {given!r}, expected {shape}", "look at docs/published") from error
-    return Candidate(name=found.name or path.stem, parameters=TwinParameters(**values), stiction=found.stiction)
+    return Candidate(name=found.name or path.stem, parameters=TwinParameters(**values))

@@ -45,6 +45,8 @@ class Parameter:
     """estimated as its logarithm"""
     difference: float = 0.045
     """finite-difference step, in `unit` unless `log`; chosen"""
+    beside: float = 0.0
+    """sigma by what no twin holds; measured: emulated worn arms"""
     fitted: bool = True
     """whether a descent may change it"""
     per_joint: bool = True
@@ -72,6 +74,8 @@ class TwinParameters(Servos):
     """(..., n) share of the model's gravity that does not show, fed forward or too heavy; 0 for hobby servos"""
     load_friction: Array = field(default_factory=lambda: np.zeros(()))
     """(..., n) dry friction per torque that the gears pass on"""
+    stiction: Array = field(default_factory=lambda: np.ones(()))
+    """(..., n) dry friction at rest over that in motion"""
 
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
@@ -134,6 +138,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="load_friction", unit="1", meaning="dry friction per torque that the gears pass on",
               nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
+    Parameter(name="stiction", unit="1", meaning="dry friction at rest over that in motion",
+              # measured on a real low-cost arm, and better than 2 for emulated ones
+              nominal=2.0, sigma=0.15, healthy=0.5, lower=1.0, upper=2.5, log=False, difference=0.1, beside=0.4,
+              wide={"nominal": 1.25, "sigma": 0.4, "alike": 0.1}),
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
               # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
@@ -150,6 +158,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               nominal=0.0, sigma=0.01, lower=-1.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
+              beside=0.0025,  # such as the filter of a servo's speed
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
               # of 20 ms later than its row is stamped
               wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),
@@ -174,9 +183,6 @@ REFERENCE_SPEED = float(np.radians(150.0))
 
 NO_LOAD = 2.0
 """No-load speed of a motor over its joint's largest; chosen: the speed of most power"""
-
-STICTION = 2.0
-"""Static over kinetic friction; chosen: dry gears"""
 
 WRIST_INERTIA = 0.2
 """Share of the largest link inertia that bounds the wrist; chosen"""
@@ -331,15 +337,15 @@ def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
     return correlation
 
 
-DRY = ("coulomb", "load_friction")
-"""Parameters of dry friction, besides stiction"""
+DRY = ("coulomb", "load_friction", "stiction")
+"""Parameters of dry friction"""
 STRIBECK_SPEED = 0.1
 """[rad/s] at which friction has fallen to kinetic; chosen"""
 
 
-def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
-    """Terms (t, ..., n) of `dry_friction`: `DRY`, then ``stiction``."""
-    return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
+def friction_terms(twin: TwinParameters) -> Array:
+    """Terms (t, ..., n) of `dry_friction`, in the order of `DRY`."""
+    return np.stack([getattr(twin, name) for name in DRY])
 
 
 def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
@@ -348,7 +354,7 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
     Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994), and gears that rub as they are pressed
     (Rhoban/bam); also compiled.
     """
-    coulomb, load_friction, stiction = terms[0], terms[1], terms[-1]
+    coulomb, load_friction, stiction = terms[0], terms[1], terms[2]
     return (coulomb + load_friction * load) * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 

@@ -71,7 +71,6 @@ class PredictiveController:
         count = len(twins)
         draw = Draw.of(
             TwinParameters.stacked([twin.parameters for twin in twins]),
-            np.array([[twin.stiction] for twin in twins]),
             np.array([twin.acceleration for twin in twins]),
         )
         rest = np.tile(arm.rest, (count, 1))
@@ -225,7 +224,7 @@ class Planner:
         self.shadow.time = inputs.state.time.copy()
         self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
         samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
-        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale, stiction=samples.stiction)
+        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`

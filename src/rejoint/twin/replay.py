@@ -20,7 +20,7 @@ from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.parameters import STICTION, TIMESTEP, TwinParameters
+from rejoint.twin.parameters import TIMESTEP, TwinParameters
 from rejoint.twin.reference import ServoReference
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ class Replay:
     windows: Sequence[Window]
     timestep: float = TIMESTEP
     threads: int = 1
-    stiction: float = STICTION
     acceleration: float = np.inf
 
     def __post_init__(self) -> None:
@@ -125,12 +124,12 @@ class Replay:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
 
             touched = [tables[i] for i in which]
-            twins = TableBatch(self.arm, arms, touched, self.timestep, self.threads, stiction=self.stiction)
+            twins = TableBatch(self.arm, arms, touched, self.timestep, self.threads)
         else:
             if m * count not in self._batches:
                 self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
             twins = self._batches[m * count]
-            twins.write(arms, stiction=self.stiction)
+            twins.write(arms)
         twins.restart(start, velocity)
         passed = twins.rollout(self._control(parameters))
         path = np.concatenate([start[:, None], passed], axis=1)

@@ -29,8 +29,6 @@ class Draw:
     """(N,) [s] until a command arrives"""
     readback_delay: Array
     """(N,) [s] age of a reading"""
-    stiction: Array
-    """(N, n) static over kinetic friction"""
     acceleration: Array
     """(N,) [rad/s^2] of references while commands change; inf: limited speed instead"""
     gravity_scale: Array
@@ -43,14 +41,13 @@ class Draw:
     """(N,) damping in the backlash, relative to the motor's"""
 
     @staticmethod
-    def of(twin: TwinParameters, stiction: Array | float = 1.0, acceleration: Array | float = np.inf) -> Draw:
+    def of(twin: TwinParameters, acceleration: Array | float = np.inf) -> Draw:
         """Take twins (N,), with all delay before the servo."""
         whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
         return Draw(
             twin=twin,
             command_delay=twin.delay,
             readback_delay=whole,
-            stiction=joints + stiction,
             acceleration=whole + acceleration,
             gravity_scale=whole + 1.0,
             period=whole,
@@ -84,7 +81,7 @@ class Simulation:
         At ``position`` with constant ``command`` (m, n) [rad].
         """
         where = np.ones(len(self.time), dtype=bool) if where is None else where
-        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale, stiction=draw.stiction)
+        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
         self.twins.restart(position, ids=where)
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
         self.latency.clear(where, command, position)

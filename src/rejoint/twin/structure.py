@@ -1,6 +1,6 @@
-"""What a twin needs to explain some logs: active limits, and static friction.
+"""What a twin needs to explain some logs: active limits, which have no gradient.
 
-Neither has a gradient, so fits to the same windows are compared.
+So fits to the same windows are compared.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
@@ -18,9 +18,6 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import Layout, Prior, is_hobby, number, unpack
 from rejoint.twin.replay import Window
-
-STICTIONS = (1.25, 1.0, 1.5, 2.0)
-"""Ratios of static to kinetic friction, default first; measured on a real low-cost arm"""
 
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that show only when reached"""
@@ -34,8 +31,6 @@ DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 EARLIER = 0.01
 """[s] of delay that imitates a limited acceleration; measured on a real low-cost arm"""
 
-STICTION_GAIN = 0.10
-"""Relative gain of another stiction; chosen"""
 GAIN = 0.02
 """Least first gain of a limit; chosen"""
 LIMIT_GAIN = 0.15
@@ -55,6 +50,8 @@ NEAR = 0.2
 """Relative loss of a good first fit; chosen"""
 EFFORT, TRIALS, WIDER = 3e4, 100, 2.0
 """Readings times joints of descents from random starts, trials for each, their spread over the prior's; chosen"""
+DESCENTS = 6
+"""Descents for joints whose motion is not explained; chosen"""
 SHORT = 3
 """Steps of a descent on few windows; chosen"""
 ROUGH = 6
@@ -81,8 +78,6 @@ class Structure:
 
     prior: Prior
     frozen: tuple[str, ...]
-    stiction: float
-    """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of the reference, while commands change"""
 
@@ -116,9 +111,9 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
     return replace(known, mean=mean, sigma=sigma, told=belief.sigma)
 
 
-def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
+def simplest(belief: Prior, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(prior=without(belief, OPTIONAL), frozen=OPTIONAL, stiction=stiction, acceleration=acceleration)
+    return Structure(prior=without(belief, OPTIONAL), frozen=OPTIONAL, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -133,12 +128,17 @@ def rough_fit(problem: Problem) -> Array:
     return fit(problem, y, ROUGH, SCALES).vector
 
 
-def explored(problem: Problem, x: Array) -> Array:
-    """Best of ``x`` (k,) and of descents from random starts, as many as are cheap: those of few joints."""
-    count, rng = int(EFFORT / (problem.measured.size * problem.joints)), np.random.default_rng(0)
+def explored(problem: Problem, x: Array, joints: Mask | None = None) -> Array:
+    """Best of ``x`` (k,) and of descents from random parameters of some ``joints`` (n,).
+
+    By default from those of all joints and the arm, as many descents as are cheap: with few joints.
+    """
+    count = int(EFFORT / (problem.measured.size * problem.joints)) if joints is None else DESCENTS * bool(joints.any())
     if count == 0:
         return x
-    starts = _drawn(problem, x, TRIALS * count, rng, WIDER)
+    rng, moved = np.random.default_rng(0), np.ones(problem.joints, dtype=bool) if joints is None else joints
+    drawn = _drawn(problem, x, TRIALS * count, rng, WIDER)
+    starts = np.where(np.append(moved, joints is None)[problem.owner], drawn, x)
     order = np.argsort(loss(problem.residuals(starts)).sum(axis=(1, 2)))[:count]
     found = [fit(problem, start, 2 * ROUGH, SCALES).vector for start in starts[order]]
     return search(problem, np.array([x, *found]), rng, rounds=1)
@@ -204,7 +204,6 @@ def find_structure(
     make: Callable[[Structure], Problem],
     belief: Prior,
     structure: Structure,
-    stictions: Sequence[float],
     start: Array,
 ) -> tuple[Structure, Array]:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,); returns the best's optimum too.
@@ -222,21 +221,6 @@ def find_structure(
         y, losses = _with_limit(make(freed), x, limit)
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
-    first, others = stictions[0], sorted(stictions[1:])
-    for ladder in ([s for s in others if s > first], [s for s in reversed(others) if s < first]):
-        for stiction in ladder:
-            stickier = replace(structure, stiction=stiction)
-            problem = make(stickier)
-            # A joint that sticks more at rest has less friction in motion for the same hysteresis.
-            guess = x.copy()
-            guess[problem.layout.at("coulomb")] -= np.log(stiction / structure.stiction)
-            y = fit(problem, guess, FURTHER, SCALES).vector
-            losses = _losses(problem, y)
-            if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
-                break
-            structure, x, best = stickier, y, losses
-        if structure.stiction != first:  # downwards counts only where upwards does not help
-            break
     return structure, x
 
 
@@ -245,7 +229,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = drive_torque(problem, x)[0]
+        torque = drive_torque(problem, x)
         values = [np.log(share * torque) for share in _TORQUES]
     elif limit == "load_friction":
         values = [np.full(problem.joints, share) for share in _SHARES]
@@ -268,12 +252,12 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     return y, _losses(problem, y)
 
 
-def drive_torque(problem: Problem, x: Array, shares: Sequence[float] = (SELDOM,)) -> Array:
-    """(s, n) [N m] servo torque without limit, exceeded in each of the ``shares`` (s,) of the rows."""
+def drive_torque(problem: Problem, x: Array) -> Array:
+    """(n,) [N m] servo torque without limit, exceeded in `SELDOM` of the rows."""
     parameters = unpack(x, problem.joints)
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
     torque = parameters.stiffness * np.maximum(np.abs(lead), problem.floor)
-    return np.quantile(torque, 1.0 - np.array(shares), axis=0)
+    return np.quantile(torque, 1.0 - SELDOM, axis=0)
 
 
 def without(belief: Prior, names: Sequence[str]) -> Prior:

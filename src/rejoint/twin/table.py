@@ -49,12 +49,11 @@ class TableBatch:
         timestep: float | Array = TIMESTEP,
         threads: int = 1,
         gravity_scale: float | Array = 1.0,
-        stiction: float = 1.0,
     ) -> None:
         """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
         count = twins.shape[0]
-        plain = stiction == 1.0 and not twins.load_friction.any()
-        self._terms = None if plain else friction_terms(twins, stiction)
+        plain = (twins.stiction == 1.0).all() and not twins.load_friction.any()
+        self._terms = None if plain else friction_terms(twins)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
         self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")

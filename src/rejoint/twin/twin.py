@@ -22,7 +22,6 @@ from rejoint.system.results import Readable
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
     PARAMETERS,
-    STICTION,
     Layout,
     TwinParameters,
     pack,
@@ -181,8 +180,6 @@ class Twin(Readable):
     """[s] of motion in the fit"""
     notes: tuple[str, ...] = field(default=())
     """for the user"""
-    stiction: float = STICTION
-    """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
     gain: Array | None = None
@@ -222,8 +219,8 @@ class Twin(Readable):
             raise InputError("twin: the covariance must be symmetric, without negative eigenvalues")
         if (self.narrowing <= 0).any() or (self.lower >= self.upper).any():
             raise InputError("twin: every narrowing must be positive, and every lower bound below the upper one")
-        if not (1.0 <= self.stiction < np.inf and self.acceleration > 0.0):
-            raise InputError(f"twin: stiction {self.stiction} below 1 or acceleration {self.acceleration} not above 0")
+        if not (self.acceleration > 0.0 and (self.parameters.stiction >= 1.0).all()):
+            raise InputError(f"twin: acceleration {self.acceleration} not above 0, or a stiction below 1")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -276,8 +273,6 @@ class Twin(Readable):
         values = [getattr(self.parameters, p.name) for p in PARAMETERS]
         for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        if self.stiction != STICTION:
-            h.update(np.array(self.stiction, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
         if self.gain is not None:
@@ -296,7 +291,7 @@ def _root(twin: Twin, least_spread: float) -> Array:
     return root
 
 
-FORMAT = 1
+FORMAT = 2
 
 ERRORS = ("no_twin", "healthy_twin", "twin")
 """Rms errors on held-out motion"""
@@ -334,7 +329,6 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         "digest": twin.digest(),
         "fit_seconds": twin.fit_seconds,
         "notes": twin.notes,
-        "stiction": twin.stiction,
         **({"acceleration": twin.acceleration} if twin.acceleration < np.inf else {}),
         **({"gain": twin.gain} if twin.gain is not None else {}),
         "held_out": {"seconds": twin.held_out.seconds, **errors},
@@ -390,7 +384,6 @@ def _twin(data: dict[str, Any]) -> Twin:
         held_out=msgspec.convert(data["held_out"], HeldOut),
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),
-        stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
         gain=np.array(data["gain"], dtype=float) if "gain" in data else None,
         table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,

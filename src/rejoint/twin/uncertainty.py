@@ -26,10 +26,7 @@ from rejoint.twin.structure import LIMIT_GAIN
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
 
-TORQUE_LIMIT, DELAY = number("torque_limit"), number("delay")
-
-LATE = 0.0025
-"""[s] error of a delay by what no twin holds, such as the filter of a servo's speed; measured: emulated worn arms"""
+TORQUE_LIMIT = number("torque_limit")
 SCALE_STEP = SCALES[-2]
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
@@ -41,8 +38,8 @@ def uncertainty(problem: Problem, fit: Fit, clusters: Index) -> Array:
     weight = fit.weights.precision * influence(residual)
     curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
-    covariance += fixed_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
-    covariance += np.diag(np.where(problem.layout.kind == DELAY, LATE**2, 0.0))
+    covariance += fixed_covariance(problem, fit, residual, jacobian, weight, curvatures.sum(axis=0) + prior.precision)
+    covariance += np.diag(problem.layout.has("beside") ** 2)
     return 0.5 * (covariance + covariance.T)
 
 
@@ -102,18 +99,18 @@ def limiting(problem: Problem, x: Array) -> Mask:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
-AT_REST = 0.3
-"""Sigma of the log ratio of friction at rest to that in motion; chosen: between the ratios that a fit tries"""
 STEP = 0.1
 """Finite-difference step of the logarithms; chosen"""
 
 
-def fixed_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
+def fixed_covariance(
+    problem: Problem, fit: Fit, residual: Array, jacobian: Array, weight: Array, curvature: Array
+) -> Array:
     """Covariance (k, k) of an estimate by what it holds fixed.
 
-    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k), with the prior, at the estimate.
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q), ``weight`` (rows, n) and ``curvature`` (k, k) there.
     """
-    moved, weight = [], fit.weights.precision * influence(residual)
+    moved = []
     for other, sigma in others(problem.replay):
         path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
@@ -132,4 +129,3 @@ def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
         yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
         yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
-    yield replace(replay, stiction=replay.stiction * np.exp(STEP)), AT_REST

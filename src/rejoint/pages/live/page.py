@@ -74,7 +74,7 @@ class Ghost:
     """A twin that receives the arm's commands."""
 
     def __init__(self, arm: Arm, twin: Twin) -> None:
-        self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
+        self._draw = Draw.of(twin.parameters.repeat(1), twin.acceleration)
         self._simulation = Simulation(arm, 1)
         self._last: SeenCycle | None = None
 

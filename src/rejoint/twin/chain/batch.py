@@ -31,7 +31,7 @@ class ChainBatch:
         """(nsim,) [s]"""
         self._links = chain_links(arm)
         self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS) + 1, *shape))
-        self._terms = np.zeros((len(DRY) + 1, *shape))
+        self._terms = np.zeros((len(DRY), *shape))
         self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
         self._gear = np.zeros((5, *shape))
         """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
@@ -47,18 +47,17 @@ class ChainBatch:
         ids: Ids = None,
         *,
         gravity_scale: float | Array = 1.0,
-        stiction: float | Array = 1.0,
     ) -> None:
         """Set parameters (m,) of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``gravity_scale``: a number or (m,). ``stiction``: static over kinetic friction, a number or (m, n).
+        ``gravity_scale``: a number or (m,).
         """
         chosen = slice(None) if ids is None else ids
         *rows, gain = self._parameters
         for row, name in zip(rows, ROWS, strict=True):
             row[chosen] = getattr(parameters, name)
         gain[chosen] = parameters.damping - back_emf(self.arm, parameters)
-        for row, term in zip(self._terms, friction_terms(parameters, stiction), strict=True):
+        for row, term in zip(self._terms, friction_terms(parameters), strict=True):
             row[chosen] = term
         self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)
 
