@@ -164,14 +164,14 @@ def test_a_joint_that_holds_more_than_it_lifts_is_lightened_before_it_lifts():
 def test_a_way_asks_no_joint_for_more_speed_than_its_motor_has_left():
     arm, rng = mycobot280(), np.random.default_rng(5)
     free = comfortable_postures(arm)
-    motors = Motors(np.full(6, 1.5), np.full(6, 1.2), damping=np.full(6, 0.8))
+    motors = Motors(np.full(6, 1.5), np.full(6, 1.2), back_emf=np.full(6, 0.8))
     slower = []
     for start, goal in free[rng.integers(len(free), size=(40, 2))]:
         way, usual = plan(arm, start, goal, motors=motors), plan(arm, start, goal)
         time = np.linspace(0.0, way.duration, 200)
         torque, speed = gravity_torque(arm, way.at(time)), way.at(time, 1)
         left = motors.limit - np.where(torque * speed > 1e-9, np.abs(torque), 0.0).max(axis=0)
-        most = np.maximum(left / motors.damping, SLOWEST * arm.max_speed)
+        most = np.maximum(left / motors.back_emf, SLOWEST * arm.max_speed)
         assert (np.abs(speed) <= 1.05 * most).all()  # the torque is looked at in some places
         slower.append(way.duration / usual.duration)
     assert min(slower) >= 1.0

@@ -71,7 +71,7 @@ class Motors(NamedTuple):
     usable: Array
     """(n,) [N m] surely lifted, against friction"""
     damping: Array | float = 0.0
-    """(n,) [N m s/rad] torque that is lost with speed"""
+    """(n,) [N m s/rad] torque by which a command leads a turning joint"""
     coulomb: Array | float = 0.0
     """(n,) [N m] friction"""
     armature: Array | float = 0.0
@@ -80,6 +80,8 @@ class Motors(NamedTuple):
     """(n,) [N m/rad] of the servos"""
     delay: float = 0.09
     """[s] command to effect (chosen for unknown servos: worn ones take 0.07 to 0.15 s)"""
+    back_emf: Array | float = 0.0
+    """(n,) [N m s/rad] part of the damping that takes from the limit"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

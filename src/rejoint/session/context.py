@@ -84,8 +84,6 @@ LEAST = 0.04
 """[kg] that counts as a load at least (chosen)"""
 UNSEEN = 3.0
 """Factor on torque limits that a twin never saw (chosen)"""
-RUBBING = 0.1
-"""Friction over load (chosen)"""
 _NAMED = 5  # targets that a line names
 
 
@@ -120,7 +118,7 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
 def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
     """Say for each of K ``points`` (K, 3) [m] which motor is too weak by a limit that the twin has seen; else empty."""
     start = np.broadcast_to(arm.rest, (len(points), arm.joints))
-    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(twin).usable, np.inf)
+    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(arm, twin).usable, np.inf)
     judged = (too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns))
     return ["" if joint is None else why for joint, why in judged]
 
@@ -132,14 +130,15 @@ def _limits_seen(twin: Twin) -> NDArray[Any]:
     return twin.identified[Layout(len(twin.joint_names)).at("torque_limit")]
 
 
-def believed_motors(twin: Twin) -> Motors:
-    """Motors of a twin; unseen limits may be three times as high, friction at rest counts twice."""
+def believed_motors(arm: Arm, twin: Twin) -> Motors:
+    """Motors of a twin; unseen limits may be three times as high."""
+    from rejoint.twin.parameters import back_emf, lifting_torque
+
     own = twin.parameters
     limit = np.where(_limits_seen(twin), own.torque_limit, UNSEEN * own.torque_limit)
-    usable = (own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
-    usable = np.maximum(usable, 0.1 * own.torque_limit)
     late = float(own.delay) + 0.5 * NOMINAL_PERIOD
-    return Motors(limit, usable, own.damping, own.coulomb, own.armature, own.stiffness, late)
+    emf = back_emf(arm, own)
+    return Motors(limit, lifting_torque(own), own.damping, own.coulomb, own.armature, own.stiffness, late, emf)
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:

@@ -129,7 +129,7 @@ class ArmSession(ArmDriver):
     def motors(self) -> Motors | None:
         """What the motors hold and lift, by the twin under the gains in force; None without one."""
         twin = self.twin_now
-        return None if twin is None else believed_motors(twin)
+        return None if twin is None else believed_motors(self.arm, twin)
 
     # --- motions ------------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import Ranges
-from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.parameters import lifting_torque, nominal_parameters
 from rejoint.twin.simulation import Draw, Simulation
 
 
@@ -85,10 +85,8 @@ DRAWN = 16
 
 
 def lifted(draw: Draw) -> Array:
-    """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.context.believed_motors`."""
-    limit = draw.twin.torque_limit
-    usable = 0.9 * limit - 2.0 * draw.twin.coulomb
-    return np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None]
+    """Torques (m, n) [N m] that the motors of arms lift."""
+    return lifting_torque(draw.twin) / draw.gravity_scale[:, None]
 
 
 @lru_cache(maxsize=4)

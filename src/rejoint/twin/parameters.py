@@ -366,6 +366,16 @@ def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
 
 
+RUBBING = 0.1
+"""Friction over load; chosen"""
+
+
+def lifting_torque(twin: TwinParameters) -> Array:
+    """Return the torque (..., n) [N m] that motors surely lift from rest, against their friction."""
+    usable = (twin.torque_limit - twin.stiction * twin.coulomb) / (1.0 + RUBBING)
+    return np.maximum(usable, 0.1 * twin.torque_limit)
+
+
 @lru_cache(maxsize=32)
 def nominal_parameters(arm: Arm) -> TwinParameters:
     """Twin of the prior medians."""

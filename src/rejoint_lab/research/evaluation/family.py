@@ -134,7 +134,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
     low[2] = arm.floor
     targets, ways = np.empty((family.arms, family.targets, 3)), list[Sequence[JointTrajectory]]()
     for i, (seed, twin) in enumerate(zip(family.wear_seeds, twins, strict=True)):
-        motors, most = believed_motors(twin), HELD * twin.parameters.torque_limit
+        motors, most = believed_motors(arm, twin), HELD * twin.parameters.torque_limit
         rng, start = np.random.default_rng([seed, 2]), arm.rest
         postures: list[Array] = []
         while len(postures) < family.targets:
