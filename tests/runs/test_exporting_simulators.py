@@ -12,7 +12,7 @@ import pytest
 from test_gains import found_by
 
 from madetwin import made_twin
-from rejoint.arms import so101
+from rejoint.arms import gravity_torque, so101
 from rejoint.diagnosis.excitation import record
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run
@@ -60,9 +60,13 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
     replay = Replay(arm, logs, windows)
     measured = replay.measured()
-    ours = rms([path[0] for path in replay.predict(twin.parameters.repeat(1))], measured)
-    theirs = rms([predicted(path, logs[window.log], window) for window in windows], measured)
-    assert theirs < 1.1 * ours
+    p, load = twin.parameters, np.abs(gravity_torque(arm, np.concatenate(measured))).max(axis=0)
+    # A weaker joint breaks loose, or does not, by the least difference.
+    starts = p.torque_limit > load + p.stiction * p.coulomb
+    assert starts.sum() >= arm.joints - 1
+    ours = rms([path[0][:, starts] for path in replay.predict(p.repeat(1))], [m[:, starts] for m in measured])
+    alone = [predicted(path, logs[window.log], window)[:, starts] for window in windows]
+    assert rms(alone, [m[:, starts] for m in measured]) < 1.1 * ours
 
 
 def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
