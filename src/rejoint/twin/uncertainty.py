@@ -5,7 +5,7 @@ with Student's quantile; clusters are motions, or stretches of an excitation. Cu
 are too narrow.
 
 What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8). A torque
-limit that explains no motion shows nothing: the prior remains.
+limit that explains no motion shows nothing, nor does that of a joint whose motion is not explained: the prior remains.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rejoint.arms import Array, Index, Mask
 from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.system.statistics import NORMAL95, student95
-from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
+from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, explained, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import LIMIT_GAIN
@@ -91,10 +91,11 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 
 def limiting(problem: Problem, x: Array) -> Mask:
-    """(n,) whether each joint's motion is worse explained without its torque limit in ``x`` (k,)."""
+    """(n,) whether each joint's motion is explained, and worse without its torque limit in ``x`` (k,)."""
     unlimited = np.where(problem.layout.kind == TORQUE_LIMIT, problem.prior.upper, x)
-    losses = loss(problem.residuals(np.array([x, unlimited]))).sum(axis=1)
-    return np.asarray(losses[0] < (1.0 - LIMIT_GAIN) * losses[1])
+    residuals = problem.residuals(np.array([x, unlimited]))
+    losses = loss(residuals).sum(axis=1)
+    return explained(residuals[0]) & (losses[0] < (1.0 - LIMIT_GAIN) * losses[1])
 
 
 COMMON = 0.10
