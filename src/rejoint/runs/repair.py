@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish, newest_or_new
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.compare import Compared, TrialPlan, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
@@ -220,7 +219,7 @@ class _RepairStages:
         return stages_of(self.robot, self.run.arm, self.run.folder, self.plan, quick=self.quick)
 
     def do_all(self) -> None:
-        """Do the stages in order; a comparison of an emulated arm begins during the training."""
+        """Do the stages in order."""
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
         gauge = None if plan.gauge == NO_GAUGE else plan.gauge
         moving: dict[str, Any] = {"run": run, "settings": settings}
@@ -228,24 +227,11 @@ class _RepairStages:
         self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
         self.do("identify", partial(identify, run=run, quick=quick))
         self.do("gains", partial(gains, robot, **moving))
-        early = is_batchable(robot) and self.only is None and not plan.controllers
-        early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
-        ahead = self._ahead() if early else None
-        with nullcontext() if ahead is None else closing(ahead):
-            self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
-            self.do("compare", partial(self._compare, ahead))
+        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
+        self.do("compare", self._compare)
         self.do("report", lambda observer: report(run))  # noqa: ARG005
 
-    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
-        with self._comparison(observer) as job:
-            return job.drive(observer.progress, ahead)
-
-    def _ahead(self) -> HelperProcess | None:
-        with self._comparison(Observer()) as job:
-            return job.begin_ahead()
-
-    @contextmanager
-    def _comparison(self, observer: Observer) -> Iterator[ComparisonJob]:
+    def _compare(self, *, observer: Observer) -> Compared:
         plan, quick, emulated = self.plan, self.quick, is_batchable(self.robot)
         settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
         trials, targets = plan.trials or TrialPlan(), plan.targets
@@ -257,8 +243,15 @@ class _RepairStages:
         )
         if quick and targets is None:
             targets = draw_targets(self.run.arm, sets=1, count=QUICK_TARGETS, seed=self.run.seed)
-        with ArmSession(self.robot, run=self.run, settings=settings, observer=observer) as session:
-            yield comparison_job(session, plan.controllers, targets, trials)
+        return compare(
+            self.robot,
+            plan.controllers,
+            targets,
+            run=self.run,
+            plan=trials,
+            settings=settings,
+            observer=observer,
+        )
 
     def do(self, name: StageName, work: Callable[..., object]) -> None:
         """Do a stage, or report that it is done."""

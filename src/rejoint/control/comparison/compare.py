@@ -8,7 +8,6 @@ controllers leave after three misses in a row, or by a paired t-test on logarith
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from itertools import product
@@ -47,7 +46,6 @@ from rejoint.control.targets import in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.system.files import read_json, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.stopping import pause
 
 
 @dataclass(frozen=True)
@@ -84,10 +82,6 @@ class Ledger:
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 Result = tuple[Driven, Recording]
-Helper = Callable[[Key], Future[Result]]
-"""Drives trials elsewhere"""
-
-_LOOK = 0.02  # [s]
 
 BLOCK = 5
 """targets between eliminations (chosen)"""
@@ -151,7 +145,6 @@ class TrialRunner:
     """trials of one arm, driven before"""
     on_progress: Progress = no_progress
     on_trial: Callable[[Driven, Recording], object] = field(default=lambda *_: None)
-    helper: Helper | None = None
 
     def __post_init__(self) -> None:
         settings, (sets, count) = self.settings, self.targets.shape[:2]
@@ -195,22 +188,9 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        asked = [Key(name, kind, places) for name, kind in product(self.controllers, KINDS)]
-        left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
-        beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
-        for key in asked:
-            if key in beside and not beside[key].cancel():
-                waiting.append(key)
-            else:
-                self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
-        for key in waiting:
-            while not beside[key].done():
-                pause(_LOOK)
-            if beside[key].exception() is None:
-                self.on_trial(*beside[key].result())
-                self._take(beside[key].result()[0])
-            else:  # what the helper lost
-                self._take(self.drive_batch(key)[0])
+        for name, kind in product(self.controllers, KINDS):
+            key = Key(name, kind, places)
+            self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
 
     def drive_batch(self, key: Key) -> Result:
         """Drive a controller's trials side by side, each on an arm."""
