@@ -1,9 +1,10 @@
-"""A controller as one ONNX graph, written for PyTorch; its memory is a tensor."""
+"""A controller as one ONNX graph: PyTorch traces its law; its memory is a tensor."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any, TypeVar, cast
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import onnx
@@ -14,19 +15,9 @@ from torch.nn import functional
 
 from rejoint.arms import Arm
 from rejoint.arms.kinematics import DAMPING, GRAVITY, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE, joint_terms
-from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.controllers.classical import LONGEST_PERIOD as PACE_LONGEST
-from rejoint.control.controllers.classical import PROJECTION_DAMPING
-from rejoint.control.controllers.feedforward import (
-    CALMER,
-    EARLY,
-    HELD_BACK,
-    LEAST_PUSH,
-    SPEED_SMOOTHING,
-    TAKEN_BACK,
-    Commander,
-    CommandLaw,
-)
+from rejoint.control.controllers.classical import PROJECTION_DAMPING, STEP_LIMIT, DlsStep
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import (
     HISTORY,
     LIMIT,
@@ -34,11 +25,11 @@ from rejoint.control.controllers.observation import (
     LONGEST_WAIT,
     MIDDLE_PERIOD,
     PERIOD_SMOOTHING,
+    View,
     layout_factors,
 )
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.training.train import to_onnx
-
-F = TypeVar("F")
 
 GAP = 0.5
 """[s] after which the controller restarts (as in `rejoint.control.loop`)"""
@@ -69,7 +60,7 @@ def controller_graph(arm: Arm, law: CommandLaw, network: bytes | None) -> onnx.M
     return model
 
 
-def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - whatever NumPy takes
+def _tensor(value: Any) -> Any:  # noqa: ANN401 - whatever NumPy takes
     return torch.as_tensor(np.array(value, dtype=float))
 
 
@@ -84,10 +75,10 @@ def _arm_tensors(arm: Arm) -> list[Tensor]:
     return [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
 
 
-def _scripted(function: F) -> F:
+def _scripted(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return cast("F", torch.jit.script(function))
+        return torch.jit.script(function)
 
 
 @_scripted
@@ -143,144 +134,120 @@ def _search(
     return q
 
 
+where: Any = torch.where  # also of what types call arrays
+
+
+class _TensorLaw(Commander):
+    """The law of one arm on tensors (1, n), whose goal stands."""
+
+    xp = torch
+
+    def __init__(self, arm: Arm, law: CommandLaw) -> None:
+        super().__init__(arm, law)
+        tensors: Any = map(torch.tensor, (self.moves, self.spared, self.unloaded, arm.lower, arm.upper))
+        self.moves, self.spared, self.unloaded, *self._limits = tensors
+
+    def begin(self, old: dict[str, Any], fresh: Any, distance: Any, goal: tuple[Any, Any]) -> None:  # noqa: ANN401
+        """Go on from the memory; ``goal``: raised (1, n) [rad], and its Jacobian, transposed (n, 3)."""
+        self._raised, self._transpose = goal
+        self._pace.last = _tensor([0.0])  # so times are periods
+        self._correction, self._speed, self._position = old["correction"], old["speed"], old["position"]
+        self._pushed, self._asked = old["pushed"], old["asked"]
+        self._eager, self._came = where(fresh, 1.0, old["eager"]), where(fresh, 0.0, old["came"])
+        self._correction = self._correction - where(fresh, self._far(distance), 0.0) * self._unneeded()
+
+    def memory(self) -> dict[str, Any]:
+        """Return what the next cycle goes on from."""
+        names = ("correction", "speed", "position", "pushed", "eager", "came")
+        found = self._correction, self._speed, self._position, self._pushed, self._eager, self._came
+        return dict(zip(names, found, strict=True))
+
+    def on_the_way(self, inputs: ControlInput) -> Any:  # noqa: ANN401, ARG002
+        """See `Commander`."""
+        return torch.zeros(1, dtype=torch.bool)
+
+    def _unneeded(self) -> Any:  # noqa: ANN401
+        moved = self._correction[0] @ self._transpose
+        return self._correction - _dls(self._transpose, moved, _tensor(PROJECTION_DAMPING))
+
+    def _decay(self, distance: Any, elapsed: Any) -> None:  # noqa: ANN401
+        kept = torch.exp(-self._gains.forgetting * elapsed)  # ONNX has no expm1
+        self._correction = self._correction - self._far(distance) * (1.0 - kept) * self._unneeded()
+
+
 class _CycleGraph(nn.Module):
     def __init__(self, arm: Arm, law: CommandLaw, network: bytes | None) -> None:
         super().__init__()
-        self.network, self.law, self.n = network, law, arm.joints
+        self.network, self.n = network, arm.joints
         self.arm = _arm_tensors(arm)
-        self.limits = self.arm[-2:]
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(law.stiffness), _tensor(-GRAVITY)
-        self.factors, self.unloaded = _tensor(layout_factors("residual", self.n)), _tensor(unloaded_joints(arm))
-        self.commander = Commander(arm, law)
-        self.moves, self.spared = _tensor(self.commander.moves), _tensor(self.commander.spared)
+        self.factors, self.law = _tensor(layout_factors("residual", self.n)), _TensorLaw(arm, law)
 
-    def forward(self, joint_pos: Tensor, target: Tensor, period: Tensor, state_in: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, joint_pos: Any, target: Any, period: Any, state_in: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
         """Command and memory."""
         arm, law, slots = self.arm, self.law, memory_slots(self.n)
-        position, target, state = (one.double().reshape(-1) for one in (joint_pos, target, state_in))
-        old = dict(zip(slots, torch.split(state, list(slots.values())), strict=True))
+        position, target, state = (one.double() for one in (joint_pos, target, state_in))
+        old: dict[str, Any] = dict(zip(slots, torch.split(state, list(slots.values()), dim=1), strict=True))
         begun = old["begun"] > 0.5
-        old |= {name: torch.where(begun, old[name], position) for name in ("sent", "asked", "position")}
-        sent = old["sent"]
-        elapsed = torch.where(begun, period.double().reshape(1).clamp(min=0.0), 0.0)
+        old |= {name: where(begun, old[name], position) for name in ("sent", "asked", "position")}
+        elapsed = where(begun, period.double().clamp(min=0.0), 0.0)
         changed = (target - old["target"]).abs().max() > 0.0
         fresh = ~begun | changed | (elapsed > GAP)
-        since = torch.where(fresh, 0.0, old["since_target"] + elapsed)
-        rounds = torch.where(fresh, ROUNDS, 0).squeeze(0)
-        found = _search(arm, target, sent, rounds, (TOLERANCE, DAMPING, REST_GAIN, MOST_STEP))
-        goal = torch.where(fresh, found, old["goal"])
-        axes, origins, centres, _, transpose = _pose(arm, goal)
-        ridge = torch.full((), PROJECTION_DAMPING, dtype=torch.float64)
-        idle = old["correction"] - _dls(transpose, old["correction"] @ transpose, ridge)
+        since = where(fresh, 0.0, old["since_target"] + elapsed)
+        rounds = where(fresh, ROUNDS, 0).reshape(())
+        found = _search(arm, target[0], old["sent"][0], rounds, (TOLERANCE, DAMPING, REST_GAIN, MOST_STEP))
+        goal = where(fresh, found, old["goal"])
+        axes, origins, centres, _, transpose = _pose(arm, goal[0])
         moment = self.hanging @ (centres * self.mass) - origins * (self.hanging @ self.mass)
         raised = goal + (torch.linalg.cross(axes, moment) @ self.gravity) / self.stiffness
 
-        _, _, _, tcp, transpose = _pose(arm, position)
-        error = target - tcp
-        distance = (error * error).sum().sqrt()
-        step = _dls(transpose, error, torch.full((), DAMPING, dtype=torch.float64))
+        _, _, _, tcp, seen = _pose(arm, position[0])
+        error = target[0] - tcp
+        step = _dls(seen, error, _tensor(DAMPING))
+        view = View(tcp[None], error[None], (error * error).sum().sqrt()[None], step[None], goal - position)
         known = self._measured(position, elapsed, fresh, old)
-        action = self._act(position, sent, (step, error, distance), since, known)
-        push, extra = self._weigh(step, distance, since, action)
-
-        gains, span = law.learning, elapsed.clamp(max=PACE_LONGEST)
-        way = position - old["position"]
-        loosened, sticking = self._loosen(step, (distance, since), span, way, fresh, old)
-        extra = extra + loosened
+        period = elapsed[0].clamp(max=PACE_LONGEST)
+        state = JointState(time=period, position=position, age=np.zeros(1))
+        inputs = ControlInput(state=state, target=target, goal=goal, sent=old["sent"], since_target=since[0])
+        law.begin(old, fresh, view.distance, (raised, transpose))
+        command: Any
         if self.network is None:
-            short = old["asked"] - sent
-            held = short.abs() > HELD_BACK
-            push, extra = (torch.where(held & (short * one > 0.0), 0.0, one) for one in (push, extra))
-        newest = torch.where(span > 0.0, way / torch.where(span > 0.0, span, 1.0), old["speed"])
-        speed = newest * SPEED_SMOOTHING + old["speed"] * (1.0 - SPEED_SMOOTHING)
-        near, far = gains.far
-        far_off = ((distance - near) / (far - near)).clamp(0.0, 1.0)
-        forgotten = far_off * (1.0 - torch.exp(-gains.forgetting * span))
-        learned = old["correction"] - idle * torch.where(fresh, far_off + (1.0 - far_off) * forgotten, forgotten)
-        added = push * (span * gains.rate)
-        on_its_way = (speed.abs() > gains.moving) & (speed * added > 0.0)
-        learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
-            -gains.learned_limit, gains.learned_limit
-        )
-        margin = law.envelope_margin
-        command = torch.clamp(torch.clamp(raised + learned, goal - margin, goal + margin), *self.limits)
-        actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
-        memory = known | sticking | {"begun": torch.ones(1, dtype=torch.float64), "since_target": since}
-        memory |= {"sent": command, "asked": command, "target": target, "goal": goal, "correction": learned}
-        memory |= {"speed": speed, "position": position, "action": actions}
-        state = torch.cat([memory[name] for name in slots])
-        return command.float().reshape(1, -1), state.float().reshape(1, -1)
+            action, clipped = torch.zeros_like(position), _clip_norm(step, float(STEP_LIMIT))[None]
+            command = law.integrate(inputs, DlsStep(clipped, view.error, seen), view.distance)
+        else:
+            action = self._act(self.network, inputs, view, known)
+            command = law.commands(inputs, view, action)
+        actions = torch.cat([action, known["action"][:, : (HISTORY - 1) * self.n]], dim=1)
+        memory = known | law.memory() | {"begun": torch.ones_like(since), "since_target": since, "action": actions}
+        memory |= {"sent": command, "asked": command, "target": target, "goal": goal}
+        return command.float(), torch.cat([memory[name] for name in slots], dim=1).float()
 
-    def _loosen(
-        self,
-        step: Tensor,
-        seen: tuple[Tensor, Tensor],
-        span: Tensor,
-        way: Tensor,
-        fresh: Tensor,
-        old: dict[str, Tensor],
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Addition (n,) [rad] for stuck joints, and its memory."""
-        eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
-        share, (distance, since) = step / step.abs().max().clamp(min=1e-9), seen
-        sticks, loose = way == 0.0, way * old["pushed"] > 0.0
-        speed = self.commander.loosen * (distance / self.commander.gentle + since / EARLY).clamp(LEAST_PUSH, 1.0)
-        added = torch.where(sticks & (distance > self.commander.close), span * speed * eager * share, 0.0)
-        taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
-        return added - taken, {
-            "pushed": torch.where(sticks, old["pushed"] + added, 0.0),
-            "eager": torch.where(back * came < 0.0, CALMER * eager, eager),
-            "came": torch.where(loose, back, came),
-        }
-
-    def _measured(self, position: Tensor, elapsed: Tensor, fresh: Tensor, old: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _measured(self, position: Any, elapsed: Any, fresh: Any, old: dict[str, Any]) -> dict[str, Any]:  # noqa: ANN401
         news = (elapsed > 0.0) & ~fresh
-        velocity, action = (torch.where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
-        latest = (position - old["position"]) / torch.where(news, elapsed, 1.0)
-        shifted = torch.cat([latest, velocity[: (HISTORY - 1) * self.n]])
-        mean = torch.where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
+        velocity, action = (where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
+        latest = (position - old["position"]) / where(news, elapsed, 1.0)
+        shifted = torch.cat([latest, velocity[:, : (HISTORY - 1) * self.n]], dim=1)
+        mean = where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
         changed = mean + (elapsed.clamp(max=LONGEST_PERIOD) - mean) * PERIOD_SMOOTHING
         return {
-            "velocity": torch.where(news, shifted, velocity),
+            "velocity": where(news, shifted, velocity),
             "action": action,
-            "mean_period": torch.where(news, changed, mean),
+            "mean_period": where(news, changed, mean),
         }
 
-    def _act(
-        self,
-        position: Tensor,
-        sent: Tensor,
-        seen: tuple[Tensor, Tensor, Tensor],
-        since: Tensor,
-        known: dict[str, Tensor],
-    ) -> Tensor:
-        """Network's action (n,) for the observation layout ``residual``."""
-        if self.network is None:
-            return torch.zeros(self.n, dtype=torch.float64)
-        step, error, distance = seen
+    def _act(self, network: bytes, inputs: Any, view: Any, known: dict[str, Any]) -> Any:  # noqa: ANN401
+        """Network's action (1, n) for the observation layout ``residual``."""
+        position, distance = inputs.state.position, view.distance[:, None]
         numbers = torch.cat([
-            sent - position, known["velocity"], step, step, step, position, error, error / (distance + 0.003),
-            (torch.log(distance + 0.0003) + 5.0).reshape(1), since.clamp(max=LONGEST_WAIT) - 0.5,
-            known["mean_period"] - MIDDLE_PERIOD, known["action"],
-        ]) * self.factors  # fmt: skip
+            inputs.sent - position, known["velocity"], view.step, view.step, view.step, position, view.error,
+            view.error / (distance + 0.003), torch.log(distance + 0.0003) + 5.0,
+            inputs.since_target[:, None].clamp(max=LONGEST_WAIT) - 0.5, known["mean_period"] - MIDDLE_PERIOD,
+            known["action"],
+        ], dim=1) * self.factors  # fmt: skip
         first, last = (2 + HISTORY) * self.n, (4 + HISTORY) * self.n
-        numbers = torch.cat([numbers[:first], torch.tanh(numbers[first:last]), numbers[last:]])
-        return _answer(self.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
-
-    def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Integrated parts of step and action (n,) [rad] (`rejoint.control.controllers.feedforward.Commander`)."""
-        law, largest, ratio = self.law, step.abs().max(), distance / self.law.load_penalty_distance
-        push = _clip_norm(step, float(law.step_limit)) * (distance / (distance + law.learning.fade))
-        push = push * (1.0 - self.spared / (ratio * ratio + 1.0))
-        authority = (largest * law.authority_slope + law.authority_floor).clamp(max=law.authority_limit)
-        extra = action.clamp(-1.0, 1.0) * authority * self.moves
-        if law.decay_start <= 0.0:
-            return push, extra
-        late = (law.decay_start / since.clamp(min=law.decay_start)) ** law.decay_power
-        near = (largest / law.decay_step).clamp(max=1.0)
-        factor = torch.where(self.unloaded > 0.0, late + (1.0 - late) * near * near, 1.0)
-        return push * factor, extra * factor
+        numbers = torch.cat([numbers[:, :first], torch.tanh(numbers[:, first:last]), numbers[:, last:]], dim=1)
+        return _answer(network, numbers.clamp(-LIMIT, LIMIT).float()).double()
 
 
 def _answer(network: bytes, values: Tensor) -> Tensor:

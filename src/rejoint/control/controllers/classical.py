@@ -43,13 +43,13 @@ def dls_step(arm: Arm, measured: Array, target: Array, turn: Orientation | None 
 
 def fade(error: Array, distance: float) -> Array:
     """Factor |e| / (|e| + distance), (..., 1), for TCP errors (..., 3) [m]: against hunting under stiction."""
-    size = np.sqrt((error**2).sum(axis=-1, keepdims=True))
+    size = (error**2).sum(axis=-1, keepdims=True) ** 0.5
     return size / (size + distance)
 
 
 def between(values: Array, low: Array | float, high: Array | float) -> Array:
-    """Clip to [low, high]; faster than `numpy.clip` for small arrays."""
-    return np.minimum(np.maximum(values, low), high)
+    """Clip to [low, high]: arrays, and tensors of an exported law."""
+    return values.clip(low, high)
 
 
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
@@ -88,7 +88,7 @@ class Pace:
             elapsed = np.full(len(time), NOMINAL_PERIOD)
         else:
             elapsed = between(time - self.last, 0.0, LONGEST_PERIOD)
-        self.last = time.copy()
+        self.last = time + 0.0  # a copy, also of a tensor
         return elapsed
 
     def begin(self, time: Array, where: Mask) -> None:

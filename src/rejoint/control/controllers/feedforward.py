@@ -8,7 +8,7 @@ without a source are chosen.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from rejoint.control.controllers.classical import (
     LONGEST_PERIOD,
     RATE,
     STEP_LIMIT,
+    DlsStep,
     Pace,
     between,
     dls_step,
@@ -74,6 +75,8 @@ class FeedforwardController:
 
     name = "feedforward"
     heeds_turn = True
+    xp: Any = np
+    """functions of the arrays; PyTorch's where the law is exported"""
 
     def __init__(
         self,
@@ -90,7 +93,7 @@ class FeedforwardController:
         self.stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
         if not (self.stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self.stiffness.tolist()}")
-        self._pace = Pace()
+        self._pace, self._limits = Pace(), (arm.lower, arm.upper)
         self._clear(0)
 
     def _clear(self, count: int) -> None:
@@ -132,32 +135,35 @@ class FeedforwardController:
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
         seen = dls_step(self._arm, inputs.state.position, inputs.target, inputs.turn)
-        step = fade(seen.error, self._gains.fade) * seen.step
-        distance = np.linalg.norm(seen.error[:, :3], axis=-1)
-        extra, short = self.loosening(inputs, seen.step, distance), self._asked - inputs.sent
-        held = np.abs(short) > HELD_BACK  # nothing winds up that is not sent
-        step, extra = (np.where(held & (short * one > 0.0), 0.0, one) for one in (step, extra))
-        self._asked = self.correct(inputs, step, extra, distance)
+        self._asked = self.integrate(inputs, seen, np.linalg.norm(seen.error[:, :3], axis=-1))
         return self._asked.copy()
+
+    def integrate(self, inputs: ControlInput, seen: DlsStep, distance: Array) -> Array:
+        """Commands (B, n) [rad] that integrate the ``seen`` step and loosen stuck joints; ``distance`` (B,) [m]."""
+        step = fade(seen.error, self._gains.fade) * seen.step
+        extra, short = self.loosening(inputs, seen.step, distance), self._asked - inputs.sent
+        held = abs(short) > HELD_BACK  # nothing winds up that is not sent
+        step, extra = (self.xp.where(held & (short * one > 0.0), 0.0, one) for one in (step, extra))
+        return self.correct(inputs, step, extra, distance)
 
     def loosening(self, inputs: ControlInput, step: Array, distance: Array) -> Array:
         """Push (B, n) [rad] of stuck joints; call `correct` next.
 
         ``step`` (B, n) [rad]: joint errors; ``distance`` (B,) [m]: tool errors.
         """
-        moved = inputs.state.position - self._position
+        xp, moved = self.xp, inputs.state.position - self._position
         elapsed = between(inputs.state.time - self._pace.last, 0.0, LONGEST_PERIOD)[:, None]
         stays = ~self.on_the_way(inputs)[:, None]
         sticks = stays & (moved == 0.0)
-        most = np.maximum(np.abs(step).max(axis=-1, keepdims=True), 1e-9)
+        most = xp.amax(abs(step), axis=-1, keepdims=True).clip(1e-9)
         strength = between(distance / self.gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
         added = (
             elapsed * self.loosen * strength * self._eager * (step / most) * (sticks & (distance > self.close)[:, None])
         )
         loose = stays & (moved * self._pushed > 0.0)
-        taken, back = np.where(loose, TAKEN_BACK * self._pushed, 0.0), loose * np.sign(self._pushed)
-        self._eager = np.where(back * self._came < 0.0, CALMER * self._eager, self._eager)
-        self._came, self._pushed = np.where(loose, back, self._came), np.where(sticks, self._pushed + added, 0.0)
+        taken, back = xp.where(loose, TAKEN_BACK * self._pushed, 0.0), loose * xp.sign(self._pushed)
+        self._eager = xp.where(back * self._came < 0.0, CALMER * self._eager, self._eager)
+        self._came, self._pushed = xp.where(loose, back, self._came), xp.where(sticks, self._pushed + added, 0.0)
         return added - taken
 
     def correct(self, inputs: ControlInput, step: Array, extra: Array, distance: Array) -> Array:
@@ -165,22 +171,27 @@ class FeedforwardController:
 
         ``distance`` as in `loosening`.
         """
-        position = inputs.state.position
-        moved = self.on_the_way(inputs)
-        if np.count_nonzero(moved):
+        xp, position, speed, gains = self.xp, inputs.state.position, self._speed, self._gains
+        moved, limit = self.on_the_way(inputs), gains.learned_limit
+        if moved.any():
             self._take(inputs, moved)
-        gains, speed, elapsed = self._gains, self._speed, self._pace.tick(inputs.state.time)[:, None]
-        if np.count_nonzero(distance > gains.far[0]):
-            forgotten = self._far(distance)[:, None] * -np.expm1(-gains.forgetting * elapsed)
-            self._correction -= forgotten * self._unneeded()
-        newest = np.divide(position - self._position, elapsed, out=speed.copy(), where=elapsed > 0.0)
-        speed[...] = SPEED_SMOOTHING * newest + (1.0 - SPEED_SMOOTHING) * speed
+        elapsed = self._pace.tick(inputs.state.time)[:, None]
+        self._decay(distance, elapsed)
+        later = elapsed > 0.0
+        newest = xp.where(later, (position - self._position) / xp.where(later, elapsed, 1.0), speed)
+        self._speed = speed = SPEED_SMOOTHING * newest + (1.0 - SPEED_SMOOTHING) * speed
         push = gains.rate * elapsed * step
-        push = np.where((np.abs(speed) > gains.moving) & (speed * push > 0.0), 0.0, push)
-        self._position[...], limit = position, gains.learned_limit
+        push = xp.where((abs(speed) > gains.moving) & (speed * push > 0.0), 0.0, push)
+        self._position = xp.asarray(position, copy=True)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        self._correction[...] = between(self._correction + push + extra, -limit, limit)
-        return limit_position(self._arm, self._raised + self._correction)
+        self._correction = between(self._correction + push + extra, -limit, limit)
+        return between(self._raised + self._correction, *self._limits)
+
+    def _decay(self, distance: Array, elapsed: Array) -> None:
+        """Let the null-space parts of corrections decay, after ``elapsed`` (B, 1) [s] at ``distance`` (B,) [m]."""
+        if np.count_nonzero(distance > self._gains.far[0]):
+            forgotten = self._far(distance)[:, None] * -np.expm1(-self._gains.forgetting * elapsed)
+            self._correction -= forgotten * self._unneeded()
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Clear corrections of ``where`` (B,); call `reset` next."""
@@ -241,21 +252,20 @@ class CommandLaw:
     envelope_margin: float = float(np.radians(35.0))
     """[rad] from the goal posture (anchor ``goal``; chosen)"""
 
-    def authority(self, step: Array) -> Array:
-        """Return authority (B, 1) [rad] at ``step`` (B, n) [rad]."""
-        largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
-        return np.minimum(self.authority_floor + self.authority_slope * largest, self.authority_limit)
+    def authority(self, largest: Array) -> Array:
+        """Return authority (B, 1) [rad] at steps whose ``largest`` elements are (B, 1) [rad]."""
+        return (self.authority_floor + self.authority_slope * largest).clip(None, self.authority_limit)
 
-    def decayed(self, since_target: Array, step: Array) -> Array:
-        """Factor (B, 1) on corrections of unloaded joints, (B,) [s] after the target, at ``step`` (B, n) [rad]."""
-        late = (self.decay_start / np.maximum(since_target, self.decay_start)[:, None]) ** self.decay_power
-        largest = np.abs(step).max(axis=-1, keepdims=True)
-        return late + (1.0 - late) * np.minimum(largest / self.decay_step, 1.0) ** 2
+    def decayed(self, since_target: Array, largest: Array) -> Array:
+        """Factor (B, 1) on corrections of unloaded joints, (B,) [s] after the target, as `authority`."""
+        late = (self.decay_start / since_target.clip(self.decay_start)[:, None]) ** self.decay_power
+        return late + (1.0 - late) * (largest / self.decay_step).clip(None, 1.0) ** 2
 
     def command(self, arm: Arm, view: View, position: Array, action: Array) -> Array:
         """Commands (B, n) [rad] of the anchor ``measured``: ``position`` (B, n) [rad], ``action`` (B, n) in [-1, 1]."""
         wanted = position + self.step_gain * clip_norm(view.step, self.step_limit)
-        wanted = wanted + self.authority(view.step) * np.clip(action, -1.0, 1.0)
+        largest = np.amax(abs(view.step), axis=-1, keepdims=True)
+        wanted = wanted + self.authority(largest) * np.clip(action, -1.0, 1.0)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
 
 
@@ -269,22 +279,23 @@ class Commander(FeedforwardController):
             raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
         super().__init__(arm, np.array(law.stiffness) if law.anchor == "goal" else None, law.learning, law.loosen)
         load, self.law = heaviest_load(arm), law
-        self.moves = moves_tool(arm).astype(float)
+        self.moves, self.unloaded = moves_tool(arm).astype(float), unloaded_joints(arm)
         self.spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
 
     def commands(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
-        law = self.law
+        law, xp = self.law, self.xp
         if law.anchor == "measured":
             return law.command(self._arm, view, inputs.state.position, action)
+        largest = xp.amax(abs(view.step), axis=-1, keepdims=True)
         near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
-        step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
-        step = step * (1.0 - near[:, None] * self.spared)
-        extra = law.authority(view.step) * self.moves * between(action, -1.0, 1.0)
+        step = view.step * (law.step_limit / largest.clip(1e-12)).clip(None, 1.0)
+        step = fade(view.error, law.learning.fade) * step * (1.0 - near[:, None] * self.spared)
+        extra = law.authority(largest) * self.moves * between(action, -1.0, 1.0)
         if law.decay_start > 0.0:
-            factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
+            factor = xp.where(self.unloaded, law.decayed(inputs.since_target, largest), 1.0)
             step, extra = factor * step, factor * extra
-        extra = np.where(self.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
+        extra = xp.where(self.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
         extra = extra + self.loosening(inputs, view.step, view.distance)
         wanted, margin = self.correct(inputs, step, extra, view.distance), law.envelope_margin
-        return limit_position(self._arm, between(wanted, inputs.goal - margin, inputs.goal + margin))
+        return between(between(wanted, inputs.goal - margin, inputs.goal + margin), *self._limits)
