@@ -15,19 +15,9 @@ from torch.nn import functional
 
 from rejoint.arms import Arm
 from rejoint.arms.kinematics import DAMPING, GRAVITY, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE, joint_terms
-from rejoint.control.controllers.classical import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.controllers.classical import PROJECTION_DAMPING, STEP_LIMIT, DlsStep
 from rejoint.control.controllers.feedforward import Commander, CommandLaw
-from rejoint.control.controllers.observation import (
-    HISTORY,
-    LIMIT,
-    LONGEST_PERIOD,
-    LONGEST_WAIT,
-    MIDDLE_PERIOD,
-    PERIOD_SMOOTHING,
-    View,
-    layout_factors,
-)
+from rejoint.control.controllers.observation import HISTORY, MIDDLE_PERIOD, Observer, View
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.training.train import to_onnx
 
@@ -175,6 +165,28 @@ class _TensorLaw(Commander):
         self._correction = self._correction - self._far(distance) * (1.0 - kept) * self._unneeded()
 
 
+class _TensorObserver(Observer):
+    """The observer of one arm by tensors."""
+
+    xp = torch
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm, 1)
+        self._factors = _tensor(self._factors)
+
+    def begin(self, old: dict[str, Any], fresh: Any, time: Any) -> None:  # noqa: ANN401
+        """Go on from the memory, ``time`` (1, 1) [s] after it."""
+        velocity, action = (where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
+        self._velocity, self._action = (one.reshape(1, HISTORY, -1) for one in (velocity, action))
+        self._position, self._time = old["position"], where(fresh, time, 0.0)[0]
+        self._period = old["mean_period"][0]
+
+    def memory(self) -> dict[str, Any]:
+        """Return what the next cycle goes on from."""
+        velocity, action = (one.reshape(1, -1) for one in (self._velocity, self._action))
+        return {"velocity": velocity, "action": action, "mean_period": self._period[None]}
+
+
 class _CycleGraph(nn.Module):
     def __init__(self, arm: Arm, law: CommandLaw, network: bytes | None) -> None:
         super().__init__()
@@ -182,15 +194,16 @@ class _CycleGraph(nn.Module):
         self.arm = _arm_tensors(arm)
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(law.stiffness), _tensor(-GRAVITY)
-        self.factors, self.law = _tensor(layout_factors("residual", self.n)), _TensorLaw(arm, law)
+        self.law, self.observer = _TensorLaw(arm, law), _TensorObserver(arm)
 
     def forward(self, joint_pos: Any, target: Any, period: Any, state_in: Any) -> tuple[Tensor, Tensor]:  # noqa: ANN401
         """Command and memory."""
-        arm, law, slots = self.arm, self.law, memory_slots(self.n)
+        arm, law, observer, slots = self.arm, self.law, self.observer, memory_slots(self.n)
         position, target, state = (one.double() for one in (joint_pos, target, state_in))
         old: dict[str, Any] = dict(zip(slots, torch.split(state, list(slots.values()), dim=1), strict=True))
         begun = old["begun"] > 0.5
         old |= {name: where(begun, old[name], position) for name in ("sent", "asked", "position")}
+        old["mean_period"] = where(begun, old["mean_period"], MIDDLE_PERIOD)
         elapsed = where(begun, period.double().clamp(min=0.0), 0.0)
         changed = (target - old["target"]).abs().max() > 0.0
         fresh = ~begun | changed | (elapsed > GAP)
@@ -206,51 +219,25 @@ class _CycleGraph(nn.Module):
         error = target[0] - tcp
         step = _dls(seen, error, _tensor(DAMPING))
         view = View(tcp[None], error[None], (error * error).sum().sqrt()[None], step[None], goal - position)
-        known = self._measured(position, elapsed, fresh, old)
-        period = elapsed[0].clamp(max=PACE_LONGEST)
-        state = JointState(time=period, position=position, age=np.zeros(1))
+        state = JointState(time=elapsed[0], position=position, age=np.zeros(1))
         inputs = ControlInput(state=state, target=target, goal=goal, sent=old["sent"], since_target=since[0])
+        observer.begin(old, fresh, elapsed)
         law.begin(old, fresh, view.distance, (raised, transpose))
+        numbers: Any = observer.numbers(inputs, view)
         command: Any
         if self.network is None:
-            action, clipped = torch.zeros_like(position), _clip_norm(step, float(STEP_LIMIT))[None]
+            action, clipped = _tensor(np.zeros((1, self.n))), _clip_norm(step, float(STEP_LIMIT))[None]
             command = law.integrate(inputs, DlsStep(clipped, view.error, seen), view.distance)
         else:
-            action = self._act(self.network, inputs, view, known)
+            action = _answer(self.network, numbers.float()).double()
             command = law.commands(inputs, view, action)
-        actions = torch.cat([action, known["action"][:, : (HISTORY - 1) * self.n]], dim=1)
-        memory = known | law.memory() | {"begun": torch.ones_like(since), "since_target": since, "action": actions}
+        observer.acted(action)
+        memory = observer.memory() | law.memory() | {"begun": torch.ones_like(since), "since_target": since}
         memory |= {"sent": command, "asked": command, "target": target, "goal": goal}
         return command.float(), torch.cat([memory[name] for name in slots], dim=1).float()
 
-    def _measured(self, position: Any, elapsed: Any, fresh: Any, old: dict[str, Any]) -> dict[str, Any]:  # noqa: ANN401
-        news = (elapsed > 0.0) & ~fresh
-        velocity, action = (where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
-        latest = (position - old["position"]) / where(news, elapsed, 1.0)
-        shifted = torch.cat([latest, velocity[:, : (HISTORY - 1) * self.n]], dim=1)
-        mean = where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
-        changed = mean + (elapsed.clamp(max=LONGEST_PERIOD) - mean) * PERIOD_SMOOTHING
-        return {
-            "velocity": where(news, shifted, velocity),
-            "action": action,
-            "mean_period": where(news, changed, mean),
-        }
 
-    def _act(self, network: bytes, inputs: Any, view: Any, known: dict[str, Any]) -> Any:  # noqa: ANN401
-        """Network's action (1, n) for the observation layout ``residual``."""
-        position, distance = inputs.state.position, view.distance[:, None]
-        numbers = torch.cat([
-            inputs.sent - position, known["velocity"], view.step, view.step, view.step, position, view.error,
-            view.error / (distance + 0.003), torch.log(distance + 0.0003) + 5.0,
-            inputs.since_target[:, None].clamp(max=LONGEST_WAIT) - 0.5, known["mean_period"] - MIDDLE_PERIOD,
-            known["action"],
-        ], dim=1) * self.factors  # fmt: skip
-        first, last = (2 + HISTORY) * self.n, (4 + HISTORY) * self.n
-        numbers = torch.cat([numbers[:, :first], torch.tanh(numbers[:, first:last]), numbers[:, last:]], dim=1)
-        return _answer(network, numbers.clamp(-LIMIT, LIMIT).float()).double()
-
-
-def _answer(network: bytes, values: Tensor) -> Tensor:
+def _answer(network: bytes, values: Any) -> Any:  # noqa: ANN401
     graph = onnx.load_from_string(network).graph
     held = {one.name: torch.as_tensor(numpy_helper.to_array(one).copy()) for one in graph.initializer}
     for node in graph.node:  # of the operators that a policy may have

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,13 +138,16 @@ class Observer:
     Call `observe` once per cycle, then `acted`; `view` is the last geometry.
     """
 
+    xp: Any = np
+    """functions of the arrays; PyTorch's where a controller is exported"""
+
     def __init__(self, arm: Arm, count: int, layout: Layout = "residual") -> None:
         n = arm.joints
         self.arm, self.count, self.layout = arm, count, layout
-        self.size = layout_size(layout, n)
+        self.size, self._factors = layout_size(layout, n), layout_factors(layout, n)
         self._body = replace(arm, keep_out=()) if arm.keep_out else arm  # no policy has learned an owner's boxes
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
-        self._period, self._everyone = np.full(count, MIDDLE_PERIOD), np.arange(count)
+        self._period = np.full(count, MIDDLE_PERIOD)
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
@@ -161,30 +164,35 @@ class Observer:
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
         """Observation (B, size), or of ``rows``."""
-        position, time, chosen = inputs.state.position[rows], inputs.state.time[rows], self._everyone[rows]
+        view = look(self.arm, inputs.state.position[rows], inputs.target[rows], inputs.goal[rows])
+        return self.numbers(inputs, view, rows).astype(np.float32)
+
+    def numbers(self, inputs: ControlInput, view: View, rows: Rows = ALL) -> Array:
+        """Observation by what is seen in ``view``, in full precision."""
+        xp, usual, velocity = self.xp, self._period[rows], self._velocity[rows]
+        position, time = xp.asarray(inputs.state.position[rows], copy=True), inputs.state.time[rows] + 0.0
         elapsed = time - self._time[rows]
         later = elapsed > 0.0  # not where nothing was seen before
-        chosen, elapsed = chosen[later], elapsed[later]
-        self._velocity[chosen, 1:] = self._velocity[chosen, :-1]
-        self._velocity[chosen, 0] = (position[later] - self._position[chosen]) / elapsed[:, None]
-        self._period[chosen] += PERIOD_SMOOTHING * (np.minimum(elapsed, LONGEST_PERIOD) - self._period[chosen])
-        self._time[rows], self._position[rows] = time, position
-        view = look(self.arm, position, inputs.target[rows], inputs.goal[rows])
+        latest = (position - self._position[rows]) / xp.where(later, elapsed, 1.0)[:, None]
+        shifted = xp.concatenate([latest[:, None], velocity[:, :-1]], axis=1)
+        period = usual + PERIOD_SMOOTHING * (elapsed.clip(None, LONGEST_PERIOD) - usual)
+        velocity, period = xp.where(later[:, None, None], shifted, velocity), xp.where(later, period, usual)
         if rows is ALL:
+            self._position, self._time, self._velocity, self._period = position, time, velocity, period
             self.view = view
         else:
-            for whole, part in zip(self.view, view, strict=True):
+            kept = self._position, self._time, self._velocity, self._period, *self.view
+            for whole, part in zip(kept, (position, time, velocity, period, *view), strict=True):
                 whole[rows] = part
-        numbers = np.concatenate(self._parts(inputs, rows, position, view), axis=1)
-        numbers *= layout_factors(self.layout, self.arm.joints)
+        numbers = xp.concatenate(self._parts(inputs, rows, position, view), axis=1) * self._factors
         if self.layout == "residual":
-            near = numbers[:, (2 + HISTORY) * self.arm.joints : (4 + HISTORY) * self.arm.joints]
-            np.tanh(near, out=near)
-        out = numbers.astype(np.float32)
-        return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
+            first, last = (2 + HISTORY) * self.arm.joints, (4 + HISTORY) * self.arm.joints
+            near = xp.tanh(numbers[:, first:last])
+            numbers = xp.concatenate([numbers[:, :first], near, numbers[:, last:]], axis=1)
+        return numbers.clip(-LIMIT, LIMIT)
 
     def _parts(self, inputs: ControlInput, rows: Rows, position: Array, view: View) -> list[Array]:
-        waited, drive = np.minimum(inputs.since_target[rows], LONGEST_WAIT), inputs.sent[rows] - position
+        waited, drive = inputs.since_target[rows].clip(None, LONGEST_WAIT), inputs.sent[rows] - position
         velocity, action, distance = self._velocity[rows], self._action[rows], view.distance[:, None]
         if self.layout == "residual":
             return [
@@ -196,7 +204,7 @@ class Observer:
                 position,
                 view.error,
                 view.error / (distance + 0.003),
-                np.log(distance + 0.0003) + 5.0,
+                self.xp.log(distance + 0.0003) + 5.0,
                 waited[:, None] - 0.5,
                 self._period[rows, None] - MIDDLE_PERIOD,
                 action.reshape(len(position), -1),
@@ -215,8 +223,7 @@ class Observer:
 
     def acted(self, action: Array) -> None:
         """Store the action (B, n)."""
-        self._action[:, 1:] = self._action[:, :-1]
-        self._action[:, 0] = action
+        self._action = self.xp.concatenate([action[:, None], self._action[:, :-1]], axis=1)
 
     def drop_actions(self, where: Mask) -> None:
         """Drop last actions where ``where`` (B,)."""
