@@ -7,12 +7,20 @@ import rejoint
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.calibration.postures import BEFORE, suggest
-from rejoint.diagnosis.calibration.procedure import SPEED, EmulatedGauge, measure, reversals
+from rejoint.diagnosis.calibration.procedure import SPEED, EmulatedGauge, StandingDrive, measure, reversals
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, NotReadyError
 
 ARM = mycobot280()
 PLAN = suggest(ARM, 4, visits=2)
+
+
+def measured_by(robot, gauge):
+    drive = StandingDrive(robot)
+    *_, (found, done) = measure(drive, gauge, PLAN)
+    assert done == len(PLAN.posture)
+    drive.rest()
+    return found
 
 
 def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
@@ -27,7 +35,7 @@ def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
         return after
 
     robot.step = watched
-    found = measure(robot, EmulatedGauge(seed=1), PLAN)
+    found = measured_by(robot, EmulatedGauge(seed=1))
     assert list(found.posture) == list(PLAN.posture)
     assert np.abs(found.position - PLAN.postures).max() < np.radians(3.0)
     period, sent = np.array([c[0] for c in commands]), np.array([c[1] for c in commands])
@@ -60,13 +68,13 @@ class Pushing(EmulatedGauge):
 
 def test_a_posture_that_was_not_kept_while_it_was_measured_is_measured_again():
     gauge = Pushing(1)
-    found = measure(rejoint.open_robot("emulated:healthy"), gauge, PLAN)
+    found = measured_by(rejoint.open_robot("emulated:healthy"), gauge)
     assert list(found.posture) == list(PLAN.posture)
     first, second, *others = gauge.told
     assert "while the arm was measured" in second
     assert not any([first, *others])
     with pytest.raises(NotReadyError, match=r"went .* 3 times"):
-        measure(rejoint.open_robot("emulated:healthy"), Pushing(99), PLAN)
+        measured_by(rejoint.open_robot("emulated:healthy"), Pushing(99))
 
 
 def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():

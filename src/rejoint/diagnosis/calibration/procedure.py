@@ -20,7 +20,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
-from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion, before
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
@@ -227,8 +227,6 @@ MOVED = np.radians(2.0)
 """[rad] motion that spoils a measurement; chosen: a centimetre at the tool"""
 TRIES = 3
 """Attempts per posture if the arm moved; chosen"""
-OnMeasured = Callable[[Measurements, int], object]
-"""Receives all measurements and the number done"""
 
 
 @contextmanager
@@ -252,40 +250,6 @@ def log_resumed(file: Path, done: str) -> None:
         done,
         file,
     )
-
-
-def measure(
-    robot: Robot,
-    gauge: Gauge,
-    plan: Suggestion,
-    *,
-    limits: GuardLimits | None = None,
-    stance: Stance | None = None,
-    on_progress: Progress = no_progress,
-    on_measured: OnMeasured | None = None,
-    begun: tuple[Measurements, MeasuringSession] | None = None,
-) -> Measurements:
-    """Move one arm to the postures of ``plan`` and measure the tool; resumes ``begun``.
-
-    InputError for no measurements, NotReadyError for a moving arm; errors of `run`.
-    """
-    total = len(plan.posture)
-    earlier, done = (None, 0) if begun is None else (begun[0], begun[1].answered)
-    if earlier is not None and done >= total:
-        return earlier
-    drive, measured = StandingDrive(robot, limits, stance), earlier
-    for number in range(done, total):
-        on_progress(number / total, f"measurement {number + 1} of {total}")
-        row = _measured(drive, gauge, plan, number)
-        if row is not None:
-            measured = row if measured is None else measured.joined(row)
-        if on_measured is not None and measured is not None:
-            on_measured(measured, number + 1)
-    on_progress(1.0, "measured")
-    drive.rest()
-    if measured is None:
-        raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
-    return measured
 
 
 class StandingDrive:
@@ -323,6 +287,28 @@ class StandingDrive:
                 gone = move(self.robot, corner, sent=self._sent, speed=SPEED, settle=wait, limits=self._limits)
             self._sent = gone.command[-1]
         return gone
+
+
+def measure(
+    drive: StandingDrive,
+    gauge: Gauge,
+    plan: Suggestion,
+    found: Measurements | None = None,
+    done: int = 0,
+    on_progress: Progress = no_progress,
+) -> Iterator[tuple[Measurements | None, int]]:
+    """Measure the tool at the postures of ``plan`` after the first ``done``, which brought ``found``.
+
+    Yields all measurements, and the number of postures done, after each. NotReadyError for a moving arm; errors of
+    `run`.
+    """
+    total = len(plan.posture)
+    for number in range(done, total):
+        on_progress(number / total, f"measurement {number + 1} of {total}")
+        row = _measured(drive, gauge, plan, number)
+        if row is not None:
+            found = row if found is None else found.joined(row)
+        yield found, number + 1
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> Measurements | None:

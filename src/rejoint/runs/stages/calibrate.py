@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
-from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.calibration import Calibration, Preload, preload, write_calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import (
@@ -47,9 +46,9 @@ if TYPE_CHECKING:
 
 
 def _measured(
-    session: ArmSession,
-    robot: Robot,
+    drive: StandingDrive,
     gauge: Gauge,
+    run: Run | None,
     prior: Calibration | None,
     count: int,
     visits: int,
@@ -57,45 +56,35 @@ def _measured(
     *,
     fresh: bool,
 ) -> tuple[Measurements, Calibration | None]:
-    run, begun = session.run, None
-    file = None if run is None else run.folder.measurements
-    if run is not None and file is not None and file.exists() and not fresh:
+    robot, file = drive.robot, None if run is None else run.folder.measurements
+    found, session = None, MeasuringSession(plan="", answered=0, fresh=fresh)
+    if file is not None and file.exists() and not fresh:
         try:
-            begun = read_interrupted(file, run.arm)
+            found, session = read_interrupted(file, robot.arm) or (None, session)
         except FileError as error:
             error.add_note("To measure again in spite of it: --fresh")
             raise
-    if begun is not None and begun[1].fresh:
-        fresh, prior = True, None
+    prior = None if session.fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
-    if file is not None and begun is None:
+    if file is not None and found is None:
         set_aside(file)
-    elif file is not None and begun is not None:
-        if (begun[1].plan, begun[0].source, begun[0].frame) != (plan.digest, gauge.source, gauge.frame):
+    elif file is not None and found is not None:
+        if (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
             raise InputError(
                 f"{file}: an interrupted session with another number of postures or sides, by something "
                 "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
             )
-        log_resumed(file, f"{begun[1].answered} of {len(plan.posture)} postures are done")
-
-    def keep(measured: Measurements, answered: int) -> None:
-        if file is not None:
-            progress = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
-            write_measurements(file, robot.arm, measured, progress)
-
-    again = ["--fresh"] if fresh else []
+        log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
+    again = ["--fresh"] if session.fresh else []
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
-    with kept(file, fresh=fresh, more=f", and this fits it: {fits}"):
-        found = measure(
-            robot,
-            gauge,
-            plan,
-            on_progress=on_progress,
-            on_measured=keep,
-            begun=begun,
-            limits=session.limits,
-            stance=stance_of(session.twin_now, run),
-        )
+    with kept(file, fresh=session.fresh, more=f", and this fits it: {fits}"):
+        for measured, answered in measure(drive, gauge, plan, found, session.answered, on_progress):
+            found = measured
+            if file is not None and found is not None:
+                write_measurements(file, robot.arm, found, replace(session, plan=plan.digest, answered=answered))
+        drive.rest()
+        if found is None:
+            raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
     return found, prior
 
 
@@ -208,12 +197,12 @@ def calibrate(
             share = part(update, 0.0, 0.95)
             with session.metered("calibrate") as driven:
                 session.run = about = about and about.begin()
+                drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                 if isinstance(by, FilmingGauge):
-                    drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                     folder = None if about is None else about.folder
                     measured = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
                 else:
-                    measured, prior = _measured(session, driven, by, prior, count or POINTS, visits, share, fresh=fresh)
+                    measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
