@@ -177,7 +177,7 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
         source=source,
         motors_kg_m2=inertia,
         joints=tuple(_ranges(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
-        error_mm=_factor([loop.error_mm for _, loop in found]),
+        error_mm=_range([loop.error_mm for _, loop in found]),
     )
 
 
@@ -187,7 +187,7 @@ def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
     for name in (*POSITIVE, *allowed):
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:
-            ranges[name] = _factor(known) if name in POSITIVE else _margin(known, allowed[name])
+            ranges[name] = _range(known, allowed.get(name))
     return JointMetrics(
         joint=rows[0].joint,
         saturated_share=max(row.saturated_share for row in rows),
@@ -204,32 +204,24 @@ def _typical(values: Sequence[float | None]) -> float | None:
     return float(np.median(known)) if 3 * len(known) >= len(values) else None
 
 
-def _factor(found: Sequence[Estimate]) -> Estimate:
-    """Range of positive quantities: `SIGMAS` of their logarithms, or one interval, and `TOLERANCE`."""
-    value, low, high = _spread(np.log(np.maximum(_ends(found), 1e-12)))
-    half = float(np.log1p(TOLERANCE))
-    return Estimate(np.exp(value), np.exp(low - half), np.exp(high + half))
+def _range(found: Sequence[Estimate], allowed: float | None = None) -> Estimate:
+    """Healthy range: `SIGMAS` of several values or the interval of one, and `TOLERANCE`.
 
-
-def _margin(found: Sequence[Estimate], allowed: float) -> Estimate:
-    """Range of quantities about zero: `SIGMAS`, or one interval, `TOLERANCE` and ``allowed``."""
-    value, low, high = _spread(_ends(found))
+    Of logarithms, for positive quantities; about zero with ``allowed`` beside.
+    """
+    known = np.array([(one.value, one.low, one.high) for one in found], dtype=float)
+    ends = np.where(np.isnan(known), known[:, :1], known)  # an open end is the value
+    if allowed is None:
+        ends = np.log(np.maximum(ends, 1e-12))
+    value, low, high = ends[0]
+    if len(ends) > 1:
+        value, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
+        low, high = value - half, value + half
+    if allowed is None:
+        margin = float(np.log1p(TOLERANCE))
+        return Estimate(np.exp(value), np.exp(low - margin), np.exp(high + margin))
     margin = TOLERANCE * abs(value) + allowed
     return Estimate(value, low - margin, high + margin)
-
-
-def _ends(found: Sequence[Estimate]) -> Array:
-    """Values and ends (N, 3); an open end is the value."""
-    known = np.array([(one.value, one.low, one.high) for one in found], dtype=float)
-    return np.where(np.isnan(known), known[:, :1], known)
-
-
-def _spread(ends: Array) -> Array:
-    """Mean and ends (3,) of several values, or of the interval of one."""
-    if len(ends) == 1:
-        return ends[0]
-    mean, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
-    return np.array([mean, mean - half, mean + half])
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s", "coulomb_effort")
@@ -249,7 +241,7 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         source=f"an arm known to be good ({good.robot})",
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
-        error_mm=None if error is None else _factor([error]),
+        error_mm=None if error is None else _range([error]),
     )
 
 

@@ -95,9 +95,8 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
 
 def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
     """Mean true error by a later model of the arm."""
-    rows = settled_rows(log)
-    position = np.stack([log.position[part].mean(axis=0) for part in rows])
-    return mean_modelled(modelled(model, position, np.stack([log.target[part[0]] for part in rows])))
+    target = np.stack([log.target[part[0]] for part in settled_rows(log)])
+    return mean_modelled(modelled(model, settled_postures(log)[0], target))
 
 
 AT_REST = 0.05

@@ -60,15 +60,13 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
-    due, states = found.due, {(one.joint, one.state) for one in found.changes}
+    due = found.due
     arm = replace(rows[0], state=found.state, cause=cause_of(found), line=line)
     arm = replace(arm, tolerance_mm=found.tolerance_mm, controlled_mm=found.controlled_mm)
     if due is not None:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
-    return [
-        arm,
-        *(replace(row, state=next((one for one in _STATES if (row.joint, one) in states), "")) for row in rows[1:]),
-    ]
+    states = {one.joint: one.state for one in reversed(found.changes)}  # the worst of each joint
+    return [arm, *(replace(row, state=states.get(row.joint, "")) for row in rows[1:])]
 
 
 def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
