@@ -20,7 +20,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
-from rejoint.diagnosis.calibration.postures import suggest
+from rejoint.diagnosis.calibration.procedure import suggest
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.research.evaluation.evaluate import SIGMA, measure
 from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family, try_on

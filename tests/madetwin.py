@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.calibration import Calibration, DisplacementLayout
 from rejoint.twin.parameters import prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 

@@ -11,16 +11,17 @@ import pytest
 from rejoint.arms import Arm, Displacement, mycobot280, so101, solve_position, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import difference, pose_of, rotation_about
-from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
-from rejoint.diagnosis.calibration.fit import fit
-from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import (
+from rejoint.diagnosis.calibration.calibration import (
     DisplacementLayout,
     displacement_of,
     linearised,
     link_loads,
+    read_calibration,
     vector_of,
+    write_calibration,
 )
+from rejoint.diagnosis.calibration.fit import fit
+from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.system.errors import ContractError, FileError
 
 ARM = mycobot280()

@@ -23,10 +23,9 @@ from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
 from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
-from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.calibration import ANYWHERE, Belief, Calibration, PriorCase, belief
 from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, earlier, judged, likeliest, solve
 from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
-from rejoint.diagnosis.calibration.parameters import ANYWHERE, Belief, PriorCase, belief
 from rejoint.diagnosis.regression import fit_clustered
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError

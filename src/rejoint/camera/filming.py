@@ -24,9 +24,8 @@ from rejoint.camera.film import (
 )
 from rejoint.camera.rig import TERMS, Rig
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
-from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
-from rejoint.diagnosis.calibration.procedure import StandingDrive, kept, log_resumed
+from rejoint.diagnosis.calibration.calibration import DisplacementLayout, belief, displacement_of
+from rejoint.diagnosis.calibration.procedure import BEFORE, StandingDrive, kept, log_resumed, narrowed
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
 from rejoint.system.files import set_aside, write_bytes

@@ -7,11 +7,17 @@ import pytest
 
 from rejoint.arms import Displacement, gravity_torque, load_arm, mycobot280, tcp_position
 from rejoint.arms.workspace import posture_grid
-from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, preload
+from rejoint.diagnosis.calibration.calibration import (
+    WEDGE,
+    Calibration,
+    DisplacementLayout,
+    displacement_of,
+    preload,
+    vector_of,
+)
 from rejoint.diagnosis.calibration.fit import astray, fit
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, vector_of
-from rejoint.diagnosis.calibration.postures import suggest
+from rejoint.diagnosis.calibration.procedure import suggest
 
 ARM = mycobot280()
 

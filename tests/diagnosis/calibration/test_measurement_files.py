@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements, write_measurements
-from rejoint.diagnosis.calibration.postures import suggest
+from rejoint.diagnosis.calibration.procedure import suggest
 from rejoint.system.errors import FileError
 
 ARM = mycobot280()

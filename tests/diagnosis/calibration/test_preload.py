@@ -11,8 +11,7 @@ from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
-from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, preload
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, DisplacementLayout, preload
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 

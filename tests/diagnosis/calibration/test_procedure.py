@@ -6,8 +6,15 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
-from rejoint.diagnosis.calibration.postures import BEFORE, suggest
-from rejoint.diagnosis.calibration.procedure import SPEED, EmulatedGauge, StandingDrive, measure, reversals
+from rejoint.diagnosis.calibration.procedure import (
+    BEFORE,
+    SPEED,
+    EmulatedGauge,
+    StandingDrive,
+    measure,
+    reversals,
+    suggest,
+)
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, NotReadyError
 

@@ -12,8 +12,8 @@ from madetwin import made_calibration
 from readpage import Page
 from rejoint.arms import Displacement, solve_position
 from rejoint.control.comparison.result import Protocol
+from rejoint.diagnosis.calibration.calibration import DisplacementLayout
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.report.figures import Gallery, Picture

@@ -18,13 +18,12 @@ from scipy.special import chdtri, ndtr
 from rejoint.arms import Arm, Array, Displacement, Mask
 from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.arms.workspace import reach
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.measurements import Measurements, align
-from rejoint.diagnosis.calibration.parameters import (
+from rejoint.diagnosis.calibration.calibration import (
     ANYWHERE,
     ASKEW,
     LEVEL,
     Belief,
+    Calibration,
     DisplacementLayout,
     PriorCase,
     belief,
@@ -34,6 +33,7 @@ from rejoint.diagnosis.calibration.parameters import (
     scatter,
     vector_of,
 )
+from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.system.errors import InputError
 
 SLIP, MOST_SLIPS = 30.0, 0.25

@@ -83,7 +83,7 @@ class MeasuringSession:
     """Progress of an interrupted measuring session."""
 
     plan: str
-    """`rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
+    """`rejoint.diagnosis.calibration.procedure.Suggestion.digest`"""
     answered: int
     """postures measured or left out"""
     fresh: bool = False

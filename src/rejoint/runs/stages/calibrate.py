@@ -19,7 +19,6 @@ from rejoint.diagnosis.calibration.measurements import (
     read_measurements,
     write_measurements,
 )
-from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.procedure import (
     EmulatedGauge,
     FilmingGauge,
@@ -29,6 +28,7 @@ from rejoint.diagnosis.calibration.procedure import (
     log_resumed,
     measure,
     reversals,
+    suggest,
 )
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of

@@ -45,7 +45,7 @@ from rejoint.control.start import play
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.postures import Suggestion, before, suggest
+from rejoint.diagnosis.calibration.procedure import Suggestion, before, suggest
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.system.errors import InputError
