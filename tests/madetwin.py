@@ -25,7 +25,7 @@ def made_twin(arm, parameters, **facts):
 
 def made_calibration(arm, displacement, **facts):
     found = {
-        "covariance": 1e-12 * np.eye(DisplacementLayout(joints=arm.joints).body),
+        "covariance": 1e-12 * np.eye(DisplacementLayout(arm).body),
         "frame": np.eye(4),
         "frame_name": "base",
         "source": "touch",

@@ -13,11 +13,8 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import difference, pose_of, rotation_about
 from rejoint.diagnosis.calibration.calibration import (
     DisplacementLayout,
-    displacement_of,
-    linearised,
     link_loads,
     read_calibration,
-    vector_of,
     write_calibration,
 )
 from rejoint.diagnosis.calibration.fit import fit
@@ -72,15 +69,15 @@ def error_of(found, truth):
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.004, -0.003), (0.1, 0.05)])
 def test_derivatives_are_finite_differences(tilt):
-    layout, rng, q = DisplacementLayout(joints=6), np.random.default_rng(1), postures(4)
-    vector = vector_of(layout, worn())
+    layout, rng, q = DisplacementLayout(ARM), np.random.default_rng(1), postures(4)
+    vector = layout.vector(worn())
     vector[layout.at("mass")] = rng.normal(0.0, 0.1, 6)
     vector[layout.at("tilt")] = tilt
-    tool, slope = linearised(ARM, layout, vector, q)
-    np.testing.assert_allclose(tool, displacement_of(layout, vector).tool_pose(ARM, q), atol=1e-12)
+    tool, slope = layout.linearised(vector, q)
+    np.testing.assert_allclose(tool, layout.displacement(vector).tool_pose(ARM, q), atol=1e-12)
     for k in range(layout.body):
         step = 1e-6 * np.eye(layout.body)[k]
-        ends = [displacement_of(layout, vector + sign * step).tool_pose(ARM, q) for sign in (1.0, -1.0)]
+        ends = [layout.displacement(vector + sign * step).tool_pose(ARM, q) for sign in (1.0, -1.0)]
         assert np.allclose(difference(*ends) / 2e-6, slope[..., k], atol=1e-4), layout.names()[k]
 
 

@@ -438,7 +438,9 @@ def _judged(
     problem: ToolProblem, rig: Rig, vector: Array, views: Sequence[BoardView]
 ) -> tuple[ToolProblem, list[Residual], list[str]]:
     """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
-    told = rig_of(problem, rig, vector).sight(problem.displacement(vector).tool_pose(problem.arm, problem.position))
+    told = rig_of(problem, rig, vector).sight(
+        problem.layout.displacement(vector).tool_pose(problem.arm, problem.position)
+    )
     placed = [place(rig.lens, rig.board, view, near) for view, near in zip(views, told, strict=True)]
     sights = np.array([one.pose for one in placed])
     problem = replace(problem, seen=inverse(sights) if problem.inverted else sights)

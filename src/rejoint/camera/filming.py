@@ -24,7 +24,7 @@ from rejoint.camera.film import (
 )
 from rejoint.camera.rig import TERMS, Rig
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.calibration import DisplacementLayout, belief, displacement_of
+from rejoint.diagnosis.calibration.calibration import DisplacementLayout, belief
 from rejoint.diagnosis.calibration.procedure import BEFORE, StandingDrive, kept, log_resumed, narrowed
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
@@ -56,7 +56,7 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
     own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
-    expected = displacement_of(DisplacementLayout(joints=arm.joints), own.mean).tool_pose(arm, candidates)
+    expected = DisplacementLayout(arm).displacement(own.mean).tool_pose(arm, candidates)
     problem = film_problem(own, arm, rig, candidates, rig.sight(expected))
     slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
     variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]

@@ -11,9 +11,7 @@ from rejoint.diagnosis.calibration.calibration import (
     WEDGE,
     Calibration,
     DisplacementLayout,
-    displacement_of,
     preload,
-    vector_of,
 )
 from rejoint.diagnosis.calibration.fit import astray, fit
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -23,12 +21,11 @@ ARM = mycobot280()
 
 
 def calibration(sigma=1e-9, arm=ARM, **values):
-    n = arm.joints
     found = replace(Displacement.none(arm), **{name: np.asarray(value) for name, value in values.items()})
     return Calibration(
         arm=arm,
         displacement=found,
-        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).body),
+        covariance=sigma**2 * np.eye(DisplacementLayout(arm).body),
         frame=np.eye(4),
         frame_name="base",
         source="touch",
@@ -62,10 +59,10 @@ def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():
     postures = np.repeat(ARM.rest[None], 41, axis=0)
     postures[:, 0] = np.radians(np.linspace(-20.0, 20.0, 41))  # gravity presses the base joint to either side
 
-    vector = vector_of(own.layout, own.displacement)
+    vector = own.layout.vector(own.displacement)
     drawn = np.repeat(vector[None], 400, axis=0)
     drawn[:, tilt] += doubt * np.random.default_rng(0).standard_normal((400, 2))
-    tools = np.stack([displacement_of(own.layout, one).tool(ARM, postures) for one in drawn])
+    tools = np.stack([own.layout.displacement(one).tool(ARM, postures) for one in drawn])
     seen = np.sqrt(((tools - own.tool(postures)) ** 2).sum(axis=-1).mean(axis=0))
     known = np.sqrt(np.trace(own.spread(postures), axis1=-2, axis2=-1))
     np.testing.assert_allclose(known, seen, rtol=0.15, atol=2e-4)

@@ -21,7 +21,7 @@ RAISED = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.
 
 def worn(**values):
     found = replace(Displacement.none(ARM), **{name: np.asarray(value) for name, value in values.items()})
-    size = DisplacementLayout(joints=ARM.joints).body
+    size = DisplacementLayout(ARM).body
     return Calibration(
         arm=ARM,
         displacement=found,

@@ -98,7 +98,7 @@ def make_calibration(arm):
     measured = Measurements(position=position, point=point, sigma=np.full(8, 0.5e-3), posture=np.arange(8) // 2)
     left_out = np.stack([rng.uniform(6e-3, 9e-3, 8), rng.uniform(0.5e-3, 2e-3, 8)], axis=-1)
     before, after = left_out.mean(axis=0)
-    noise = {"covariance": 1e-6 * np.eye(DisplacementLayout(joints=n).body), "floor": 1e-3}
+    noise = {"covariance": 1e-6 * np.eye(DisplacementLayout(arm).body), "floor": 1e-3}
     told = {"date": "2026-11-20T07:30:00", "points": 8, "suspects": (5,)}
     return made_calibration(arm, found, before=before, after=after, left_out=left_out, **noise, **told), measured
 

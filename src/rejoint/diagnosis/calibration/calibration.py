@@ -48,16 +48,16 @@ KINDS = ("offset", "compliance", "play", "mass", "tilt", "twist")
 """Parameters of an arm, in order"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class DisplacementLayout:
-    """Indices of the parameters of an arm of n joints."""
+    """The parameters of an arm's displacement as a vector (k,)."""
 
-    joints: int
+    arm: Arm
 
     @property
     def sizes(self) -> tuple[int, ...]:
         """Number of parameters of each of `KINDS`."""
-        return *[self.joints] * 4, 2, 6 * (self.joints + 1)
+        return *[self.arm.joints] * 4, 2, 6 * (self.arm.joints + 1)
 
     @property
     def body(self) -> int:
@@ -72,6 +72,58 @@ class DisplacementLayout:
     def names(self) -> tuple[str, ...]:
         """Names of the arm's parameters, such as ``play 2``."""
         return tuple(f"{kind} {i + 1}" for kind, size in zip(KINDS, self.sizes, strict=True) for i in range(size))
+
+    def displacement(self, vector: Array) -> Displacement:
+        """Displacement of the vector (k,)."""
+        offset, compliance, play, mass, tilt, twist = (vector[self.at(name)] for name in KINDS)
+        links = twist.reshape(self.arm.joints + 1, 6)
+        return Displacement(
+            offset=offset, compliance=compliance, play=play, twist=links, gravity=gravity_of(tilt), mass=1.0 + mass
+        )
+
+    def vector(self, displacement: Displacement) -> Array:
+        """Turn a displacement into the arm's part of the vector."""
+        own, down = displacement, [one / np.linalg.norm(one) for one in (GRAVITY, displacement.gravity)]
+        parts = own.offset, own.compliance, own.play, own.mass - 1.0, between_directions(*down)[:2], own.twist.ravel()
+        return np.concatenate([np.broadcast_to(part, size) for part, size in zip(parts, self.sizes, strict=True)])
+
+    def linearised(self, vector: Array, position: Array) -> tuple[Array, Array]:
+        """Tool (M, 4, 4) at ``position`` (M, n) [rad], and derivative (M, 6, body) of its shift and turn, base axes."""
+        arm, own, loads = self.arm, self.displacement(vector), link_loads(self.arm, position)
+        torque = loads @ own.gravity @ own.mass
+        side = np.tanh(torque / FLOATING)
+        one, tilt = np.eye(arm.joints), vector[self.at("tilt")]
+        turns = [gravity_of(tilt + step) - gravity_of(tilt - step) for step in _STEP * np.eye(2)]
+        by_load = [loads @ own.gravity, np.stack([loads @ turn @ own.mass for turn in turns], axis=-1) / (2 * _STEP)]
+        # torque moves joints by flex and by the side of the play
+        yielding = own.compliance + 0.5 * own.play * (1.0 - side**2) / FLOATING
+        by_joint = [
+            np.broadcast_to(one, (*torque.shape, arm.joints)),
+            -torque[..., None] * one,
+            -0.5 * side[..., None] * one,
+        ]
+        by_joint += [-yielding[..., None] * each for each in by_load]
+        moved, joints = own.moved(arm), position + own.offset - own.compliance * torque - 0.5 * own.play * side
+        slope = jacobian(moved, joints) @ np.concatenate(by_joint, axis=-1)
+        return tcp_pose(moved, joints), np.concatenate([slope, _by_twist(moved, joints)], axis=-1)
+
+
+def link_loads(arm: Arm, position: Array) -> Array:
+    """Each link's weight on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
+    f = frames(arm, position)
+    com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
+    carried = np.triu(np.ones((arm.joints, arm.joints)))[..., None] * arm.mass[:, None]
+    return -carried * np.cross(f.axis[:, :, None], com[:, None] - f.position[:, :, None])
+
+
+def _by_twist(arm: Arm, joints: Array) -> Array:
+    """Return derivative (M, 6, 6 n + 6) of the tool by small errors of the transforms."""
+    f, first = frames(arm, joints), np.zeros((len(joints), 1, 3))
+    before = np.concatenate([first[..., None] + np.eye(3), f.rotation], axis=1)  # frame before each transform
+    lever = f.tcp_position[:, None] - np.concatenate([first, f.position], axis=1)
+    swing = np.cross(lever[..., None], before, axisa=-2, axisb=-2, axisc=-2) * -1.0
+    both = np.block([[before, swing], [np.zeros_like(before), before]])  # (M, n + 1, 6, 6)
+    return np.moveaxis(both, 1, 2).reshape(len(joints), 6, 6 * (arm.joints + 1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +165,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
 
     ``outside`` (o, o): precision of the parameters of the measuring device, zero and unbounded.
     """
-    layout = DisplacementLayout(joints=arm.joints)
+    layout = DisplacementLayout(arm)
     mean, sigma, lower, upper = np.zeros((4, layout.body))
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
@@ -145,22 +197,6 @@ def gravity_of(tilt: Array) -> Array:
     return turned(np.append(tilt, 0.0)) @ GRAVITY
 
 
-def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
-    """Displacement of the vector (k,)."""
-    offset, compliance, play, mass, tilt, twist = (vector[layout.at(name)] for name in KINDS)
-    links = twist.reshape(layout.joints + 1, 6)
-    return Displacement(
-        offset=offset, compliance=compliance, play=play, twist=links, gravity=gravity_of(tilt), mass=1.0 + mass
-    )
-
-
-def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
-    """Turn a displacement into the arm's part of the vector."""
-    own, down = displacement, [one / np.linalg.norm(one) for one in (GRAVITY, displacement.gravity)]
-    parts = own.offset, own.compliance, own.play, own.mass - 1.0, between_directions(*down)[:2], own.twist.ravel()
-    return np.concatenate([np.broadcast_to(part, size) for part, size in zip(parts, layout.sizes, strict=True)])
-
-
 FLOOR = 0.5e-3
 """[m] over a myCobot 280's reach, sigma of unexplained displacement; chosen"""
 SCATTER = 1.0 / 3.0
@@ -168,45 +204,6 @@ SCATTER = 1.0 / 3.0
 
 
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
-
-
-def linearised(arm: Arm, layout: DisplacementLayout, vector: Array, position: Array) -> tuple[Array, Array]:
-    """Tool (M, 4, 4) at ``position`` (M, n) [rad], and derivative (M, 6, body) of its shift and turn, base axes."""
-    own, loads = displacement_of(layout, vector), link_loads(arm, position)
-    torque = loads @ own.gravity @ own.mass
-    side = np.tanh(torque / FLOATING)
-    one, tilt = np.eye(arm.joints), vector[layout.at("tilt")]
-    turns = [gravity_of(tilt + step) - gravity_of(tilt - step) for step in _STEP * np.eye(2)]
-    by_load = [loads @ own.gravity, np.stack([loads @ turn @ own.mass for turn in turns], axis=-1) / (2 * _STEP)]
-    # torque moves joints by flex and by the side of the play
-    yielding = own.compliance + 0.5 * own.play * (1.0 - side**2) / FLOATING
-    by_joint = [
-        np.broadcast_to(one, (*torque.shape, arm.joints)),
-        -torque[..., None] * one,
-        -0.5 * side[..., None] * one,
-    ]
-    by_joint += [-yielding[..., None] * each for each in by_load]
-    moved, joints = own.moved(arm), position + own.offset - own.compliance * torque - 0.5 * own.play * side
-    slope = jacobian(moved, joints) @ np.concatenate(by_joint, axis=-1)
-    return tcp_pose(moved, joints), np.concatenate([slope, _by_twist(moved, joints)], axis=-1)
-
-
-def link_loads(arm: Arm, position: Array) -> Array:
-    """Each link's weight on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
-    f = frames(arm, position)
-    com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
-    carried = np.triu(np.ones((arm.joints, arm.joints)))[..., None] * arm.mass[:, None]
-    return -carried * np.cross(f.axis[:, :, None], com[:, None] - f.position[:, :, None])
-
-
-def _by_twist(arm: Arm, joints: Array) -> Array:
-    """Return derivative (M, 6, 6 n + 6) of the tool by small errors of the transforms."""
-    f, first = frames(arm, joints), np.zeros((len(joints), 1, 3))
-    before = np.concatenate([first[..., None] + np.eye(3), f.rotation], axis=1)  # frame before each transform
-    lever = f.tcp_position[:, None] - np.concatenate([first, f.position], axis=1)
-    swing = np.cross(lever[..., None], before, axisa=-2, axisb=-2, axisc=-2) * -1.0
-    both = np.block([[before, swing], [np.zeros_like(before), before]])  # (M, n + 1, 6, 6)
-    return np.moveaxis(both, 1, 2).reshape(len(joints), 6, 6 * (arm.joints + 1))
 
 
 def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float = 0.0) -> Array:
@@ -274,7 +271,7 @@ class Calibration(Readable):
     @property
     def layout(self) -> DisplacementLayout:
         """Places of the parameters in the covariance."""
-        return DisplacementLayout(joints=self.arm.joints)
+        return DisplacementLayout(self.arm)
 
     def require(self, arm: Arm) -> None:
         """Raise ContractError for another arm."""
@@ -287,10 +284,10 @@ class Calibration(Readable):
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`: draws of the parameters, play of floating joints, and the floor."""
         own, layout = np.random.default_rng(0), self.layout
-        mean = vector_of(layout, self.displacement)
+        mean = layout.vector(self.displacement)
         drawn = own.multivariate_normal(mean, self.covariance, _PARAMETERS, method="eigh")
         away, play = [], np.zeros((*np.shape(position)[:-1], 3, 3))
-        for one in (displacement_of(layout, vector) for vector in drawn):
+        for one in map(layout.displacement, drawn):
             away.append(one.tool(self.arm, position) - self.tool(position))
             play += scatter(self.arm, one, position)[..., :3, :3] / len(drawn)
         known = np.einsum("d...i,d...j->...ij", away, away) / len(drawn)

@@ -27,11 +27,8 @@ from rejoint.diagnosis.calibration.calibration import (
     DisplacementLayout,
     PriorCase,
     belief,
-    displacement_of,
     floor_of,
-    linearised,
     scatter,
-    vector_of,
 )
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.system.errors import InputError
@@ -98,7 +95,7 @@ class ToolProblem:
     @property
     def layout(self) -> DisplacementLayout:
         """Places in the vector."""
-        return DisplacementLayout(joints=self.arm.joints)
+        return DisplacementLayout(self.arm)
 
     def rows(self, where: Mask) -> ToolProblem:
         """Problem of some rows."""
@@ -109,10 +106,6 @@ class ToolProblem:
         frame, mounted, lens = np.split(np.pad(vector[self.layout.body :], (0, 12)), [6, 12])
         return moved(self.frame, frame), moved(self.mounted, mounted), lens[: self.by_lens.shape[-1]]
 
-    def displacement(self, vector: Array) -> Displacement:
-        """Displacement for the unknowns (k,)."""
-        return displacement_of(self.layout, vector)
-
     def tool(self, vector: Array) -> Array:
         """Measured tool (R, 4, 4) in the measuring frame."""
         _, mounted, lens = self.outside(vector)
@@ -122,12 +115,12 @@ class ToolProblem:
 
     def misfit(self, vector: Array) -> Array:
         """Predicted less measured shift [m] and turn [rad] (R, 6), axes of the measuring frame; 0: not measured."""
-        return self._misfit(vector, self.displacement(vector).tool_pose(self.arm, self.position))
+        return self._misfit(vector, self.layout.displacement(vector).tool_pose(self.arm, self.position))
 
     def slope(self, vector: Array) -> Array:
         """Return the derivative (R, 6, k) of `misfit`; by the turn as for small ones."""
         body, back = self.layout.body, np.kron(np.eye(2), self.outside(vector)[0][:3, :3]).T
-        predicted, slope = linearised(self.arm, self.layout, vector, self.position)
+        predicted, slope = self.layout.linearised(vector, self.position)
         by_arm = np.where(self.known[..., None], back @ slope, 0.0)
 
         here, steps = self._misfit(vector, predicted), _STEP * np.eye(len(vector))[body:]
@@ -142,7 +135,7 @@ class ToolProblem:
         """Covariance (R, 6, 6) of `misfit` for known parameters; 1 where not measured."""
         turn = np.kron(np.eye(2), self.outside(vector)[0][:3, :3])
         rest = np.diag([floor_of(self.arm) ** 2] * 3 + [TURNED**2] * 3)
-        total = scatter(self.arm, self.displacement(vector), self.position, self.joint) + rest + self.spread
+        total = scatter(self.arm, self.layout.displacement(vector), self.position, self.joint) + rest + self.spread
         return np.where(self.known[:, :, None] & self.known[:, None, :], turn.T @ total @ turn, np.eye(6))
 
     def weighed(self, vector: Array) -> tuple[Array, Array, Array]:
@@ -156,7 +149,7 @@ class ToolProblem:
         """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
-        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
+        mean[body] = lower[body] = upper[body] = self.layout.vector(Displacement.none(self.arm))
         rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
@@ -349,11 +342,11 @@ def beliefs_of(arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, 
 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
-    layout = DisplacementLayout(joints=arm.joints)
+    layout = DisplacementLayout(arm)
     body, fits_links = slice(0, layout.body), prior.displacement.twist.any()
     found = belief(arm, PriorCase(twist=1.0 if fits_links else 0.0), outside)
     usual = 1.0 / np.diag(belief(arm, PriorCase()).precision)
-    found.mean[body] = vector_of(layout, prior.displacement)
+    found.mean[body] = layout.vector(prior.displacement)
     found.precision[body, body] = np.linalg.inv(prior.covariance + AGE**2 * np.diag(usual))
     return found
 
@@ -369,7 +362,7 @@ def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: s
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm,
-        displacement=problem.displacement(fitted.vector),
+        displacement=problem.layout.displacement(fitted.vector),
         covariance=fitted.covariance[body, body],
         frame=problem.outside(fitted.vector)[0],
         frame_name=measured.frame,

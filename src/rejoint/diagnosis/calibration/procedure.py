@@ -47,9 +47,7 @@ from rejoint.diagnosis.calibration.calibration import (
     DisplacementLayout,
     PriorCase,
     belief,
-    displacement_of,
     floor_of,
-    linearised,
     scatter,
 )
 from rejoint.diagnosis.calibration.fit import earlier
@@ -161,9 +159,9 @@ def _free(arm: Arm, q: Array) -> Mask:
 
 def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:
     """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
-    layout = DisplacementLayout(joints=arm.joints)
-    slope = linearised(arm, layout, known.mean, postures)[1][:, :3]
-    believed = displacement_of(layout, known.mean)
+    layout = DisplacementLayout(arm)
+    slope = layout.linearised(known.mean, postures)[1][:, :3]
+    believed = layout.displacement(known.mean)
     variance = np.diag(np.linalg.inv(known.precision))[layout.at("play")]
     noise = scatter(arm, replace(believed, play=np.hypot(believed.play, np.sqrt(variance))), postures)
     return slope, noise[:, :3, :3] + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
