@@ -15,6 +15,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, Mask, differing, load_arm, write
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
+from rejoint.control.controllers.policy import Policy
 from rejoint.control.robot import JointState, Robot, RobotWrapper
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
@@ -25,11 +26,10 @@ from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, re
 from rejoint.system.numbers import as_seed
 from rejoint.system.results import Readable
 from rejoint.system.shell import __version__
+from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
-    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.twin.twin import Twin
 
 
 RUNS = Path("runs")
@@ -154,15 +154,11 @@ class Run(Readable):
     @property
     def twin(self) -> Twin | None:
         """The twin, if identified."""
-        from rejoint.twin.twin import read_twin
-
         return read_twin(self.folder.twin, self.arm) if self.folder.twin.exists() else None
 
     @property
     def policy(self) -> Policy | None:
         """The policy, if trained."""
-        from rejoint.control.controllers.policy import Policy
-
         return Policy.load(self.folder.policy) if self.folder.policy.exists() else None
 
     @property

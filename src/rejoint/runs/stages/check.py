@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
+from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
+from rejoint.diagnosis.monitoring.measures import LABEL, CheckMeasures, measure_check, record_check, require_followed
 from rejoint.logs.history import (
     CHECKS,
     SUMMARY,
@@ -37,10 +38,6 @@ from rejoint.system.numbers import as_positive
 from rejoint.system.progress import Progress
 from rejoint.system.results import Readable
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:
-    from rejoint.diagnosis.monitoring.judge import Outlook
-    from rejoint.diagnosis.monitoring.measures import CheckMeasures
 
 BETWEEN = timedelta(minutes=4)
 """Between checks in a row with a given date; chosen"""
@@ -133,9 +130,6 @@ def check(
     >>> found = rejoint.check("emulated:healthy?hours=6", notes=notes, tolerance_mm=6.0)
     >>> print(found.line)
     """
-    from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
-    from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
-
     said, chosen, home = notes or CheckNotes(), settings or Settings(), Path(history)
     when = said.when
     if when is not None and when.tzinfo is not None:
@@ -196,8 +190,6 @@ def check(
 
 
 def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, Array | None]:
-    from rejoint.diagnosis.monitoring.measures import LABEL, record_check
-
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
     try:

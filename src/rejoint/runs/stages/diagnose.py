@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import gains_in_force
+from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs, judge
+from rejoint.diagnosis.excitation import record
+from rejoint.diagnosis.healthy import HealthyReference, as_set, healthy_reference, reference_by
+from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import summarise
@@ -35,11 +39,6 @@ from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.results import Readable
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
-    from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.diagnosis.healthy import HealthyReference
-    from rejoint.diagnosis.verdict import Finding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -127,10 +126,6 @@ def diagnose(
         noted(),
         ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
     ):
-        from rejoint.diagnosis.diagnosis import judge
-        from rejoint.diagnosis.excitation import record
-        from rejoint.diagnosis.healthy import as_set
-
         reference = _reference(built, healthy, address_of(robot))
         with session.metered("diagnose") as driven:
             gains = gains_in_force(driven)
@@ -165,8 +160,6 @@ def _from_logs(
     healthy: RunLike | Diagnosis | None,
     on_progress: Progress,
 ) -> Diagnosis:
-    from rejoint.diagnosis.diagnosis import diagnose_logs
-
     run, chosen = run_of_logs(given, source, arm)
     with exclusive(run):
         name = source_of(source) if run is None else run.robot
@@ -180,9 +173,6 @@ def _from_logs(
 
 
 def _reference(arm: Arm, healthy: RunLike | Diagnosis | None, robot: str = "") -> HealthyReference | None:
-    from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.diagnosis.healthy import healthy_reference, reference_by
-
     if healthy is None:
         return healthy_reference(arm, robot)
     if not isinstance(healthy, Diagnosis):
