@@ -44,6 +44,8 @@ SHIFT, TURN = 1e-3, np.radians(0.3)
 ANYWHERE = 3.0
 """[m] and [rad] sigma of a pose outside the arm around its first estimate"""
 
+_STEP = 1e-6  # [rad] for the derivative of the direction of gravity
+
 KINDS = ("offset", "compliance", "play", "mass", "tilt", "twist")
 """Parameters of an arm, in order"""
 
@@ -201,9 +203,6 @@ FLOOR = 0.5e-3
 """[m] over a myCobot 280's reach, sigma of unexplained displacement; chosen"""
 SCATTER = 1.0 / 3.0
 """Variance of a floating joint over half its play squared: uniform distribution; chosen"""
-
-
-_STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 
 
 def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float = 0.0) -> Array:
