@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inertia import LoadedArm, loaded
+from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures, too_heavy
 from rejoint.arms.rotations import Orientation
@@ -57,8 +57,6 @@ from rejoint.session.inputs import (
     CalibrationLike,
     ControllerLike,
     Period,
-    RobotLike,
-    Settings,
     as_calibration,
     as_policy,
     laden,
@@ -87,22 +85,6 @@ UNSEEN = 3.0
 RUBBING = 0.1
 """Friction over load (chosen)"""
 _NAMED = 5  # targets that a line names
-
-
-def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
-    """Arm with payload, tool and boxes of the settings.
-
-    InputError for payload or tool of an open robot, and for a box that holds a part of the resting arm.
-    """
-    arm = loaded(bare, settings.payload, settings.tool)
-    if arm is not bare and not isinstance(robot, str):
-        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
-    if not settings.keep_out:
-        return arm
-    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
-    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
-        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
-    return found
 
 
 def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:

@@ -47,7 +47,6 @@ from rejoint.session.context import (
     Factory,
     calibration_of,
     correction_of,
-    equipped,
     guard_limits,
     quick_note,
     stance_of,
@@ -63,6 +62,7 @@ from rejoint.session.inputs import (
     address_of,
     arm_of,
     as_run,
+    equipped,
     as_twin,
     period_of,
     settled,
@@ -380,7 +380,7 @@ class ArmDriver:
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
-        self.arm: Arm = equipped(arm_of(robot, arm) if about is None else about.arm, robot, self.settings)
+        self.arm: Arm = equipped(arm_of(robot, arm if about is None else about.arm), robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
         self.address = "" if robot is None else address_of(robot)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import CATALOGUE, Arm, Array, Box, load_arm
-from rejoint.arms.inertia import Payload, loaded
+from rejoint.arms import CATALOGUE, Arm, Array, Box, clearance, differing, load_arm
+from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
@@ -336,6 +336,25 @@ def keep(run: Run, settings: Settings) -> None:
     if kept.given() or run.folder.settings.exists():
         write_json(run.folder.settings, kept)
 
+
+
+def equipped(arm: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
+    """Arm with payload, tool and boxes of the settings.
+
+    InputError for another payload or tool than an open robot has, and for a box that holds a part of the resting arm.
+    """
+    own = arm if isinstance(robot, str) else bare(arm)
+    found = loaded(own, settings.payload, settings.tool)
+    if isinstance(robot, str):
+        arm = found
+    elif found is not own and differing(found, arm):
+        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
+    if not settings.keep_out:
+        return arm
+    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
+    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
+        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
+    return found
 
 def kept(run: Run | None) -> KeptSettings:
     """Return what ``run`` keeps; FileError where that is damaged."""
