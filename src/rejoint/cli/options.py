@@ -24,7 +24,6 @@ from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.fleet.file import FleetArm, named_arm
 from rejoint.runs.run import Run as OpenRun
-from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
 from rejoint.system.extras import compiles_first
@@ -155,7 +154,7 @@ class Call(Terminal):
             chosen = OpenRun.open(path).arm
         else:
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
-        return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
+        return OpenRun.plan(path, robot, chosen, seed)
 
     def stage(self, work: Callable[..., T], *given: object, **options: object) -> T:
         """Do a stage, ``work`` of the front door, and print its result, also one cut short."""

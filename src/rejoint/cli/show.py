@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.runs.stages.compare import Compared
     from rejoint.runs.stages.diagnose import Diagnosed
-    from rejoint.runs.stages.train import TrainedPolicy
+    from rejoint.runs.stages.fitting import TrainedPolicy
     from rejoint.twin.twin import Twin
 
 

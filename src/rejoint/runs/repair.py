@@ -18,13 +18,12 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish, newest_or_new
+from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.fitting import TrainedPolicy, identify, train
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.gains import gains
-from rejoint.runs.stages.identify import identify
-from rejoint.runs.stages.train import TrainedPolicy, train
 from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -37,17 +36,14 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     arm_of,
-    as_run,
     as_targets,
     is_batchable,
     period_of,
-    run_about,
     settled,
 )
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
@@ -185,9 +181,7 @@ def repair(
     tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
-    folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed)) if run is None else run
-    about = run_about(folder, address_of(robot), built, chosen.seed)
-    assert about is not None  # noqa: S101 - for the type checker; a folder was given
+    about = Run.plan(run, address_of(robot), built, chosen.seed)
     chosen, told = settled(chosen, about, robot)
     watching = observer or Observer()
     if told:
@@ -314,7 +308,7 @@ def report(run: RunLike) -> Path:
     """
     from rejoint.pages.report.page import write_report
 
-    found = as_run(run)
+    found = Run.open(run)
     with exclusive(found):
         page = write_report(found.path)
         finish(found)

@@ -53,8 +53,10 @@ class Run(Readable):
     arm: Arm
 
     @classmethod
-    def open(cls, path: Path | str) -> Run:
-        """Open a run folder; FileError if missing, damaged, or of a later version."""
+    def open(cls, path: Run | Path | str) -> Run:
+        """Open a run folder, unless it is open; FileError if missing, damaged, or of a later version."""
+        if isinstance(path, Run):
+            return path
         folder = RunFolder(Path(path))
         if not folder.info.exists():
             depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
@@ -69,10 +71,15 @@ class Run(Readable):
         return cls(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
 
     @classmethod
-    def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int | None = 0) -> Run:
-        """Open the run folder, or plan what `create` writes; same errors. Default seed: the folder's."""
-        folder = RunFolder(Path(path))
-        if folder.info.exists():
+    def plan(cls, path: Run | Path | str | None, robot: str, arm: Arm, seed: int | None = 0) -> Run:
+        """Open the run folder, or plan what `create` writes; same errors.
+
+        Default path: `newest_or_new`. Default seed: the folder's.
+        """
+        if path is None:
+            path = newest_or_new(robot, arm, as_seed(seed))
+        folder = path.folder if isinstance(path, Run) else RunFolder(Path(path))
+        if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
             run.require(robot=robot, arm=arm, seed=seed)
             return run

@@ -28,7 +28,7 @@ from rejoint.control.controllers.catalogue import (
 )
 from rejoint.control.controllers.classical import NOMINAL_PERIOD
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.controllers.policy import check_controller_period
+from rejoint.control.controllers.policy import Policy, check_controller_period
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands
@@ -58,7 +58,6 @@ from rejoint.session.inputs import (
     ControllerLike,
     Period,
     as_calibration,
-    as_policy,
     laden,
 )
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
@@ -397,7 +396,7 @@ class ControllerMaker:
     def _factory(self, given: ControllerLike) -> Factory:
         if is_name(given):
             return partial(self._by_name, given)
-        one = as_policy(given) if isinstance(given, Path | str) else given
+        one = Policy.load(given) if isinstance(given, Path | str) else given
         if hasattr(one, "controller"):
             return one.controller
         if hasattr(one, "reset") and not isinstance(one, type):

@@ -61,8 +61,6 @@ from rejoint.session.inputs import (
     Settings,
     address_of,
     arm_of,
-    as_run,
-    equipped,
     as_twin,
     period_of,
     settled,
@@ -375,7 +373,7 @@ class ArmDriver:
 
         Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
         """
-        about, self.observer = None if run is None else as_run(run), observer or Observer()
+        about, self.observer = None if run is None else Run.open(run), observer or Observer()
         self.settings, kept = settled(settings, about, robot)
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)

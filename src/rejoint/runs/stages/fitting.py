@@ -1,20 +1,23 @@
-"""Twins: identification from an arm's motion, and replay of motion."""
+"""What is fitted to an arm: its twin from motion, with replay of motion, and a policy on copies of the twin."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Array
+from rejoint.arms import Array, load_arm
+from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS, RunFolder, locked
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
+from rejoint.session.context import tuned_gains, twin_under
 from rejoint.session.inputs import (
     ArmLike,
     LogsLike,
@@ -23,7 +26,6 @@ from rejoint.session.inputs import (
     arm_of_twin,
     as_arm,
     as_logs,
-    as_run,
     as_twin,
     laden,
     run_of_logs,
@@ -35,6 +37,8 @@ from rejoint.system.results import Readable
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
+    from rejoint.training.task import Preset
+    from rejoint.training.train import Trainer, TrainingResult
     from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Judgement, Twin
 
@@ -102,42 +106,36 @@ def identify(
     >>> twin = rejoint.identify([found.excitation, found.targets])
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
+    from rejoint.twin.identify import LogSettings, identify_logs
     from rejoint.twin.identify import identify as fit
 
-    less: dict[str, Any] = {"starts": 2, "iterations": 2} if quick else {}
+    what, size = plan or LogPlan(), dict[str, Any]()
     with pacing(observer) as update:
-        if logs is None:
-            if run is None:
-                raise InputError("identification: neither logs nor a run is given")
-            found = as_run(run).seeded(seed)
-            with exclusive(found):
-                mark_quick(found, quick=quick)
-                twin = fit(laden(found), _motions(found), update, seed=found.seed, **less)
-                _write(found, twin)
-            return twin
-        about, chosen = run_of_logs(run, logs, arm)
-        with exclusive(about):
-            what = plan or LogPlan()
+        if logs is not None:
+            about, chosen = run_of_logs(run, logs, arm)
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
-            if about is None and of_diagnosis(motions):
-                return fit(chosen, motions, update, seed=as_seed(seed), **less)
-            from rejoint.twin.identify import LogSettings, identify_logs
-
-            drawn = about.seed if seed is None and about is not None else as_seed(seed)
-            short: dict[str, Any] = {
-                "coarse_seconds": 20.0,
-                "fit_seconds": 20.0,
-                "fast_seconds": 5.0,
-                "contact_seconds": 20.0,
-            }
-            hold_out = None if what.hold_out is None else tuple(what.hold_out)
-            how = LogSettings(hold_out=hold_out, seed=drawn, **(short if quick else {}))
-            twin = identify_logs(chosen, motions, how, update, what.beside)
-            twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
+        elif run is not None:
+            about = Run.open(run)
+            chosen, motions = laden(about), _motions(about)
+        else:
+            raise InputError("identification: neither logs nor a run is given")
+        drawn = about.seed if seed is None and about is not None else as_seed(seed)
+        with exclusive(about):
+            if logs is None or (about is None and of_diagnosis(motions)):
+                if quick:
+                    size = {"starts": 2, "iterations": 2}
+                twin = fit(chosen, motions, update, seed=drawn, **size)
+            else:
+                if quick:
+                    size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "fast_seconds": 5.0, "contact_seconds": 20.0}
+                hold_out = None if what.hold_out is None else tuple(what.hold_out)
+                how = LogSettings(hold_out=hold_out, seed=drawn, **size)
+                twin = identify_logs(chosen, motions, how, update, what.beside)
+                twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
             if about is not None:
-                _write(about.begin(), twin)
-                mark_quick(about, quick=quick)
+                mark_quick(about.begin(), quick=quick)
+                _write(about, twin)
         return twin
 
 
@@ -237,3 +235,117 @@ def replay(
             named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
             page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
     return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
+
+
+QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
+"""Size of a quick training; chosen"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrainedPolicy(Policy):
+    """A trained policy and its training."""
+
+    training: TrainingResult
+    """its files exist only in a run"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """Options of a training."""
+
+    generic: bool = False
+    """without the run's twin, for any worn arm"""
+    seed: int | None = None
+    """of all random numbers; default: that of the run, else 0"""
+    threads: int = 2
+    """of the simulation; no effect on the policy"""
+    trainer: Trainer | None = None
+    """replaces proximal policy optimisation"""
+
+
+def train(
+    twin: TwinLike | None = None,
+    *,
+    arm: ArmLike | None = None,
+    run: RunLike | None = None,
+    preset: str | Preset = "default",
+    quick: bool = False,
+    settings: TrainSettings | None = None,
+    observer: Observer | None = None,
+) -> TrainedPolicy:
+    """Train a control policy on randomised copies of a twin (proximal policy optimisation).
+
+    The same seed gives the same policy.
+
+    Parameters
+    ----------
+    twin
+        twin or its file; default: the run's; without either: any worn arm of this kind
+    arm
+        arm, name or file; default: that of run or twin
+    run
+        run, or its folder, for ``policy.onnx``; or a twin
+    preset
+        ``default`` (on a twin: from the arm's generic policy), ``scratch``, or your own
+    quick
+        train for seconds; no result
+    settings
+        seed, threads
+    observer
+        receives progress
+
+    Returns
+    -------
+    TrainedPolicy
+        the policy and its ``training``
+
+    Raises
+    ------
+    InputError
+        for run and twin, none of twin, run and arm, or a run without a twin
+    ContractError
+        if the twin is of another arm
+
+    Examples
+    --------
+    >>> policy = rejoint.train("twin.toml")
+    >>> policy.save("policy.onnx")
+    >>> rejoint.train(run="runs/mine")
+    """
+    how, gains = settings or TrainSettings(), None
+    with pacing(observer) as update, ExitStack() as stack:
+        if run is not None:
+            if twin is not None:
+                raise InputError("training: a run has its own twin; give either a run or a twin")
+            found = Run.open(run).seeded(how.seed)
+            stack.enter_context(exclusive(found))
+            told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
+            if known is None and not how.generic:
+                raise InputError(
+                    f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
+                    "policy for any worn arm of this kind with --generic"
+                )
+            mark_quick(found, quick=quick)
+            gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
+            if tuned is not None and known is not None:
+                known = twin_under(known, tuned.found, tuned.under)
+            chosen, folder, seed = found.arm, found.path, found.seed
+        else:
+            known = None if twin is None else as_twin(twin)
+            if known is None and arm is None:
+                raise InputError("training: neither a twin, a run nor an arm is given")
+            chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
+            if known is not None:
+                known.require(chosen)
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
+            seed = as_seed(how.seed)
+        if how.trainer is None:
+            from rejoint.training.train import TrainingOptions
+            from rejoint.training.train import train as learn
+
+            about: dict[str, Any] = {"seed": seed, "servo_gains": gains} | (QUICK if quick else {})
+            options = TrainingOptions(preset=preset, threads=how.threads, **about)
+            result = learn(chosen, known, out=folder, options=options, on_progress=update)
+        else:
+            result = how.trainer(chosen, known, folder, update)
+        return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)
