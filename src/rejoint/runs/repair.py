@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
@@ -20,9 +19,9 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
-from rejoint.runs.stages.fitting import TrainedPolicy, identify, train
+from rejoint.runs.stages.compare import Compared, TrialPlan, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+from rejoint.runs.stages.fitting import TrainedPolicy, identify, train
 from rejoint.runs.stages.gains import gains
 from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
@@ -191,96 +190,65 @@ def repair(
             f"{about.path} is of a quick try, which is no result; give another --run, or delete the folder"
         )
     found = about.begin()
-    _RepairStages(
-        robot=robot, run=found, plan=what, settings=chosen, observer=watching, quick=quick, only=only
-    ).do_all()
+    files = stages_of(robot, found.arm, found.folder, what, quick=quick)
+    works = _works(robot, found, what, chosen, quick=quick)
+    for number, (name, file) in enumerate(files.items(), start=1):
+        if only in (None, name):
+            stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
+            _do(stage, works[name], found, watching, alone=only is not None)
     watching.progress(1.0, "done")
     return found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _RepairStages:
-    robot: RobotLike
-    run: Run
-    plan: RepairPlan
-    settings: Settings
-    observer: Observer
-    quick: bool
-    only: StageName | None
+def _works(
+    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, *, quick: bool
+) -> dict[StageName, Callable[..., object]]:
+    """Return what does each stage, for an observer."""
+    gauge, compared, targets, trials = plan.gauge, settings, plan.targets, plan.trials or TrialPlan()
+    if gauge == NO_GAUGE:
+        gauge, compared = None, replace(settings, calibration=NO_GAUGE)
+    sets, repetitions = (1, 1) if quick else (3, 2) if is_batchable(robot) else (None, None)
+    trials = replace(
+        trials,
+        sets=sets if trials.sets is None else trials.sets,
+        repetitions=repetitions if trials.repetitions is None else trials.repetitions,
+    )
+    if quick and targets is None:
+        targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
+    return {
+        "diagnose": partial(diagnose, robot, run=run, quick=quick, settings=settings),
+        "calibrate": partial(calibrate, robot, run=run, gauge=gauge, settings=settings),
+        "identify": partial(identify, run=run, quick=quick),
+        "gains": partial(gains, robot, run, settings=settings),
+        "train": partial(train, run=run, preset=plan.preset, quick=quick),
+        "compare": partial(compare, robot, plan.controllers, targets, run=run, plan=trials, settings=compared),
+        "report": lambda observer: report(run),  # noqa: ARG005
+    }
 
-    @cached_property
-    def files(self) -> dict[StageName, Path]:
-        """File of each stage, in order."""
-        return stages_of(self.robot, self.run.arm, self.run.folder, self.plan, quick=self.quick)
 
-    def do_all(self) -> None:
-        """Do the stages in order; a comparison of an emulated arm begins during the training."""
-        robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
-        gauge = None if plan.gauge == NO_GAUGE else plan.gauge
-        moving: dict[str, Any] = {"run": run, "settings": settings}
-        self.do("diagnose", partial(diagnose, robot, quick=quick, **moving))
-        self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
-        self.do("identify", partial(identify, run=run, quick=quick))
-        self.do("gains", partial(gains, robot, **moving))
-        early = is_batchable(robot) and self.only is None and not plan.controllers
-        early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
-        ahead = self._ahead() if early else None
-        with nullcontext() if ahead is None else closing(ahead):
-            self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
-            self.do("compare", partial(self._compare, ahead))
-        self.do("report", lambda observer: report(run))  # noqa: ARG005
+def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer, *, alone: bool) -> None:
+    """Do a stage, or report that it is done; without others (``alone``) its progress is the whole."""
+    if stage.name != "report" and stage.file.exists():
+        observer.stage(replace(stage, state="kept", result=_kept(run, stage.name)))
+        return
+    observer.stage(stage)
+    begun = time.monotonic()
+    start, end = (0.0, 1.0) if alone else ((stage.number - 1) / stage.total, stage.number / stage.total)
+    try:
+        result = work(observer=StageObserver(observer, start, end))
+    finally:
+        add(run.folder, StageCost(name=stage.name, wall=time.monotonic() - begun))
+        give_back()
+    observer.stage(replace(stage, state="done", result=result))
 
-    def _compare(self, ahead: HelperProcess | None, *, observer: Observer) -> Compared:
-        with self._comparison(observer) as job:
-            return job.drive(observer.progress, ahead)
 
-    def _ahead(self) -> HelperProcess | None:
-        with self._comparison(Observer()) as job:
-            return job.begin_ahead()
-
-    @contextmanager
-    def _comparison(self, observer: Observer) -> Iterator[ComparisonJob]:
-        plan, quick, emulated = self.plan, self.quick, is_batchable(self.robot)
-        settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
-        trials, targets = plan.trials or TrialPlan(), plan.targets
-        sets, repetitions = (1, 1) if quick else (3, 2) if emulated else (None, None)
-        trials = replace(
-            trials,
-            sets=sets if trials.sets is None else trials.sets,
-            repetitions=repetitions if trials.repetitions is None else trials.repetitions,
-        )
-        if quick and targets is None:
-            targets = draw_targets(self.run.arm, sets=1, count=QUICK_TARGETS, seed=self.run.seed)
-        with ArmSession(self.robot, run=self.run, settings=settings, observer=observer) as session:
-            yield comparison_job(session, plan.controllers, targets, trials)
-
-    def do(self, name: StageName, work: Callable[..., object]) -> None:
-        """Do a stage, or report that it is done."""
-        if name not in self.files or self.only not in (None, name):
-            return
-        number, total = list(self.files).index(name), len(self.files)
-        stage = Stage(name=name, state="started", file=self.files[name], number=number + 1, total=total)
-        if name != "report" and stage.file.exists():
-            result = self._kept(name)
-            self.observer.stage(replace(stage, state="kept", result=result))
-            return
-        self.observer.stage(stage)
-        begun = time.monotonic()
-        share = (number / total, (number + 1) / total) if self.only is None else (0.0, 1.0)
-        try:
-            result = work(observer=StageObserver(self.observer, *share))
-        finally:
-            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
-            give_back()
-        self.observer.stage(replace(stage, state="done", result=result))
-
-    def _kept(self, name: StageName) -> object:
-        diagnosis, comparison = self.run.diagnosis, self.run.comparison
-        if name == "diagnose" and diagnosis is not None:
-            return Diagnosed(diagnosis=diagnosis)
-        if name == "compare" and comparison is not None:
-            return Compared(comparison=comparison, recommendation=recommend(comparison))
-        return None
+def _kept(run: Run, name: StageName) -> object:
+    diagnosis, comparison = run.diagnosis, run.comparison
+    if name == "diagnose" and diagnosis is not None:
+        return Diagnosed(diagnosis=diagnosis)
+    if name == "compare" and comparison is not None:
+        return Compared(comparison=comparison, recommendation=recommend(comparison))
+    return None
 
 
 def report(run: RunLike) -> Path:

@@ -22,7 +22,7 @@ from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result,
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
+from rejoint.control.comparison.result import Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -172,15 +172,15 @@ class ComparisonJob:
         posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
         return self.runner(ControllerMaker(self.arm, period, self.run, self.twin).factories([name], posed=posed))
 
-    def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume and write. Closes ``helper``."""
+    def drive(self, on_progress: Progress) -> Compared:
+        """Compare; in a run, resume and write."""
         run = self.run
         if run is None:
-            return self._drive(Ledger(), on_progress, helper)
+            return self._drive(Ledger(), on_progress)
         require_space(run.path)
         ledger = Ledger(run.folder.trials, self._digest(run))
         try:
-            found = self._drive(ledger, on_progress, helper)
+            found = self._drive(ledger, on_progress)
         except BaseException as error:
             if ledger.done:
                 kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
@@ -193,7 +193,7 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
+    def _drive(self, ledger: Ledger, on_progress: Progress) -> Compared:
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
@@ -207,7 +207,7 @@ class ComparisonJob:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
-        helper = ahead or self._help()
+        helper = self._help()
         with (
             noted(),
             staged(self.run, "compare") as watch,
@@ -250,14 +250,6 @@ class ComparisonJob:
         except GuardTripError as error:  # it is not worth a comparison that is decided
             told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
             return replace(result, left_out=(*result.left_out, told))
-
-    def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process, if a core is free."""
-        helper = self._help()
-        if helper is not None:
-            for name, kind in product(self.factories, KINDS):
-                helper(Key(name, kind, self.places))
-        return helper
 
     def _help(self) -> HelperProcess | None:
         size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
