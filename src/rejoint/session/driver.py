@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -29,8 +29,8 @@ from rejoint.control.robot import (
     Controller,
     JointState,
     Robot,
-    RobotWrapper,
     WallClock,
+    WatchedRobot,
     heeds_turn,
     part_of,
     turned_off,
@@ -62,6 +62,7 @@ from rejoint.session.inputs import (
     address_of,
     arm_of,
     as_twin,
+    equipped,
     period_of,
     settled,
 )
@@ -194,7 +195,7 @@ def copied(run: Run) -> Iterator[Run]:
         yield replace(run, folder=RunFolder(path))
 
 
-class RehearsedRobot(RobotWrapper):
+class RehearsedRobot(WatchedRobot):
     """Simulates a robot at its present posture; with nominal servos without a twin."""
 
     def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
@@ -208,16 +209,11 @@ class RehearsedRobot(RobotWrapper):
         low, high = period or PERIOD
         draw = replace(Draw.of(own), period=np.array([(low + high) / 2]))
         jitter = (high - low) / (high + low)
-        super().__init__(TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address))
+        simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
+        super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))
         self._positions: list[Array] = [start.copy()]
         servos = part_of(robot, Tunable)
         self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """See `rejoint.control.robot.Robot`."""
-        state = super().step(command, active)
-        self._positions.append(state.position[0].copy())
-        return state
 
     def servo_gains(self) -> ServoGains | None:
         """Gains that the arm has, or would have; the simulation ignores them."""

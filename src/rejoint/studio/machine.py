@@ -18,7 +18,7 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
-from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
+from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
@@ -279,26 +279,11 @@ class Studio(Observer):
 
     def watch(self, robot: Robot, **facts: object) -> Robot:  # noqa: ARG002 - as `Observer` has it
         """See `Observer`."""
-        return _SeenRobot(robot, self)
+        return WatchedRobot(robot, self._see)
 
-
-class _SeenRobot(RobotWrapper):
-    def __init__(self, robot: Robot, studio: Studio) -> None:
-        super().__init__(robot)
-        self._studio = studio
-
-    def read(self) -> JointState:
-        """Read."""
-        self._studio.heed()
-        return self._see(super().read())
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Step, unless the job is to end: a stop between two motions counts in the next one."""
-        self._studio.heed()
-        return self._see(super().step(command, active))
-
-    def _see(self, state: JointState) -> JointState:
-        last, self._studio.seen = self._studio.seen, state
+    def _see(self, state: JointState, _: Array | None) -> None:
+        """Keep a reading, unless the job is to end: a stop between two motions counts in the next one."""
+        self.heed()
+        last, self.seen = self.seen, state
         if last is not None and last.position.shape == state.position.shape:
-            self._studio.travel += float(np.abs(state.position[0] - last.position[0]).sum())
-        return state
+            self.travel += float(np.abs(state.position[0] - last.position[0]).sum())
