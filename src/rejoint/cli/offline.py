@@ -47,7 +47,7 @@ def replay(
     chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     for remark in forced_remarks(replayed.logs):
-        call.say(f"  ! {remark}")
+        call.message(f"  ! {remark}")
     value = show_errors(call, replayed.judgement, out / "replay.json")
     call.result(f"Page: {replayed.page}")
     return value | {"page": replayed.page}
@@ -132,10 +132,10 @@ def import_(
         force=force,
     )
     chosen = call.arm()
-    with call.progress("import") as update:
+    with call.bar("import") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
     for note in (*imported.notes, *imported.skipped):
-        call.say(note)
+        call.message(note)
     seconds, count = sum(log.duration for log in imported.logs), len(imported.logs)
     skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
     call.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
@@ -157,7 +157,7 @@ def export(
 
         kind = kind or ("lerobot" if lerobot else "onnx")
         out, told = export_run(source, kind, out, lerobot=lerobot, controller=controller)
-        call.say(told)
+        call.message(told)
     elif out is None:
         raise InputError(
             "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
@@ -239,7 +239,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
         try:
             info, files = read_info(path), RunFolder(path.parent)
         except FileError as error:
-            call.say(f"left out: {error}")
+            call.message(f"left out: {error}")
             continue
         stages = ("diagnosis", "calibration", "twin", "policy", "comparison", "report")
         done = [name for name in stages if getattr(files, name).exists()]
@@ -267,5 +267,5 @@ def open_(call: Call, run: Path | None = None) -> object:
         raise FileError(page, "no report", f"write it: {command('report', run)}")
     call.result(str(page))
     if not webbrowser.open(page.as_uri()):
-        call.say("No browser was found here: open that file in one.")
+        call.message("No browser was found here: open that file in one.")
     return {"report": page}

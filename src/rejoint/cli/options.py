@@ -25,7 +25,7 @@ from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.fleet.file import FleetArm, named_arm
 from rejoint.runs.run import Run as OpenRun
 from rejoint.session.inputs import Settings
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, UnsavedError
 from rejoint.system.extras import compiles_first
 from rejoint.system.progress import Progress, no_progress
 
@@ -45,64 +45,11 @@ class ArmPick(NamedTuple):
     hold: str | None = None
 
 
-class ConsoleObserver(Observer):
-    """Shows at the terminal what an arm does, and the stages of a repair; ``partial`` prints a result cut short."""
+class Call(Terminal, Observer):
+    """One call of a command: what the user wrote in the options that commands share, and the observer of its arm.
 
-    def __init__(
-        self,
-        terminal: Terminal,
-        partial: Callable[[Any], object] = lambda _: None,
-        view: LiveView | None = None,
-    ) -> None:
-        """Take the page, if there is one."""
-        self._terminal, self._partial, self._view = terminal, partial, view
-        self._progress: Progress = no_progress
-        self._stage: Stage | None = None
-
-    def show_bar(self, title: str) -> None:
-        """Show a bar from now on."""
-        self._progress = self._terminal.bars.enter_context(self._terminal.progress(title))
-
-    def message(self, line: str) -> None:
-        """Print a sentence."""
-        self._terminal.say(line)
-
-    def progress(self, share: float, what: str) -> None:
-        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
-        stage = self._stage
-        self._progress(share if stage is None else stage.total * share - (stage.number - 1), what)
-
-    def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
-        """Show how a stage of a repair stands."""
-        self._terminal.bars.close()
-        if stage.state != "done":
-            heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
-            self._terminal.heading(heading)
-            if self._view is not None:
-                self._view.begin(heading)
-        if stage.state == "kept":
-            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
-        if stage.state != "started":
-            show.stage(self._terminal, stage.name, stage.result)
-            return
-        self._stage, self._progress = stage, no_progress
-        self._partial = lambda result: show.stage(self._terminal, stage.name, result)
-        self.show_bar(stage.name)
-
-    def partial(self, result: object) -> None:
-        """Print what was done until an error."""
-        self._terminal.bars.close()
-        self._partial(result)
-
-    def served(self, address: str) -> None:
-        """Print where a served arm is."""
-        self._terminal.say(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
-        if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            self._terminal.say("Other machines can drive it too, without a password.")
-
-
-class Call(Terminal):
-    """One call of a command: where it writes, and what the user wrote in the options that commands share."""
+    It shows what the arm does, and the stages of a repair.
+    """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
         """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
@@ -111,6 +58,9 @@ class Call(Terminal):
         self.named: FleetArm | None = None
         """the arm, where it was given by name"""
         self._taken = frozenset(given)
+        self._bar: Progress = no_progress
+        self._stage: Stage | None = None
+        self._view: LiveView | None = None
         super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
 
     def address(self, robot: str) -> str:
@@ -142,7 +92,7 @@ class Call(Terminal):
             line = len(error.notes) + 1
             raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
         for note in loaded.notes:
-            self.say(f"arm {loaded.arm.name}: {note}")
+            self.message(f"arm {loaded.arm.name}: {note}")
         return loaded.arm
 
     def job(self, robot: str, path: Path | None, seed: int) -> OpenRun:
@@ -156,7 +106,7 @@ class Call(Terminal):
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
         return OpenRun.plan(path, robot, chosen, seed)
 
-    def stage(self, work: Callable[..., T], *given: object, **options: object) -> T:
+    def do(self, work: Callable[..., T], *given: object, **options: object) -> T:
         """Do a stage, ``work`` of the front door, and print its result, also one cut short."""
         name = work.__name__
         tell = partial(show.stage, self, name)
@@ -171,14 +121,60 @@ class Call(Terminal):
         self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True
     ) -> Iterator[Observer]:
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+        self.say_compiling()
+        self._show = show
+        with live_view(self, self.live, title) as view, self.bars:
+            self._view = view
+            if bar:
+                self._show_bar(title)
+            try:
+                yield self if view is None else Observers(self, view)
+            except UnsavedError as error:
+                self.partial(error.result)
+                raise
+
+    def say_compiling(self) -> None:
+        """Say that the first motion will take longer than others, where it will."""
         if compiles_first():
-            self.say("The first motion compiles its loops, once: about 15 s.")
-        with live_view(self, self.live, title) as view:
-            console = ConsoleObserver(self, show, view)
-            with self.unsaved(console.partial), self.bars:
-                if bar:
-                    console.show_bar(title)
-                yield console if view is None else Observers(console, view)
+            self.message("The first motion compiles its loops, once: about 15 s.")
+
+    def _show_bar(self, title: str) -> None:
+        self._bar = self.bars.enter_context(self.bar(title))
+
+    # --- as an observer -----------------------------------------------------------------------------
+
+    def progress(self, share: float, what: str) -> None:
+        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
+        stage = self._stage
+        self._bar(share if stage is None else stage.total * share - (stage.number - 1), what)
+
+    def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
+        """Show how a stage of a repair stands."""
+        self.bars.close()
+        if stage.state != "done":
+            heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
+            self.heading(heading)
+            if self._view is not None:
+                self._view.begin(heading)
+        if stage.state == "kept":
+            self.message(f"already done, as it was asked for then: {stage.file}")
+        if stage.state != "started":
+            show.stage(self, stage.name, stage.result)
+            return
+        self._stage, self._bar = stage, no_progress
+        self._show = lambda result: show.stage(self, stage.name, result)
+        self._show_bar(stage.name)
+
+    def partial(self, result: object) -> None:
+        """Print what was done until an error."""
+        self.bars.close()
+        self._show(result)
+
+    def served(self, address: str) -> None:
+        """Print where a served arm is."""
+        self.message(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        if address.startswith("tcp://") and not address.startswith("tcp://127."):
+            self.message("Other machines can drive it too, without a password.")
 
 
 class Result(NamedTuple):

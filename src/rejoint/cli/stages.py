@@ -20,7 +20,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, is_loopback, picked, results_of
-from rejoint.cli.options import Call, ConsoleObserver, Result, takes
+from rejoint.cli.options import Call, Result, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words
@@ -104,7 +104,7 @@ def repair(
         return {"robot": robot}
     require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
     job = call.job(robot, run, seed)
-    call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
+    call.message(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     plan = rejoint.RepairPlan(
         preset=preset,
         controllers=opt.controller_names(controllers),
@@ -116,7 +116,7 @@ def repair(
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:
-        call.say("A quick try: little of everything was done, so none of this is a result.")
+        call.message("A quick try: little of everything was done, so none of this is a result.")
     from rejoint.pages.report.page import read_contents
 
     contents = read_contents(job.path)
@@ -126,9 +126,9 @@ def repair(
     if errors is not None and errors.sentence:
         call.result(errors.sentence)
     call.result(str(page))
-    call.say("Next:")
+    call.message("Next:")
     for what, line in {"look at the report": command("open", job.path), **steps}.items():
-        call.say(f"  {line}  # {what}")
+        call.message(f"  {line}  # {what}")
     value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
     return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
 
@@ -169,7 +169,7 @@ def diagnose(
     robot = robot or FIRST_ROBOT
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
     about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
-    found = call.stage(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
+    found = call.do(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
     call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
@@ -208,7 +208,7 @@ def identify(
         gain=offline.by_motion(gain),
         torque_off=offline.by_motion(torque_off),
     )
-    twin = call.stage(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
+    twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
     if logs is None:
         call.next(command("train", run))
@@ -240,7 +240,7 @@ def train(
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
-    result = call.stage(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
+    result = call.do(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
 
@@ -274,7 +274,7 @@ def compare(
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full)
     names = opt.controller_names(controllers)
-    found = call.stage(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
+    found = call.do(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))
     return {
         "run": run,
@@ -299,7 +299,7 @@ def deploy(
     if run is not None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
-    done = call.stage(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
+    done = call.do(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
@@ -347,13 +347,13 @@ def follow(
     repeat: int = 1,
 ) -> Result:
     """Drive an arm along a path, and say how well it followed."""
-    done = call.stage(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
+    done = call.do(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):
-            call.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
+            call.message(f"Path: {draw_followed(job.folder, job.arm, done)}")
     passes = [picked(one, "encoder", "true_error", "turned") for one in done.passes]
     value = picked(done, "path", "controller", "followed", "period", "gaps")
     return Result({"run": run, **value, "passes": passes}, 0 if done.followed else MISSED)
@@ -378,12 +378,12 @@ def gains(
 ) -> object:
     """Search for better gains of the servos themselves, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
-        found = call.stage(rejoint.gains, robot, run, settings=call.settings)
+        found = call.do(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         return {"run": run, "gains": found}
     job = Run.open(run)
     wanted = gains_to_keep(job)
-    call.say(
+    call.message(
         f"This writes {in_words(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that "
         "without power, until something else is written. LeRobot writes its own P, I and D whenever it connects. "
         "Policies that were trained under other gains are refused from then on, and the twin of this run is that of "
@@ -412,11 +412,11 @@ def serve(
     if stdio:
         if pty or call.json or call.settings.controller or call.live:
             raise InputError("--stdio does not go with --pty, --json, --live or --controller")
-        serve_lines(robot, run, call.settings, ConsoleObserver(call))
+        serve_lines(robot, run, call.settings, call)
         return None
     with call.watched("serve", bar=False) as observer:
         done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=call.settings, observer=observer)
-    call.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
+    call.message(f"Serving ended after {done.orders} orders; they are in {done.log}")
     return done
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -38,8 +37,7 @@ if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
-    from rejoint.runs.fleet.campaign import Executor, FleetResult
-    from rejoint.runs.fleet.file import FleetArm
+    from rejoint.runs.fleet.campaign import FleetResult
 
 
 @takes("arm", "part", "live", "period", "seed", "dry_run")
@@ -77,20 +75,20 @@ def calibrate(
             from rejoint.camera.film import read_folder
 
             given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = call.stage(rejoint.calibrate, run=job, gauge=given, settings=settings)
+        found = call.do(rejoint.calibrate, run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
         count = count or cast("int", getattr(gauge, "postures", POINTS))
         total = scouts + count * visits
-        call.say(
+        call.message(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "
             f"{total * SECONDS / 60:.1f} min of the arm and what the measuring takes."
         )
         if scouts:
-            call.say(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
+            call.message(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
         about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
-        found = call.stage(rejoint.calibrate, robot, run=job, **about)
+        found = call.do(rejoint.calibrate, robot, run=job, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload
@@ -189,7 +187,7 @@ def gauge_by_word(
                 "--measure points=FILE"
             )
         ask, frame = partial(_ask, terminal), means.frame or "base"
-        return TouchGauge(ask=ask, complain=terminal.say, sigma=means.sigma, frame=frame)
+        return TouchGauge(ask=ask, complain=terminal.message, sigma=means.sigma, frame=frame)
     if word or not virtual:
         raise InputError(
             f"--measure {word!r} with {robot}: expected touch, camera=NUMBER or tracker=FILE, or none in a repair; "
@@ -202,8 +200,8 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
     x, y, z = 1e3 * stop.believed
     terminal.bars.close()  # one would write over the question
     if stop.again:
-        terminal.say(f"{stop.again}; it is measured once more.")
-    terminal.say(
+        terminal.message(f"{stop.again}; it is measured once more.")
+    terminal.message(
         f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
     )
     terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
@@ -244,7 +242,7 @@ def board(
     width, height = 1e3 * chosen.size
     call.result(f"Board of {width:.1f} x {height:.1f} mm: {file}; what the fit is to know of it: {description}")
     if measured_x is None or measured_y is None:
-        call.say("Print it at 100 %, measure both rulers, and run this again with --measured-x and --measured-y.")
+        call.message("Print it at 100 %, measure both rulers, and run this again with --measured-x and --measured-y.")
     return {"pdf": file, "board": description, "width_mm": width, "height_mm": height}
 
 
@@ -282,7 +280,7 @@ def check(
     if call.settings.dry_run:
         return Result(picked(found, "arm", "robot"))
     for problem in found.unread:
-        call.say(f"left out: {problem}")
+        call.message(f"left out: {problem}")
     call.result(f"{found.arm}: {found.line}")
     outlook = found.outlook
     if prometheus is not None:
@@ -305,7 +303,7 @@ def history(
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     rows, unread = find_rows(folder)
     for problem in unread:
-        call.say(f"left out: {problem}")
+        call.message(f"left out: {problem}")
     arms = arms_of(rows)
     if arms:
         call.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
@@ -318,7 +316,7 @@ def history(
     except MissingExtraError as error:
         if page is not None:
             raise
-        call.say(f"No page: {error}")
+        call.message(f"No page: {error}")
         return value | {"page": None}
     write_history(path, arms)
     call.result(f"Page: {path}")
@@ -354,7 +352,7 @@ def fleet(
     found, names = read_fleet(file), opt.controller_names(only) if only else ()
     if call.settings.dry_run:
         for arm in found.only(names):
-            call.say(f"{arm.name}:")
+            call.message(f"{arm.name}:")
             with call.watched(verb) as observer:
                 if verb == "check":
                     rejoint.check(arm.address, arm=arm.description, settings=call.settings, observer=observer)
@@ -362,12 +360,9 @@ def fleet(
                     rehearse(arm.address, arm.description, None, call.settings, observer, quick=quick)
         return Result({"fleet": file})
     if address is not None and not has_token():
-        call.say(
+        call.message(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
         )
-
-    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
-        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
     trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
     rules = FleetRules(
@@ -380,11 +375,12 @@ def fleet(
     )
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-    with call.unsaved(partial(_show_rows, call)):
-        result = run_fleet(found, verb, make_executor, rules, only=names, tell=call.say)
+    executor = RayExecutor(found.only(names), address=address, cpus=cpus, training_cpus=training_cpus)
+    with call.watched(verb, partial(_show_rows, call), bar=False), closing(executor):
+        result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
     _show_rows(call, result)
     if quick:
-        call.say("A quick try: little of everything was done, so none of this is a result.")
+        call.message("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
     return Result({"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}, result.code)
 
