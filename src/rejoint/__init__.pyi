@@ -41,10 +41,10 @@ from rejoint.runs.stages.fitting import LogPlan as LogPlan
 from rejoint.runs.stages.fitting import Replayed as Replayed
 from rejoint.runs.stages.fitting import TrainedPolicy as TrainedPolicy
 from rejoint.runs.stages.fitting import TrainSettings as TrainSettings
+from rejoint.runs.stages.fitting import gains as gains
 from rejoint.runs.stages.fitting import identify as identify
 from rejoint.runs.stages.fitting import replay as replay
 from rejoint.runs.stages.fitting import train as train
-from rejoint.runs.stages.gains import gains as gains
 from rejoint.session.inputs import Settings as Settings
 from rejoint.session.motions import deploy as deploy
 from rejoint.session.motions import follow as follow

@@ -29,7 +29,6 @@ from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
@@ -380,6 +379,8 @@ def gains(
     if not keep:
         found = call.do(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
+    from rejoint.runs.stages.fitting import gains_to_keep, keep_gains
+
         return {"run": run, "gains": found}
     job = Run.open(run)
     wanted = gains_to_keep(job)

@@ -21,7 +21,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
 from rejoint.runs.run import Run
-from rejoint.runs.stages.gains import gains_to_keep
+from rejoint.runs.stages.fitting import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
 from rejoint.session.inputs import RunLike, as_calibration
 from rejoint.system.errors import FileError, InputError

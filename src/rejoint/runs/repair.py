@@ -21,8 +21,7 @@ from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, TrialPlan, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-from rejoint.runs.stages.fitting import TrainedPolicy, identify, train
-from rejoint.runs.stages.gains import gains
+from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
     FIRST_ROBOT,

@@ -1,4 +1,4 @@
-"""What is fitted to an arm: its twin from motion, with replay of motion, and a policy on copies of the twin."""
+"""What is fitted to an arm: its twin, with replay of motion, a policy on copies of the twin, and its servos' gains."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ from typing import TYPE_CHECKING, Any
 from rejoint.arms import Array, load_arm
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
+from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS, RunFolder, locked
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
-from rejoint.session.context import tuned_gains, twin_under
+from rejoint.session.context import ControllerMaker, tuned_gains, twin_under
 from rejoint.session.inputs import (
     ArmLike,
     LogsLike,
+    RobotLike,
     RunLike,
+    Settings,
     TwinLike,
     arm_of_twin,
     as_arm,
@@ -30,10 +34,12 @@ from rejoint.session.inputs import (
     laden,
     run_of_logs,
 )
+from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import write_json
+from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.results import Readable
+from rejoint.system.stopping import noted
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
@@ -110,32 +116,33 @@ def identify(
     from rejoint.twin.identify import identify as fit
 
     what, size = plan or LogPlan(), dict[str, Any]()
-    with pacing(observer) as update:
+    with pacing(observer) as update, ExitStack() as stack:
         if logs is not None:
             about, chosen = run_of_logs(run, logs, arm)
+            stack.enter_context(exclusive(about))
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
         elif run is not None:
             about = Run.open(run)
+            stack.enter_context(exclusive(about))
             chosen, motions = laden(about), _motions(about)
         else:
             raise InputError("identification: neither logs nor a run is given")
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
-        with exclusive(about):
-            if logs is None or (about is None and of_diagnosis(motions)):
-                if quick:
-                    size = {"starts": 2, "iterations": 2}
-                twin = fit(chosen, motions, update, seed=drawn, **size)
-            else:
-                if quick:
-                    size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "fast_seconds": 5.0, "contact_seconds": 20.0}
-                hold_out = None if what.hold_out is None else tuple(what.hold_out)
-                how = LogSettings(hold_out=hold_out, seed=drawn, **size)
-                twin = identify_logs(chosen, motions, how, update, what.beside)
-                twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
-            if about is not None:
-                mark_quick(about.begin(), quick=quick)
-                _write(about, twin)
+        if logs is None or (about is None and of_diagnosis(motions)):
+            if quick:
+                size = {"starts": 2, "iterations": 2}
+            twin = fit(chosen, motions, update, seed=drawn, **size)
+        else:
+            if quick:
+                size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "fast_seconds": 5.0, "contact_seconds": 20.0}
+            hold_out = None if what.hold_out is None else tuple(what.hold_out)
+            how = LogSettings(hold_out=hold_out, seed=drawn, **size)
+            twin = identify_logs(chosen, motions, how, update, what.beside)
+            twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
+        if about is not None:
+            mark_quick(about.begin(), quick=quick)
+            _write(about, twin)
         return twin
 
 
@@ -312,7 +319,7 @@ def train(
     >>> policy.save("policy.onnx")
     >>> rejoint.train(run="runs/mine")
     """
-    how, gains = settings or TrainSettings(), None
+    how, servo_gains = settings or TrainSettings(), None
     with pacing(observer) as update, ExitStack() as stack:
         if run is not None:
             if twin is not None:
@@ -326,7 +333,7 @@ def train(
                     "policy for any worn arm of this kind with --generic"
                 )
             mark_quick(found, quick=quick)
-            gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
+            servo_gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
             if tuned is not None and known is not None:
                 known = twin_under(known, tuned.found, tuned.under)
             chosen, folder, seed = found.arm, found.path, found.seed
@@ -343,9 +350,90 @@ def train(
             from rejoint.training.train import TrainingOptions
             from rejoint.training.train import train as learn
 
-            about: dict[str, Any] = {"seed": seed, "servo_gains": gains} | (QUICK if quick else {})
+            about: dict[str, Any] = {"seed": seed, "servo_gains": servo_gains} | (QUICK if quick else {})
             options = TrainingOptions(preset=preset, threads=how.threads, **about)
             result = learn(chosen, known, out=folder, options=options, on_progress=update)
         else:
             result = how.trainer(chosen, known, folder, update)
         return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)
+
+
+TARGETS = 4
+"""per round; chosen: two sides and two heights"""
+
+
+def gains(
+    robot: RobotLike, run: RunLike, *, settings: Settings | None = None, observer: Observer | None = None
+) -> GainsFound:
+    """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
+
+    The arm repeats four targets with other P, dead zone, startup force and I; each joint keeps what brings it nearer
+    without noise. Afterwards the gains are as before; `compare` tries the best.
+
+    Parameters
+    ----------
+    robot
+        robot or its address: an SO-101, or an emulated one
+    run
+        run, or its folder, for ``gains.json``
+    settings
+        control period
+    observer
+        receives progress and trials
+
+    Returns
+    -------
+    GainsFound
+        gains per joint, before and best, and errors
+
+    Raises
+    ------
+    InputError
+        if the robot reports no gains; nothing has moved
+    NotReadyError
+        if the motion is unsafe
+    GuardTripError, RobotError
+        if the motion was ended; the arm holds, gains as before
+    UnsavedError
+        if writing failed; the error holds the result
+
+    Examples
+    --------
+    >>> found = rejoint.gains("feetech:///dev/ttyACM0", "runs/mine")
+    >>> print(found.alone["p"], 1e3 * found.with_alone.tool)
+    """
+    with (
+        pacing(observer) as update,
+        noted(),
+        ArmSession(robot, run=run, settings=settings, observer=observer) as session,
+        session.metered("gains") as tried,
+    ):
+        points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
+        found = search(tried, points, limits=session.limits, on_progress=update)
+        if session.run is not None:
+            with saving(found):
+                set_aside(session.run.folder.gains)
+                write_json(session.run.folder.gains, found)
+    return found
+
+
+def gains_to_keep(run: Run) -> ServoGains:
+    """Recommended controller's gains; without a comparison those for the servos alone.
+
+    FileError without a search, InputError if nothing else is recommended.
+    """
+    found = tuned_gains(run)
+    if found is None:
+        raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
+    best = ControllerMaker(run.arm, run=run).choice()[0] if run.folder.comparison.exists() else GEARED
+    if best not in RIVALS:
+        raise InputError(f"{run.path} recommends {best}, under the gains that the servos had; there is nothing to keep")
+    return found.alone if best == GEARED else found.under
+
+
+def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
+    """Write ``wanted`` to the servos' permanent memory; returns the gains before."""
+    with noted(), ArmSession(robot, run=run) as session:
+        servos, before = tunable(session.robot)
+        servos.keep(wanted)
+    return before
