@@ -127,3 +127,13 @@ def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path):
     for other in (rejoint.Settings(payload=0.1), rejoint.Settings(tool=[0.0, 0.0, 0.05])):
         with pytest.raises(rejoint.InputError, match="not with an open one"):
             rejoint.deploy(robot, [[0.18, 0.03, 0.21]], settings=other)
+
+
+def test_a_dry_repair_moves_nothing_and_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robot, said = rejoint.open_robot("emulated:worn"), list[str]()
+    before, dry = robot.read(), rejoint.Settings(dry_run=True)
+    rejoint.repair(robot, quick=True, settings=dry, observer=Hears(message=said.append))
+    np.testing.assert_array_equal(robot.read().time, before.time)
+    assert sum("nothing moved" in line for line in said) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ import msgspec
 import typer
 
 import rejoint
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, is_loopback, picked, results_of
@@ -96,14 +96,12 @@ def repair(
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
     from rejoint.cli.upkeep import gauge_by_word
 
-    if call.settings.dry_run:
-        chosen = call.arm(robot)
-        with call.watched("repair") as observer:
-            rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
-        return {"robot": robot}
-    require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
+    dry = call.settings.dry_run
+    if not dry:
+        require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
     job = call.job(robot, run, seed)
-    call.message(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
+    if not dry:
+        call.message(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     plan = rejoint.RepairPlan(
         preset=preset,
         controllers=opt.controller_names(controllers),
@@ -111,7 +109,7 @@ def repair(
         gauge=gauge_by_word(call, robot, measure, seed),
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
-    with call.watched("repair", bar=False) as observer:
+    with call.watched("repair", bar=dry) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:
@@ -127,25 +125,11 @@ def repair(
     call.result(str(page))
     call.message("Next:")
     for what, line in {"look at the report": command("open", job.path), **steps}.items():
+    if dry:
+        return {"robot": robot}
         call.message(f"  {line}  # {what}")
     value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
     return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
-
-
-def rehearse(
-    robot: str,
-    arm: Arm | str | None,
-    targets: Path | None,
-    settings: Settings,
-    observer: Observer,
-    *,
-    quick: bool = False,
-) -> None:
-    """Do the motions of a repair in a simulation."""
-    rejoint.diagnose(robot, arm=arm, quick=quick, settings=settings, observer=observer)
-    trials = rejoint.TrialPlan(sets=1, repetitions=1)
-    rejoint.compare(robot, ["default"], targets, arm=arm, plan=trials, settings=settings, observer=observer)
-    observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
 
 
 MISSED = 5

@@ -10,7 +10,7 @@ from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -344,7 +344,6 @@ def fleet(
 ) -> Result:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
-    from rejoint.cli.stages import rehearse
     from rejoint.runs.fleet.campaign import FleetRules, run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
@@ -355,10 +354,11 @@ def fleet(
             call.message(f"{arm.name}:")
             with call.watched(verb) as observer:
                 if verb == "check":
-                    rejoint.check(arm.address, arm=arm.description, settings=call.settings, observer=observer)
+                about: dict[str, Any] = {"arm": arm.description, "settings": call.settings, "observer": observer}
+                    rejoint.check(arm.address, **about)
                 else:
-                    rehearse(arm.address, arm.description, None, call.settings, observer, quick=quick)
-        return Result({"fleet": file})
+                    rejoint.repair(arm.address, quick=quick, **about)
+        return {"fleet": file}
     if address is not None and not has_token():
         call.message(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"

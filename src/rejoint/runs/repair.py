@@ -126,7 +126,7 @@ def repair(
     """Diagnose an arm, fit a twin, train a policy, compare controllers on the arm, and write the report.
 
     The same call resumes an interrupted repair. Nothing changes on the arm. On Ctrl-C and SIGTERM it holds, then
-    `Interrupted` is raised.
+    `Interrupted` is raised. A dry run simulates diagnosis and comparison.
 
     Parameters
     ----------
@@ -167,11 +167,11 @@ def repair(
     >>> print(result.diagnosis.verdict, result.recommendation.controller)
     >>> print(result.page)
     """
-    if only is None:
-        require("rejoint repair", "train", "report")
     what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
+    if only is None and not chosen.dry_run:
+        require("rejoint repair", "train", "report")
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    if isinstance(what.preset, str):
+    if isinstance(what.preset, str) and not chosen.dry_run:
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)
@@ -188,6 +188,12 @@ def repair(
         raise InputError(
             f"{about.path} is of a quick try, which is no result; give another --run, or delete the folder"
         )
+    if chosen.dry_run:
+        diagnose(robot, arm=built, quick=quick, settings=chosen, observer=watching)
+        trials = TrialPlan(sets=1, repetitions=1)
+        compare(robot, ["default"], what.targets, arm=built, plan=trials, settings=chosen, observer=watching)
+        watching.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
+        return about
     found = about.begin()
     files = stages_of(robot, found.arm, found.folder, what, quick=quick)
     works = _works(robot, found, what, chosen, quick=quick)
