@@ -63,18 +63,31 @@ def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = Fa
     return {"address": view.address}
 
 
+POINTS = ((0.17, -0.06, 0.21), (0.20, 0.06, 0.19), (0.18, 0.0, 0.23))
+"""[m] of the demonstration, `DWELL` [s] each (chosen)"""
+DWELL = 3.0
+SHOWN = {"The worn arm, as it is": "default", "The same arm, with the policy that comes with rejoint": "shelf"}
+"""Titles and controllers of the demonstration"""
+
+
 @takes()
 def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
     """Show a worn arm that misses its targets, and the same arm with a policy."""
     require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
     from rejoint.pages.live.view import LiveView
-    from rejoint.studio.demo import demonstrate
 
     with LiveView(*host_and_port("--listen", listen)) as view:
         call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
+        call.say_compiling()
         if not quiet:
             webbrowser.open(view.address)
-        demonstrate(view, call.result, rounds)
+        for _ in range(rounds):
+            errors = []
+            for title, controller in SHOWN.items():
+                view.begin(title)
+                settings = Settings(controller=controller, dwell=DWELL)
+                errors.append(1e3 * rejoint.deploy(FIRST_ROBOT, POINTS, settings=settings, observer=view).error)
+            call.result("As it is: {:.1f} mm off. With the policy: {:.2f} mm off.".format(*errors))
     return {"address": view.address}
 
 
