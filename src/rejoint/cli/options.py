@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
@@ -57,6 +57,8 @@ class Call(Terminal, Observer):
         self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
         self.named: FleetArm | None = None
         """the arm, where it was given by name"""
+        self.code = 0
+        """exit code"""
         self._taken = frozenset(given)
         self._bar: Progress = no_progress
         self._stage: Stage | None = None
@@ -109,20 +111,17 @@ class Call(Terminal, Observer):
     def do(self, work: Callable[..., T], *given: object, **options: object) -> T:
         """Do a stage, ``work`` of the front door, and print its result, also one cut short."""
         name = work.__name__
-        tell = partial(show.stage, self, name)
-        with self.watched(name, tell) as observer:
+        with self.watched(name) as observer:
             found = work(*given, observer=observer, **options)
         if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
-            tell(found)
+            show.stage(self, name, found)
         return found
 
     @contextmanager
-    def watched(
-        self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True
-    ) -> Iterator[Observer]:
-        """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+    def watched(self, title: str, *, bar: bool = True) -> Iterator[Observer]:
+        """Show what an arm does, on the page too where one is asked for, and a result of `show` that is cut short."""
         self.say_compiling()
-        self._show = show
+        self._title = title
         with live_view(self, self.live, title) as view, self.bars:
             self._view = view
             if bar:
@@ -162,26 +161,19 @@ class Call(Terminal, Observer):
             show.stage(self, stage.name, stage.result)
             return
         self._stage, self._bar = stage, no_progress
-        self._show = lambda result: show.stage(self, stage.name, result)
+        self._title = stage.name
         self._show_bar(stage.name)
 
     def partial(self, result: object) -> None:
         """Print what was done until an error."""
         self.bars.close()
-        self._show(result)
+        show.stage(self, self._title, result)
 
     def served(self, address: str) -> None:
         """Print where a served arm is."""
         self.message(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
         if address.startswith("tcp://") and not address.startswith("tcp://127."):
             self.message("Other machines can drive it too, without a password.")
-
-
-class Result(NamedTuple):
-    """What a command ends with: the object of its last line with --json, and its exit code."""
-
-    value: object
-    code: int = 0
 
 
 _HOLD_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
@@ -260,8 +252,6 @@ class SharedOption(NamedTuple):
     """type of the command's parameter"""
     read: Callable[[Any], object] = lambda given: given
     """makes the field of what the user wrote"""
-    field: str = ""
-    """of `Settings`, where it is not called like the option"""
 
     def value(self, given: object) -> object:
         """Return the field; None where nothing was written."""
@@ -284,7 +274,7 @@ SHARED = {
     "calibration": SharedOption(),
     "payload": SharedOption(str | None, payload_of),
     "tool": SharedOption(str | None, tool_of),
-    "camera": SharedOption(field="eye"),
+    "eye": SharedOption(),
     "period": SharedOption(str | None, period_seconds),
     "seed": SharedOption(int | None),
     "dry_run": SharedOption(bool),
@@ -297,28 +287,27 @@ SHARED = {
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
     """Give a command options of `SHARED`, and ``json``; ``part``: those of a part of the arm.
 
-    The command receives a `Call`, and returns its `Result` or value; None prints no JSON.
+    The command receives a `Call`, and returns the object of its last line with --json; None prints none.
     """
     parts = ArmPick._fields[1:] if "part" in names else ()
     shared = {name: SHARED[name] for name in SHARED if name in (*names, *parts, "json")}
     known = texts("rejoint.cli")
     options = []
     for name, one in shared.items():
-        default = getattr(Settings, one.field or name, False if one.kind is bool else None)
+        default = getattr(Settings, name, False if one.kind is bool else None)
         options.append(keyword(name, one.kind, known["shared"][name], default))
 
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({one.field or name: one.value(words.pop(name)) for name, one in shared.items()})
+            call = Call({name: one.value(words.pop(name)) for name, one in shared.items()})
             if words.get("robot") is not None:
                 words["robot"] = call.address(words["robot"])
-            found = command(call, **words)
-            result = found if isinstance(found, Result) else Result(found)
-            if result.value is not None:
-                call.finish(result.value)
-            if result.code and not call.settings.dry_run:
-                raise typer.Exit(result.code)
+            value = command(call, **words)
+            if value is not None:
+                call.finish(value)
+            if call.code and not call.settings.dry_run:
+                raise typer.Exit(call.code)
 
         ours = texts(command.__module__.rpartition(".")[0])
         hints = get_type_hints(command)

@@ -20,7 +20,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, is_loopback, picked, results_of
-from rejoint.cli.options import Call, Result, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words
@@ -124,6 +124,8 @@ def repair(
     )
     with call.watched("repair", bar=dry) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
+    if dry:
+        return {"robot": robot}
     page = Path(os.path.relpath(found.page))
     if quick:
         call.message("A quick try: little of everything was done, so none of this is a result.")
@@ -138,8 +140,6 @@ def repair(
     call.result(str(page))
     call.message("Next:")
     for what, line in {"look at the report": command("open", job.path), **steps}.items():
-    if dry:
-        return {"robot": robot}
         call.message(f"  {line}  # {what}")
     value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
     return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
@@ -282,7 +282,7 @@ def compare(
 
 
 @takes(
-    *("arm", "part", "live", "controller", "dwell", "within", "calibration", "payload", "tool", "camera", "period"),
+    *("arm", "part", "live", "controller", "dwell", "within", "calibration", "payload", "tool", "eye", "period"),
     *("seed", "dry_run"),
 )
 def deploy(
@@ -290,7 +290,7 @@ def deploy(
     robot: str,
     run: Path | None = None,
     targets: Path | None = None,
-) -> Result:
+) -> object:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
     if run is not None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
@@ -303,7 +303,8 @@ def deploy(
         **({"turned_deg": turned} if any(visit.orientation for visit in done.visits) else {}),
         **picked(done, "controller", "missed", "visits", "period", "gaps"),
     }
-    return Result(value, MISSED if done.missed else 0)
+    call.code = MISSED if done.missed else 0
+    return value
 
 
 @takes("arm", "live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
@@ -315,9 +316,9 @@ def goto(
     z: float,
     run: Path | None = None,
     timeout: float = 10.0,
-) -> Result:
+) -> object:
     """Move the tool to one point, and hold it there."""
-    target, code = opt.point_of(x, y, z), 0
+    target = opt.point_of(x, y, z)
     with (
         call.watched("goto") as observer,
         rejoint.connect(robot, run=run, arm=call.pick.arm, settings=call.settings, observer=observer) as session,
@@ -325,13 +326,13 @@ def goto(
         try:
             found = session.move_to(target, timeout_s=timeout)
         except NotReachedError as error:
-            found, code = session.state, MISSED
+            found, call.code = session.state, MISSED
             call.result(f"Not reached: {error}")
     error_mm = None if found is None or found.error_m is None else 1e3 * found.error_m
-    if error_mm is not None and found is not None and not code:
+    if error_mm is not None and found is not None and not call.code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
         call.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
-    return Result({"target_mm": [x, y, z], "error_mm": error_mm, "reached": not code}, code)
+    return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}
 
 
 @takes("live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
@@ -341,7 +342,7 @@ def follow(
     run: Path,
     path: str,
     repeat: int = 1,
-) -> Result:
+) -> object:
     """Drive an arm along a path, and say how well it followed."""
     done = call.do(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
@@ -352,7 +353,8 @@ def follow(
             call.message(f"Path: {draw_followed(job.folder, job.arm, done)}")
     passes = [picked(one, "encoder", "true_error", "turned") for one in done.passes]
     value = picked(done, "path", "controller", "followed", "period", "gaps")
-    return Result({"run": run, **value, "passes": passes}, 0 if done.followed else MISSED)
+    call.code = 0 if done.followed else MISSED
+    return {"run": run, **value, "passes": passes}
 
 
 @takes()
@@ -376,9 +378,9 @@ def gains(
     if not keep:
         found = call.do(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
+        return {"run": run, "gains": found}
     from rejoint.runs.stages.fitting import gains_to_keep, keep_gains
 
-        return {"run": run, "gains": found}
     job = Run.open(run)
     wanted = gains_to_keep(job)
     call.message(

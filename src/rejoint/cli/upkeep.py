@@ -16,8 +16,9 @@ import numpy as np
 
 import rejoint
 from rejoint.cli import options as opt
+from rejoint.cli import show
 from rejoint.cli.console import Terminal, picked
-from rejoint.cli.options import Call, Result, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
-    from rejoint.runs.fleet.campaign import FleetResult
 
 
 @takes("arm", "part", "live", "period", "seed", "dry_run")
@@ -259,12 +259,12 @@ def check(
     repeat: int = 1,
     prometheus: Path | None = None,
     seed: int | None = None,
-) -> Result:
+) -> object:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen = call.arm(robot)
     if call.named is not None:
         name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
-    with call.watched("check", lambda found: call.result(found.line)) as observer:
+    with call.watched("check") as observer:
         for number in range(repeat):
             when = None if date is None else date + number * BETWEEN
             found = rejoint.check(
@@ -278,7 +278,7 @@ def check(
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
             )
     if call.settings.dry_run:
-        return Result(picked(found, "arm", "robot"))
+        return picked(found, "arm", "robot")
     for problem in found.unread:
         call.message(f"left out: {problem}")
     call.result(f"{found.arm}: {found.line}")
@@ -286,7 +286,8 @@ def check(
     if prometheus is not None:
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
     value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
-    return Result(value | {"over": outlook.over}, code_of(outlook.state, over=outlook.over))
+    call.code = code_of(outlook.state, over=outlook.over)
+    return value | {"over": outlook.over}
 
 
 @takes()
@@ -341,7 +342,7 @@ def fleet(
     repetitions: int | None = None,
     seed: int | None = None,
     quick: bool = False,
-) -> Result:
+) -> object:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.runs.fleet.campaign import FleetRules, run_fleet
@@ -353,8 +354,8 @@ def fleet(
         for arm in found.only(names):
             call.message(f"{arm.name}:")
             with call.watched(verb) as observer:
-                if verb == "check":
                 about: dict[str, Any] = {"arm": arm.description, "settings": call.settings, "observer": observer}
+                if verb == "check":
                     rejoint.check(arm.address, **about)
                 else:
                     rejoint.repair(arm.address, quick=quick, **about)
@@ -376,18 +377,11 @@ def fleet(
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     executor = RayExecutor(found.only(names), address=address, cpus=cpus, training_cpus=training_cpus)
-    with call.watched(verb, partial(_show_rows, call), bar=False), closing(executor):
+    with call.watched("fleet", bar=False), closing(executor):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
-    _show_rows(call, result)
+    show.fleet(call, result)
     if quick:
         call.message("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
-    return Result({"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}, result.code)
-
-
-def _show_rows(call: Call, result: FleetResult) -> None:
-    from rejoint.runs.fleet.campaign import HEADERS
-
-    call.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
-    for row in result.rows:
-        call.result(f"{row.name}: {row.found}")
+    call.code = result.code
+    return {"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}
