@@ -59,10 +59,10 @@ class Call(Terminal, Observer):
         """the arm, where it was given by name"""
         self.code = 0
         """exit code"""
-        self._taken = frozenset(given)
         self._bar: Progress = no_progress
         self._stage: Stage | None = None
         self._view: LiveView | None = None
+        self._title = ""
         super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
 
     def address(self, robot: str) -> str:
@@ -71,7 +71,7 @@ class Call(Terminal, Observer):
         if found is None:
             return robot
         self.named = found
-        if found.description is not None and "arm" in self._taken and not any(self.pick):
+        if found.description is not None and not any(self.pick):
             self.pick = self.pick._replace(arm=found.description)
         return found.address
 
@@ -160,8 +160,7 @@ class Call(Terminal, Observer):
         if stage.state != "started":
             show.stage(self, stage.name, stage.result)
             return
-        self._stage, self._bar = stage, no_progress
-        self._title = stage.name
+        self._stage, self._title = stage, stage.name
         self._show_bar(stage.name)
 
     def partial(self, result: object) -> None:
@@ -245,19 +244,6 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
 
 
-class SharedOption(NamedTuple):
-    """An option of several commands; its help is in the section ``shared`` of `texts`."""
-
-    kind: object = str | None
-    """type of the command's parameter"""
-    read: Callable[[Any], object] = lambda given: given
-    """makes the field of what the user wrote"""
-
-    def value(self, given: object) -> object:
-        """Return the field; None where nothing was written."""
-        return None if given is None else self.read(given)
-
-
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
     words = {"help": entry} if isinstance(entry, str) else dict(entry)
@@ -266,41 +252,37 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
 
-SHARED = {
-    **dict.fromkeys(ArmPick._fields, SharedOption()),
-    "controller": SharedOption(),
-    "dwell": SharedOption(float),
-    "within": SharedOption(float | None, lambda mm: 1e-3 * mm),
-    "calibration": SharedOption(),
-    "payload": SharedOption(str | None, payload_of),
-    "tool": SharedOption(str | None, tool_of),
-    "eye": SharedOption(),
-    "period": SharedOption(str | None, period_seconds),
-    "seed": SharedOption(int | None),
-    "dry_run": SharedOption(bool),
-    "live": SharedOption(),
-    "json": SharedOption(bool),
+KINDS = {"dwell": float, "within": float | None, "seed": int | None, "dry_run": bool, "json": bool}
+"""Types of shared options that are no text"""
+READ: dict[str, Callable[[Any], object]] = {
+    "within": lambda mm: 1e-3 * mm,
+    "payload": payload_of,
+    "tool": tool_of,
+    "period": period_seconds,
 }
-"""Options of several commands; most become fields of `Settings`"""
+"""What makes fields of `Settings` of shared options, where it is not what the user wrote"""
+
+
+def _read(name: str, given: Any) -> object:  # noqa: ANN401 - what the user wrote
+    return READ[name](given) if name in READ and given is not None else given
 
 
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
-    """Give a command options of `SHARED`, and ``json``; ``part``: those of a part of the arm.
+    """Give a command shared options of `texts`, and ``json``; ``part``: those of a part of the arm.
 
     The command receives a `Call`, and returns the object of its last line with --json; None prints none.
     """
     parts = ArmPick._fields[1:] if "part" in names else ()
-    shared = {name: SHARED[name] for name in SHARED if name in (*names, *parts, "json")}
-    known = texts("rejoint.cli")
-    options = []
-    for name, one in shared.items():
-        default = getattr(Settings, name, False if one.kind is bool else None)
-        options.append(keyword(name, one.kind, known["shared"][name], default))
+    known, options = texts("rejoint.cli"), dict[str, Parameter]()
+    for name, entry in known["shared"].items():
+        if name in (*names, *parts, "json"):
+            kind = KINDS.get(name, str | None)
+            options[name] = keyword(name, kind, entry, getattr(Settings, name, False if kind is bool else None))
 
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({name: one.value(words.pop(name)) for name, one in shared.items()})
+            call = Call({name: _read(name, words.pop(name)) for name in options})
             if words.get("robot") is not None:
                 words["robot"] = call.address(words["robot"])
             value = command(call, **words)
@@ -314,8 +296,9 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
         own = list(signature(command).parameters.values())[1:]
         entries = known["all"] | ours["all"] | ours[command.__name__.rstrip("_")]
         kept = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
-        run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
-        run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}
+        shown = (*kept, *options.values())
+        run.__signature__ = Signature(shown)  # type: ignore[attr-defined]
+        run.__annotations__ = {one.name: one.annotation for one in shown}
         return run
 
     return decorate

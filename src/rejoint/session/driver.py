@@ -254,20 +254,20 @@ RESTS, JITTER = 0.8, float(np.radians(0.3))
 """[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
 
 
-class ArmMotion:
-    """``work`` drives; its result, or what ended it early, is the `outcome`; `ended` asks it to end."""
+class ArmMotion(Future[Any]):
+    """What ``work`` finds by driving, or what ended it early; `ended` asks it to end."""
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
-        self.goal, self._work = goal, work
+        super().__init__()
+        self.goal, self._work, self.ended = goal, work, threading.Event()
         """where the arm is on its way to, in words"""
-        self.ended, self.outcome = threading.Event(), Future[Any]()
 
     def run(self) -> None:
         """Drive until the end."""
         try:
-            self.outcome.set_result(self._work(self))
+            self.set_result(self._work(self))
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
-            self.outcome.set_exception(error)
+            self.set_exception(error)
 
     def give_up(self, _: ControlInput) -> bool:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
