@@ -24,7 +24,7 @@ DIED = 1
 """Exit code after the fault ``die``"""
 
 
-@takes()
+@takes
 def emulate(
     call: Call,
     arm: str = "mycobot280",
@@ -91,7 +91,7 @@ CLASSICAL = "integrator,feedforward,tuned-feedforward,adaptive"
 """Controllers that take part by default"""
 
 
-@takes("arm")
+@takes
 def evaluate(
     call: Call,
     policy: list[Path] | None = None,
@@ -119,7 +119,7 @@ def evaluate(
         return _show(call, run(arm, contestants, chosen, family, file, update), file)
 
 
-@takes("arm")
+@takes
 def calibrate(
     call: Call,
     controller: str = "shelf",
@@ -144,7 +144,7 @@ def calibrate(
         return _show(call, evaluate_calibrations(arm, conditions, one, family, file, update), file)
 
 
-@takes("arm")
+@takes
 def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
     """Let many arms follow standard paths, each with a twin of its own."""
     arm = _arm(call)
@@ -159,7 +159,7 @@ def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads:
     return found
 
 
-@takes("arm")
+@takes
 def tune(
     call: Call,
     rivals: list[str],
@@ -188,7 +188,7 @@ def tune(
     return {"out": out, "gains": tuned}
 
 
-@takes()
+@takes
 def reproduce(
     call: Call,
     experiments: list[str] | None = None,

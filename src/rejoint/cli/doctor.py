@@ -271,7 +271,7 @@ CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
 """All checks, in their order"""
 
 
-@takes()
+@takes
 def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera: int | None = None) -> object:
     """Look for what hinders a repair, and say how to put it right; nothing moves."""
     system = f"{platform.platform()}, {os.cpu_count()} processors"

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Errors, Judgement
 
 
-@takes("arm", "part")
+@takes
 def replay(
     call: Call,
     twin: Path,
@@ -99,7 +99,7 @@ def _cell(errors: Errors) -> str:
     )
 
 
-@takes("arm", "part")
+@takes
 def import_(
     call: Call,
     source: Path,
@@ -142,7 +142,7 @@ def import_(
     return {"out": out, "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}
 
 
-@takes()
+@takes
 def export(
     call: Call,
     source: Path,
@@ -169,7 +169,7 @@ def export(
     return {"out": out}
 
 
-@takes()
+@takes
 def ports(call: Call) -> object:
     """List the serial ports of this computer, each with the arm that answers there; nothing moves."""
     found = []
@@ -186,7 +186,7 @@ def ports(call: Call) -> object:
     return {"ports": found}
 
 
-@takes()
+@takes
 def arms(
     call: Call,
     verb: Literal["add", "list", "remove"] = "list",
@@ -228,7 +228,7 @@ def _calibrated(address: str, file: Path) -> str:
     return f"{address}{'&' if '?' in address else '?'}calibration={quote(str(file.resolve()))}"
 
 
-@takes()
+@takes
 def runs(call: Call, folder: Path = RUNS) -> object:
     """List the runs of a folder, the newest first."""
     if not folder.is_dir():
@@ -254,7 +254,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
     return {"runs": found}
 
 
-@takes()
+@takes
 def open_(call: Call, run: Path | None = None) -> object:
     """Open the report of a run in the browser."""
     if run is None:

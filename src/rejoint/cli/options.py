@@ -267,38 +267,32 @@ def _read(name: str, given: Any) -> object:  # noqa: ANN401 - what the user wrot
     return READ[name](given) if name in READ and given is not None else given
 
 
-def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
-    """Give a command shared options of `texts`, and ``json``; ``part``: those of a part of the arm.
+def takes(command: Callable[..., object]) -> Callable[..., None]:
+    """Give a command its options, as `texts` describes them: its own, what it ``takes`` of the shared ones, ``json``.
 
     The command receives a `Call`, and returns the object of its last line with --json; None prints none.
     """
-    parts = ArmPick._fields[1:] if "part" in names else ()
-    known, options = texts("rejoint.cli"), dict[str, Parameter]()
-    for name, entry in known["shared"].items():
-        if name in (*names, *parts, "json"):
-            kind = KINDS.get(name, str | None)
-            options[name] = keyword(name, kind, entry, getattr(Settings, name, False if kind is bool else None))
+    known, ours, hints = texts("rejoint.cli"), texts(command.__module__.rpartition(".")[0]), get_type_hints(command)
+    mine = ours[command.__name__.rstrip("_")]
+    entries, own = known["all"] | ours["all"] | mine, [*signature(command).parameters.values()][1:]
+    shown = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
+    shared = [name for name in known["shared"] if name in (*mine.get("takes", ()), "json")]
+    for name in shared:
+        kind = KINDS.get(name, str | None)
+        default = getattr(Settings, name, False if kind is bool else None)
+        shown.append(keyword(name, kind, known["shared"][name], default))
 
-    def decorate(command: Callable[..., object]) -> Callable[..., None]:
-        @wraps(command)
-        def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({name: _read(name, words.pop(name)) for name in options})
-            if words.get("robot") is not None:
-                words["robot"] = call.address(words["robot"])
-            value = command(call, **words)
-            if value is not None:
-                call.finish(value)
-            if call.code and not call.settings.dry_run:
-                raise typer.Exit(call.code)
+    @wraps(command)
+    def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
+        call = Call({name: _read(name, words.pop(name)) for name in shared})
+        if words.get("robot") is not None:
+            words["robot"] = call.address(words["robot"])
+        value = command(call, **words)
+        if value is not None:
+            call.finish(value)
+        if call.code and not call.settings.dry_run:
+            raise typer.Exit(call.code)
 
-        ours = texts(command.__module__.rpartition(".")[0])
-        hints = get_type_hints(command)
-        own = list(signature(command).parameters.values())[1:]
-        entries = known["all"] | ours["all"] | ours[command.__name__.rstrip("_")]
-        kept = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
-        shown = (*kept, *options.values())
-        run.__signature__ = Signature(shown)  # type: ignore[attr-defined]
-        run.__annotations__ = {one.name: one.annotation for one in shown}
-        return run
-
-    return decorate
+    run.__signature__ = Signature(shown)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in shown}
+    return run

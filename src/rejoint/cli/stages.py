@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rejoint.training.train import Trainer
 
 
-@takes()
+@takes
 def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = False) -> object:
     """Open the page that guides through a repair."""
     require("rejoint studio", "live")
@@ -70,7 +70,7 @@ SHOWN = {"The worn arm, as it is": "default", "The same arm, with the policy tha
 """Titles and controllers of the demonstration"""
 
 
-@takes()
+@takes
 def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
     """Show a worn arm that misses its targets, and the same arm with a policy."""
     require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
@@ -91,7 +91,7 @@ def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) 
     return {"address": view.address}
 
 
-@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
+@takes
 def repair(
     call: Call,
     robot: str = FIRST_ROBOT,
@@ -149,7 +149,7 @@ MISSED = 5
 """Exit code for targets not reached, and a path not followed"""
 
 
-@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
+@takes
 def diagnose(
     call: Call,
     robot: str | None = None,
@@ -177,7 +177,7 @@ def diagnose(
     }
 
 
-@takes("arm", "part")
+@takes
 def identify(
     call: Call,
     run: Path | None = None,
@@ -217,7 +217,7 @@ def identify(
     return value | {"report": page, "fitted": twin.fitted}
 
 
-@takes()
+@takes
 def train(
     call: Call,
     run: Path,
@@ -256,7 +256,7 @@ def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
     return made
 
 
-@takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def compare(
     call: Call,
     robot: str,
@@ -281,10 +281,7 @@ def compare(
     }
 
 
-@takes(
-    *("arm", "part", "live", "controller", "dwell", "within", "calibration", "payload", "tool", "eye", "period"),
-    *("seed", "dry_run"),
-)
+@takes
 def deploy(
     call: Call,
     robot: str,
@@ -307,7 +304,7 @@ def deploy(
     return value
 
 
-@takes("arm", "live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def goto(
     call: Call,
     robot: str,
@@ -335,7 +332,7 @@ def goto(
     return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}
 
 
-@takes("live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def follow(
     call: Call,
     robot: str,
@@ -357,7 +354,7 @@ def follow(
     return {"run": run, **value, "passes": passes}
 
 
-@takes()
+@takes
 def report(call: Call, run: Path) -> object:
     """Write the report of a run: one self-contained page that opens in a browser."""
     require("rejoint report", "report")
@@ -366,7 +363,7 @@ def report(call: Call, run: Path) -> object:
     return {"run": run, "report": path}
 
 
-@takes("period", "dry_run")
+@takes
 def gains(
     call: Call,
     robot: str,
@@ -399,7 +396,7 @@ def gains(
     return {"run": run, "kept": wanted, "before": before}
 
 
-@takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")
+@takes
 def serve(
     call: Call,
     robot: str,

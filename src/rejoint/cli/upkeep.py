@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rejoint.camera.filming import CameraGauge
 
 
-@takes("arm", "part", "live", "period", "seed", "dry_run")
+@takes
 def calibrate(
     call: Call,
     robot: str,
@@ -211,7 +211,7 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
     return line
 
 
-@takes()
+@takes
 def board(
     call: Call,
     file: Path,
@@ -246,7 +246,7 @@ def board(
     return {"pdf": file, "board": description, "width_mm": width, "height_mm": height}
 
 
-@takes("arm", "part", "live", "period", "dry_run")
+@takes
 def check(
     call: Call,
     robot: str,
@@ -290,7 +290,7 @@ def check(
     return value | {"over": outlook.over}
 
 
-@takes()
+@takes
 def history(
     call: Call,
     folder: Path = RUNS,
@@ -324,7 +324,7 @@ def history(
     return value | {"page": path}
 
 
-@takes("dry_run")
+@takes
 def fleet(
     call: Call,
     verb: Literal["check", "repair"],
