@@ -16,7 +16,7 @@ from rejoint.cli.options import Call, listed, takes
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
-from rejoint.logs.joints import AngleUnit, ImportOptions, Stamp, TimeUnit, read_map
+from rejoint.logs.joints import ImportOptions, read_map
 from rejoint.logs.runfolder import RunFolder, read_info
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
@@ -105,32 +105,14 @@ def import_(
     source: Path,
     out: Path,
     kind: Format | None = None,
-    angle_unit: AngleUnit | None = None,
-    time_unit: TimeUnit | None = None,
-    rate: float | None = None,
+    *,
+    options: ImportOptions,
     columns: list[str] | None = None,
-    order: str | None = None,
-    torque_off: str | None = None,
-    state_topic: str | None = None,
-    command_topic: str | None = None,
-    stamp: Stamp | None = None,
-    calibration: Path | None = None,
-    force: bool = False,
+    order: str = "",
+    torque_off: str = "",
 ) -> object:
     """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed."""
-    options = ImportOptions(
-        angle_unit=angle_unit,
-        time_unit=time_unit,
-        rate=rate,
-        columns=read_map(columns or ()),
-        names=listed(order or ""),
-        state_topic=state_topic,
-        command_topic=command_topic,
-        stamp=stamp,
-        calibration=calibration,
-        torque_off=listed(torque_off or ""),
-        force=force,
-    )
+    options = changed(options, columns=read_map(columns or ()), names=listed(order), torque_off=listed(torque_off))
     chosen = call.arm()
     with call.bar("import") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)

@@ -270,12 +270,19 @@ def _read(name: str, given: Any) -> object:  # noqa: ANN401 - what the user wrot
 def takes(command: Callable[..., object]) -> Callable[..., None]:
     """Give a command its options, as `texts` describes them: its own, what it ``takes`` of the shared ones, ``json``.
 
-    The command receives a `Call`, and returns the object of its last line with --json; None prints none.
+    It takes a `Call`, and returns the object of its last line with --json; None prints none. Of a parameter that is a
+    dataclass, the fields that it ``fills`` are options.
     """
     known, ours, hints = texts("rejoint.cli"), texts(command.__module__.rpartition(".")[0]), get_type_hints(command)
     mine = ours[command.__name__.rstrip("_")]
-    entries, own = known["all"] | ours["all"] | mine, [*signature(command).parameters.values()][1:]
-    shown = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
+    entries, fills, shown = known["all"] | ours["all"] | mine, mine.get("fills", {}), list[Parameter]()
+    for one in [*signature(command).parameters.values()][1:]:
+        kind = hints[one.name]
+        if one.name in fills:
+            kinds = get_type_hints(kind)
+            shown += [keyword(name, kinds[name], entries[name], getattr(kind, name)) for name in fills[one.name]]
+        else:
+            shown.append(keyword(one.name, kind, entries[one.name], one.default))
     shared = [name for name in known["shared"] if name in (*mine.get("takes", ()), "json")]
     for name in shared:
         kind = KINDS.get(name, str | None)
@@ -287,6 +294,8 @@ def takes(command: Callable[..., object]) -> Callable[..., None]:
         call = Call({name: _read(name, words.pop(name)) for name in shared})
         if words.get("robot") is not None:
             words["robot"] = call.address(words["robot"])
+        for name, parts in fills.items():
+            words[name] = hints[name](**{part: words.pop(part) for part in parts})
         value = command(call, **words)
         if value is not None:
             call.finish(value)

@@ -29,6 +29,7 @@ from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
+from rejoint.runs.stages.compare import TrialPlan
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
@@ -100,9 +101,8 @@ def repair(
     targets: Path | None = None,
     controllers: str = "all",
     measure: str | None = None,
-    sets: int | None = None,
-    repetitions: int | None = None,
-    full: bool = False,
+    *,
+    trials: TrialPlan,
     seed: int = 0,
     quick: bool = False,
 ) -> object:
@@ -120,7 +120,7 @@ def repair(
         controllers=opt.controller_names(controllers),
         targets=targets,
         gauge=gauge_by_word(call, robot, measure, seed),
-        trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
+        trials=trials,
     )
     with call.watched("repair", bar=dry) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
@@ -263,12 +263,10 @@ def compare(
     run: Path,
     targets: Path | None = None,
     controllers: str = "all",
-    sets: int | None = None,
-    repetitions: int | None = None,
-    full: bool = False,
+    *,
+    plan: TrialPlan,
 ) -> object:
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
-    plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full)
     names = opt.controller_names(controllers)
     found = call.do(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))

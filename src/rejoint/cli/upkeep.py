@@ -7,7 +7,6 @@ import re
 import sys
 from contextlib import closing, nullcontext
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
@@ -24,10 +23,12 @@ from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
+from rejoint.runs.fleet.campaign import FleetRules
 from rejoint.runs.history import code_of, prometheus_text
 from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.calibrate import POINTS
-from rejoint.runs.stages.check import BETWEEN
+from rejoint.runs.stages.check import BETWEEN, CheckNotes
+from rejoint.runs.stages.compare import TrialPlan
 from rejoint.session.inputs import NO_GAUGE, GaugeLike
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
@@ -253,9 +254,8 @@ def check(
     history: Path = RUNS,
     name: str | None = None,
     tolerance: float | None = None,
-    used: float | None = None,
-    date: datetime | None = None,
-    moved: bool = False,
+    *,
+    notes: CheckNotes,
     repeat: int = 1,
     prometheus: Path | None = None,
     seed: int | None = None,
@@ -266,14 +266,15 @@ def check(
         name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
     with call.watched("check") as observer:
         for number in range(repeat):
-            when = None if date is None else date + number * BETWEEN
+            if number:
+                notes = replace(notes, when=notes.when and notes.when + BETWEEN, moved=False)
             found = rejoint.check(
                 robot,
                 history=history,
                 name=name,
                 arm=chosen,
                 tolerance_mm=tolerance,
-                notes=rejoint.CheckNotes(used_h=used, when=when, moved=moved and not number),
+                notes=notes,
                 settings=replace(call.settings, seed=seed),
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
             )
@@ -330,22 +331,18 @@ def fleet(
     verb: Literal["check", "repair"],
     file: Path,
     only: str = "",
-    somebody: bool = False,
-    fresh: bool = False,
-    needed: bool = False,
+    *,
+    rules: FleetRules,
+    trials: TrialPlan,
     address: str | None = None,
     cpus: int | None = None,
     training_cpus: float = 1.0,
     preset: str = "default",
     controllers: str = "all",
-    sets: int | None = None,
-    repetitions: int | None = None,
-    seed: int | None = None,
-    quick: bool = False,
 ) -> object:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
-    from rejoint.runs.fleet.campaign import FleetRules, run_fleet
+    from rejoint.runs.fleet.campaign import run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
@@ -358,29 +355,22 @@ def fleet(
                 if verb == "check":
                     rejoint.check(arm.address, **about)
                 else:
-                    rejoint.repair(arm.address, quick=quick, **about)
+                    rejoint.repair(arm.address, quick=rules.quick, **about)
         return {"fleet": file}
     if address is not None and not has_token():
         call.message(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
         )
 
-    trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
-    rules = FleetRules(
-        somebody=somebody,
-        fresh=fresh,
-        needed=needed,
-        plan=rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials),
-        seed=seed,
-        quick=quick,
-    )
+    plan = rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials)
+    rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     executor = RayExecutor(found.only(names), address=address, cpus=cpus, training_cpus=training_cpus)
     with call.watched("fleet", bar=False), closing(executor):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
     show.fleet(call, result)
-    if quick:
+    if rules.quick:
         call.message("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
     call.code = result.code
