@@ -171,6 +171,15 @@ def test_an_arm_has_a_name_that_every_command_takes(tmp_path, cli, monkeypatch):
     assert "NAME ADDRESS" in cli("arms").out
 
 
+def test_a_named_arm_with_a_description_is_deployed_with_its_run(tmp_path, cli, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    Run.create("run", "emulated:worn", mycobot280(), 0)
+    cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mycobot280")
+    cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run")
+    assert "leave out --arm" in cli("deploy", "emulated:worn", "run", "--arm", "mycobot280", code=2).error
+
+
 def test_runs_are_listed_the_newest_first_and_their_reports_opened(tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
     opened = []

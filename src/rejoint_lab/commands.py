@@ -24,7 +24,7 @@ DIED = 1
 """Exit code after the fault ``die``"""
 
 
-@takes()
+@takes
 def emulate(
     call: Call,
     arm: str = "mycobot280",
@@ -61,15 +61,15 @@ def emulate(
             session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         stack.callback(server.stop)
-        call.say(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
+        call.message(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
         if servers.beyond_loopback(server.address):
-            call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
+            call.message(f"Other machines can drive it too, without a password: it listens on {host}.")
         if fault:
-            call.say(f"Faults: {fault}")
+            call.message(f"Faults: {fault}")
         server.run()
         if server.died:
             os._exit(DIED)
-    call.say("Emulator ended.")
+    call.message("Emulator ended.")
     return {"wear": wear, "address": server.address, "faults": fault}
 
 
@@ -86,7 +86,7 @@ CLASSICAL = "integrator,feedforward,tuned-feedforward,adaptive"
 """Controllers that take part by default"""
 
 
-@takes("arm")
+@takes
 def evaluate(
     call: Call,
     policy: list[Path] | None = None,
@@ -110,11 +110,11 @@ def evaluate(
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
     contestants, file = _contestants(arm, [*names, *map(str, policy or ())], gains), out.resolve() / "evaluation.json"
-    with call.progress("evaluate") as update:
+    with call.bar("evaluate") as update:
         return _show(call, run(arm, contestants, chosen, family, file, update), file)
 
 
-@takes("arm")
+@takes
 def calibrate(
     call: Call,
     controller: str = "shelf",
@@ -135,18 +135,18 @@ def calibrate(
     conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
     file = out.resolve() / "calibration.json"
-    with call.progress("calibrate") as update:
+    with call.bar("calibrate") as update:
         return _show(call, evaluate_calibrations(arm, conditions, one, family, file, update), file)
 
 
-@takes("arm")
+@takes
 def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
     """Let many arms follow standard paths, each with a twin of its own."""
     arm = _arm(call)
     from rejoint_lab.research.evaluation.evaluate import evaluate_moving, moving_table
     from rejoint_lab.research.evaluation.family import ArmFamily
 
-    with call.progress("follow") as update:
+    with call.bar("follow") as update:
         found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed, threads=threads), out, update)
     write_json(out / "moving.json", found)
     call.table(*moving_table(found))
@@ -154,7 +154,7 @@ def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads:
     return found
 
 
-@takes("arm")
+@takes
 def tune(
     call: Call,
     rivals: list[str],
@@ -172,7 +172,7 @@ def tune(
     ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     tuned = dict[str, dict[str, float]]()
-    with call.progress("tune") as update:
+    with call.bar("tune") as update:
         for k, (name, rival) in enumerate(chosen.items()):
             ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")
             tuned[name] = search(arm, ranges, rival, ahead, generations=generations, seed=seed)
@@ -183,7 +183,7 @@ def tune(
     return {"out": out, "gains": tuned}
 
 
-@takes()
+@takes
 def reproduce(
     call: Call,
     experiments: list[str] | None = None,
@@ -198,10 +198,10 @@ def reproduce(
 
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
-    with call.progress("reproduce") as update:
+    with call.bar("reproduce") as update:
         bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, threads=threads, on_progress=update)
         bench = bench.quickly() if quick else bench
-        found = run_experiments(bench, chosen, lambda one: call.say(one.title))
+        found = run_experiments(bench, chosen, lambda one: call.message(one.title))
     for name, finished in found.items():
         call.table(chosen[name].title, ["", "ours", "paper"], finished.numbers)
     page = write_page(bench)

@@ -16,7 +16,7 @@ from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech import KIND
 from rejoint.runs.run import Run
-from rejoint.runs.stages import gains as stage
+from rejoint.runs.stages import fitting as stage
 from rejoint.session import context
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json

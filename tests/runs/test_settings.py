@@ -114,3 +114,26 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
     assert {name.split("-")[0] for name in logs} >= {"idle", "record", "pick", "move"}
     whole = next(log for name, log in logs.items() if name.startswith("pick"))
     np.testing.assert_array_equal(whole.position, taken.log.position)
+
+
+def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path):
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    told = rejoint.Settings(payload=0.05, keep_out=[WALL])
+    with rejoint.connect("emulated:worn", run=run, settings=told) as arm:
+        arm.diagnose(quick=True)
+        arm.compare(["default"], [[0.18, 0.03, 0.21]], plan=rejoint.TrialPlan(repetitions=1))
+    assert settled(None, run, "emulated:worn")[0].payload.mass == 0.05
+    robot = rejoint.open_robot("emulated:worn", arm=loaded(ARM, 0.05))
+    for other in (rejoint.Settings(payload=0.1), rejoint.Settings(tool=[0.0, 0.0, 0.05])):
+        with pytest.raises(rejoint.InputError, match="not with an open one"):
+            rejoint.deploy(robot, [[0.18, 0.03, 0.21]], settings=other)
+
+
+def test_a_dry_repair_moves_nothing_and_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robot, said = rejoint.open_robot("emulated:worn"), list[str]()
+    before, dry = robot.read(), rejoint.Settings(dry_run=True)
+    rejoint.repair(robot, quick=True, settings=dry, observer=Hears(message=said.append))
+    np.testing.assert_array_equal(robot.read().time, before.time)
+    assert sum("nothing moved" in line for line in said) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -78,7 +78,7 @@ def test_a_signal_while_arrow_imports_pandas_is_heard(tmp_path):
 def test_work_that_goes_on_though_its_interruption_was_swallowed_hears_it_as_it_tells_how_far_it_is():
     ended = run(
         "import rejoint.cli as cli\nfrom rejoint.cli.console import Terminal\n"
-        "def app(**_):\n    with Terminal().progress('fitting') as update:\n        update(0.0, 'begun')\n"
+        "def app(**_):\n    with Terminal().bar('fitting') as update:\n        update(0.0, 'begun')\n"
         "        try:\n            os.kill(os.getpid(), signal.SIGTERM)\n            time.sleep(30)\n"
         "        except BaseException:\n            update(0.5, 'what puts right is not cut short')\n"
         "        update(0.6, '')\n        time.sleep(30)\n"

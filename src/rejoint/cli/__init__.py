@@ -61,28 +61,21 @@ class _Command(_Helped, TyperCommand):
 class LazyCommand(TyperCommand):
     """A command, or a group of commands, by its line in the list; its module is loaded when it is wanted."""
 
-    def __init__(
-        self,
-        name: str,
-        panel: str,
-        module: str,
-        help: str,  # noqa: A002 - the key in `texts`
-        settings: dict[str, Any] | None = None,
-    ) -> None:
-        """Take what `texts` has; ``module`` is one of this package, or of another one with its whole name."""
-        super().__init__(name, help=help, rich_help_panel=panel)
-        self._module, self._settings = module, settings or {}
+    def __init__(self, name: str, entry: Mapping[str, Any]) -> None:
+        """Take its ``entry`` in `texts`; ``module`` is one of this package, or of another one with its whole name."""
+        super().__init__(name, help=entry["help"], rich_help_panel=entry["panel"])
+        self._entry = entry
 
     def loaded(self) -> Any:  # noqa: ANN401 - the framework's own kind
         """Return the function or the group of this name in the module."""
         name = str(self.name)
-        module = _module_of(name, self._module)
+        module = _module_of(name, self._entry["module"])
         function = getattr(module, name, None) or getattr(module, f"{name}_")
         if isinstance(function, typer.Typer):
             return typer.main.get_command(function)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
         about = texts(str(module.__package__))[name]["about"]
-        alone.command(name, cls=_Command, help=about, context_settings=HELP | self._settings)(function)
+        alone.command(name, cls=_Command, help=about, context_settings=HELP | self._entry.get("settings", {}))(function)
         return typer.main.get_command(alone)
 
     def make_context(self, *given: Any, **words: Any) -> Any:  # noqa: ANN401
@@ -97,7 +90,7 @@ class CommandGroup(_Helped, TyperGroup):
 
     def __init__(self, **words: Any) -> None:  # noqa: ANN401
         super().__init__(**words)
-        self.commands = {name: LazyCommand(name, **entry) for name, entry in self.table.items()}
+        self.commands = {name: LazyCommand(name, entry) for name, entry in self.table.items()}
 
 
 def _module_of(command: str, name: str) -> ModuleType:

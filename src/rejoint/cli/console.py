@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rejoint.system.errors import UnsavedError
 from rejoint.system.progress import Progress
 from rejoint.system.shell import host_and_port
 from rejoint.system.stopping import raise_again
@@ -98,9 +97,9 @@ class Terminal:
         self.bars = ExitStack()
         """bars that are shown; closed where something else is to be seen"""
 
-    def say(self, text: str) -> None:
+    def message(self, line: str) -> None:
         """Tell what is going on."""
-        self.notes.print(text, markup=False)
+        self.notes.print(line, markup=False)
 
     def heading(self, text: str) -> None:
         """Announce a stage of a chain."""
@@ -113,7 +112,7 @@ class Terminal:
     def next(self, text: str) -> None:
         """Print the command that comes next; a dry run leads to none."""
         if not self._dry:
-            self.say(f"Next: {text}")
+            self.message(f"Next: {text}")
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table with the row ``bold`` set off.
@@ -146,16 +145,7 @@ class Terminal:
             file.flush()
 
     @contextmanager
-    def unsaved(self, show: Callable[[Any], object]) -> Iterator[None]:
-        """Show the result of a stage that could not write it, by ``show``, before the error goes on."""
-        try:
-            yield
-        except UnsavedError as error:
-            show(error.result)
-            raise
-
-    @contextmanager
-    def progress(self, title: str) -> Iterator[Progress]:
+    def bar(self, title: str) -> Iterator[Progress]:
         """Show a bar on a terminal, and a line now and then elsewhere."""
         if not self.notes.is_terminal:
             yield _plain_progress(self, title)
@@ -215,7 +205,7 @@ def _plain_progress(terminal: Terminal, title: str) -> Progress:
         raise_again()
         if time.monotonic() - last >= _PLAIN_INTERVAL:
             last = time.monotonic()
-            terminal.say(f"{title}: {f'{100 * share:.0f} % ' if share >= 0.005 else ''}{what}".rstrip())
+            terminal.message(f"{title}: {f'{100 * share:.0f} % ' if share >= 0.005 else ''}{what}".rstrip())
 
     return update
 
@@ -245,9 +235,9 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     host, port = host_and_port(OPTION, place)
     view = LiveView(host, port)
     with view:
-        terminal.say(f"Live view: {view.address}")
+        terminal.message(f"Live view: {view.address}")
         if not is_loopback(host):
-            terminal.say(
+            terminal.message(
                 "Anyone who reaches this computer can look and press the button there: there is no password. "
                 f"Better use {OPTION} alone, and on the computer with the browser: ssh -L {port}:127.0.0.1:{port} HOST"
             )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.cli.options import Call, Result, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.robot import Robot
 from rejoint.control.start import Symptom, look_at_servos
 from rejoint.logs.runfolder import LOGS
@@ -271,8 +271,8 @@ CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
 """All checks, in their order"""
 
 
-@takes()
-def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera: int | None = None) -> Result:
+@takes
+def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera: int | None = None) -> object:
     """Look for what hinders a repair, and say how to put it right; nothing moves."""
     system = f"{platform.platform()}, {os.cpu_count()} processors"
     call.result(f"rejoint {__version__}, Python {platform.python_version()}, {system}")
@@ -282,4 +282,5 @@ def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera
         rows.append({"check": name, **one._asdict()})
         call.result(f"{'FIX ' if one.fix else 'ok  '} {name}: {one.found}{f'; {one.fix}' if one.fix else ''}")
     call.result(f"{ill or 'Nothing'} to put right.")
-    return Result({"version": __version__, "system": system, "findings": rows, "to_fix": ill}, ILL if ill else 0)
+    call.code = ILL if ill else 0
+    return {"version": __version__, "system": system, "findings": rows, "to_fix": ill}

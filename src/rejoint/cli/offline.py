@@ -16,7 +16,7 @@ from rejoint.cli.options import Call, listed, takes
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
-from rejoint.logs.joints import AngleUnit, ImportOptions, Stamp, TimeUnit, read_map
+from rejoint.logs.joints import ImportOptions, read_map
 from rejoint.logs.runfolder import RunFolder, read_info
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Errors, Judgement
 
 
-@takes("arm", "part")
+@takes
 def replay(
     call: Call,
     twin: Path,
@@ -47,7 +47,7 @@ def replay(
     chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     for remark in forced_remarks(replayed.logs):
-        call.say(f"  ! {remark}")
+        call.message(f"  ! {remark}")
     value = show_errors(call, replayed.judgement, out / "replay.json")
     call.result(f"Page: {replayed.page}")
     return value | {"page": replayed.page}
@@ -99,50 +99,32 @@ def _cell(errors: Errors) -> str:
     )
 
 
-@takes("arm", "part")
+@takes
 def import_(
     call: Call,
     source: Path,
     out: Path,
     kind: Format | None = None,
-    angle_unit: AngleUnit | None = None,
-    time_unit: TimeUnit | None = None,
-    rate: float | None = None,
+    *,
+    options: ImportOptions,
     columns: list[str] | None = None,
-    order: str | None = None,
-    torque_off: str | None = None,
-    state_topic: str | None = None,
-    command_topic: str | None = None,
-    stamp: Stamp | None = None,
-    calibration: Path | None = None,
-    force: bool = False,
+    order: str = "",
+    torque_off: str = "",
 ) -> object:
     """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed."""
-    options = ImportOptions(
-        angle_unit=angle_unit,
-        time_unit=time_unit,
-        rate=rate,
-        columns=read_map(columns or ()),
-        names=listed(order or ""),
-        state_topic=state_topic,
-        command_topic=command_topic,
-        stamp=stamp,
-        calibration=calibration,
-        torque_off=listed(torque_off or ""),
-        force=force,
-    )
+    options = changed(options, columns=read_map(columns or ()), names=listed(order), torque_off=listed(torque_off))
     chosen = call.arm()
-    with call.progress("import") as update:
+    with call.bar("import") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
     for note in (*imported.notes, *imported.skipped):
-        call.say(note)
+        call.message(note)
     seconds, count = sum(log.duration for log in imported.logs), len(imported.logs)
     skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
     call.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
     return {"out": out, "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}
 
 
-@takes()
+@takes
 def export(
     call: Call,
     source: Path,
@@ -157,7 +139,7 @@ def export(
 
         kind = kind or ("lerobot" if lerobot else "onnx")
         out, told = export_run(source, kind, out, lerobot=lerobot, controller=controller)
-        call.say(told)
+        call.message(told)
     elif out is None:
         raise InputError(
             "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
@@ -169,7 +151,7 @@ def export(
     return {"out": out}
 
 
-@takes()
+@takes
 def ports(call: Call) -> object:
     """List the serial ports of this computer, each with the arm that answers there; nothing moves."""
     found = []
@@ -186,7 +168,7 @@ def ports(call: Call) -> object:
     return {"ports": found}
 
 
-@takes()
+@takes
 def arms(
     call: Call,
     verb: Literal["add", "list", "remove"] = "list",
@@ -228,7 +210,7 @@ def _calibrated(address: str, file: Path) -> str:
     return f"{address}{'&' if '?' in address else '?'}calibration={quote(str(file.resolve()))}"
 
 
-@takes()
+@takes
 def runs(call: Call, folder: Path = RUNS) -> object:
     """List the runs of a folder, the newest first."""
     if not folder.is_dir():
@@ -239,7 +221,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
         try:
             info, files = read_info(path), RunFolder(path.parent)
         except FileError as error:
-            call.say(f"left out: {error}")
+            call.message(f"left out: {error}")
             continue
         stages = ("diagnosis", "calibration", "twin", "policy", "comparison", "report")
         done = [name for name in stages if getattr(files, name).exists()]
@@ -254,7 +236,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
     return {"runs": found}
 
 
-@takes()
+@takes
 def open_(call: Call, run: Path | None = None) -> object:
     """Open the report of a run in the browser."""
     if run is None:
@@ -267,5 +249,5 @@ def open_(call: Call, run: Path | None = None) -> object:
         raise FileError(page, "no report", f"write it: {command('report', run)}")
     call.result(str(page))
     if not webbrowser.open(page.as_uri()):
-        call.say("No browser was found here: open that file in one.")
+        call.message("No browser was found here: open that file in one.")
     return {"report": page}

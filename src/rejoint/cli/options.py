@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
@@ -24,9 +24,8 @@ from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.fleet.file import FleetArm, named_arm
 from rejoint.runs.run import Run as OpenRun
-from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, UnsavedError
 from rejoint.system.extras import compiles_first
 from rejoint.system.progress import Progress, no_progress
 
@@ -46,64 +45,11 @@ class ArmPick(NamedTuple):
     hold: str | None = None
 
 
-class ConsoleObserver(Observer):
-    """Shows at the terminal what an arm does, and the stages of a repair; ``partial`` prints a result cut short."""
+class Call(Terminal, Observer):
+    """One call of a command: what the user wrote in the options that commands share, and the observer of its arm.
 
-    def __init__(
-        self,
-        terminal: Terminal,
-        partial: Callable[[Any], object] = lambda _: None,
-        view: LiveView | None = None,
-    ) -> None:
-        """Take the page, if there is one."""
-        self._terminal, self._partial, self._view = terminal, partial, view
-        self._progress: Progress = no_progress
-        self._stage: Stage | None = None
-
-    def show_bar(self, title: str) -> None:
-        """Show a bar from now on."""
-        self._progress = self._terminal.bars.enter_context(self._terminal.progress(title))
-
-    def message(self, line: str) -> None:
-        """Print a sentence."""
-        self._terminal.say(line)
-
-    def progress(self, share: float, what: str) -> None:
-        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
-        stage = self._stage
-        self._progress(share if stage is None else stage.total * share - (stage.number - 1), what)
-
-    def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
-        """Show how a stage of a repair stands."""
-        self._terminal.bars.close()
-        if stage.state != "done":
-            heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
-            self._terminal.heading(heading)
-            if self._view is not None:
-                self._view.begin(heading)
-        if stage.state == "kept":
-            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
-        if stage.state != "started":
-            show.stage(self._terminal, stage.name, stage.result)
-            return
-        self._stage, self._progress = stage, no_progress
-        self._partial = lambda result: show.stage(self._terminal, stage.name, result)
-        self.show_bar(stage.name)
-
-    def partial(self, result: object) -> None:
-        """Print what was done until an error."""
-        self._terminal.bars.close()
-        self._partial(result)
-
-    def served(self, address: str) -> None:
-        """Print where a served arm is."""
-        self._terminal.say(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
-        if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            self._terminal.say("Other machines can drive it too, without a password.")
-
-
-class Call(Terminal):
-    """One call of a command: where it writes, and what the user wrote in the options that commands share."""
+    It shows what the arm does, and the stages of a repair.
+    """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
         """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
@@ -111,7 +57,12 @@ class Call(Terminal):
         self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
         self.named: FleetArm | None = None
         """the arm, where it was given by name"""
-        self._taken = frozenset(given)
+        self.code = 0
+        """exit code"""
+        self._bar: Progress = no_progress
+        self._stage: Stage | None = None
+        self._view: LiveView | None = None
+        self._title = ""
         super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
 
     def address(self, robot: str) -> str:
@@ -120,7 +71,7 @@ class Call(Terminal):
         if found is None:
             return robot
         self.named = found
-        if found.description is not None and "arm" in self._taken and not any(self.pick):
+        if found.description is not None and not any(self.pick):
             self.pick = self.pick._replace(arm=found.description)
         return found.address
 
@@ -143,7 +94,7 @@ class Call(Terminal):
             line = len(error.notes) + 1
             raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
         for note in loaded.notes:
-            self.say(f"arm {loaded.arm.name}: {note}")
+            self.message(f"arm {loaded.arm.name}: {note}")
         return loaded.arm
 
     def job(self, robot: str, path: Path | None, seed: int) -> OpenRun:
@@ -155,38 +106,73 @@ class Call(Terminal):
             chosen = OpenRun.open(path).arm
         else:
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
-        return OpenRun.plan(path or newest_or_new(robot, chosen, seed), robot, chosen, seed)
+        return OpenRun.plan(path, robot, chosen, seed)
 
-    def stage(self, work: Callable[..., T], *given: object, **options: object) -> T:
+    def do(self, work: Callable[..., T], *given: object, **options: object) -> T:
         """Do a stage, ``work`` of the front door, and print its result, also one cut short."""
         name = work.__name__
-        tell = partial(show.stage, self, name)
-        with self.watched(name, tell) as observer:
+        with self.watched(name) as observer:
             found = work(*given, observer=observer, **options)
         if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
-            tell(found)
+            show.stage(self, name, found)
         return found
 
     @contextmanager
-    def watched(
-        self, title: str, show: Callable[[Any], object] = lambda _: None, *, bar: bool = True
-    ) -> Iterator[Observer]:
-        """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+    def watched(self, title: str, *, bar: bool = True) -> Iterator[Observer]:
+        """Show what an arm does, on the page too where one is asked for, and a result of `show` that is cut short."""
+        self.say_compiling()
+        self._title = title
+        with live_view(self, self.live, title) as view, self.bars:
+            self._view = view
+            if bar:
+                self._show_bar(title)
+            try:
+                yield self if view is None else Observers(self, view)
+            except UnsavedError as error:
+                self.partial(error.result)
+                raise
+
+    def say_compiling(self) -> None:
+        """Say that the first motion will take longer than others, where it will."""
         if compiles_first():
-            self.say("The first motion compiles its loops, once: about 15 s.")
-        with live_view(self, self.live, title) as view:
-            console = ConsoleObserver(self, show, view)
-            with self.unsaved(console.partial), self.bars:
-                if bar:
-                    console.show_bar(title)
-                yield console if view is None else Observers(console, view)
+            self.message("The first motion compiles its loops, once: about 15 s.")
 
+    def _show_bar(self, title: str) -> None:
+        self._bar = self.bars.enter_context(self.bar(title))
 
-class Result(NamedTuple):
-    """What a command ends with: the object of its last line with --json, and its exit code."""
+    # --- as an observer -----------------------------------------------------------------------------
 
-    value: object
-    code: int = 0
+    def progress(self, share: float, what: str) -> None:
+        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
+        stage = self._stage
+        self._bar(share if stage is None else stage.total * share - (stage.number - 1), what)
+
+    def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
+        """Show how a stage of a repair stands."""
+        self.bars.close()
+        if stage.state != "done":
+            heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
+            self.heading(heading)
+            if self._view is not None:
+                self._view.begin(heading)
+        if stage.state == "kept":
+            self.message(f"already done, as it was asked for then: {stage.file}")
+        if stage.state != "started":
+            show.stage(self, stage.name, stage.result)
+            return
+        self._stage, self._title = stage, stage.name
+        self._show_bar(stage.name)
+
+    def partial(self, result: object) -> None:
+        """Print what was done until an error."""
+        self.bars.close()
+        show.stage(self, self._title, result)
+
+    def served(self, address: str) -> None:
+        """Print where a served arm is."""
+        self.message(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        if address.startswith("tcp://") and not address.startswith("tcp://127."):
+            self.message("Other machines can drive it too, without a password.")
 
 
 _HOLD_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
@@ -258,21 +244,6 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
 
 
-class SharedOption(NamedTuple):
-    """An option of several commands; its help is in the section ``shared`` of `texts`."""
-
-    kind: object = str | None
-    """type of the command's parameter"""
-    read: Callable[[Any], object] = lambda given: given
-    """makes the field of what the user wrote"""
-    field: str = ""
-    """of `Settings`, where it is not called like the option"""
-
-    def value(self, given: object) -> object:
-        """Return the field; None where nothing was written."""
-        return None if given is None else self.read(given)
-
-
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
     words = {"help": entry} if isinstance(entry, str) else dict(entry)
@@ -281,57 +252,56 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
 
-SHARED = {
-    **dict.fromkeys(ArmPick._fields, SharedOption()),
-    "controller": SharedOption(),
-    "dwell": SharedOption(float),
-    "within": SharedOption(float | None, lambda mm: 1e-3 * mm),
-    "calibration": SharedOption(),
-    "payload": SharedOption(str | None, payload_of),
-    "tool": SharedOption(str | None, tool_of),
-    "camera": SharedOption(field="eye"),
-    "period": SharedOption(str | None, period_seconds),
-    "seed": SharedOption(int | None),
-    "dry_run": SharedOption(bool),
-    "live": SharedOption(),
-    "json": SharedOption(bool),
+KINDS = {"dwell": float, "within": float | None, "seed": int | None, "dry_run": bool, "json": bool}
+"""Types of shared options that are no text"""
+READ: dict[str, Callable[[Any], object]] = {
+    "within": lambda mm: 1e-3 * mm,
+    "payload": payload_of,
+    "tool": tool_of,
+    "period": period_seconds,
 }
-"""Options of several commands; most become fields of `Settings`"""
+"""What makes fields of `Settings` of shared options, where it is not what the user wrote"""
 
 
-def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
-    """Give a command options of `SHARED`, and ``json``; ``part``: those of a part of the arm.
+def _read(name: str, given: Any) -> object:  # noqa: ANN401 - what the user wrote
+    return READ[name](given) if name in READ and given is not None else given
 
-    The command receives a `Call`, and returns its `Result` or value; None prints no JSON.
+
+def takes(command: Callable[..., object]) -> Callable[..., None]:
+    """Give a command its options, as `texts` describes them: its own, what it ``takes`` of the shared ones, ``json``.
+
+    It takes a `Call`, and returns the object of its last line with --json; None prints none. Of a parameter that is a
+    dataclass, the fields that it ``fills`` are options.
     """
-    parts = ArmPick._fields[1:] if "part" in names else ()
-    shared = {name: SHARED[name] for name in SHARED if name in (*names, *parts, "json")}
-    known = texts("rejoint.cli")
-    options = []
-    for name, one in shared.items():
-        default = getattr(Settings, one.field or name, False if one.kind is bool else None)
-        options.append(keyword(name, one.kind, known["shared"][name], default))
+    known, ours, hints = texts("rejoint.cli"), texts(command.__module__.rpartition(".")[0]), get_type_hints(command)
+    mine = ours[command.__name__.rstrip("_")]
+    entries, fills, shown = known["all"] | ours["all"] | mine, mine.get("fills", {}), list[Parameter]()
+    for one in [*signature(command).parameters.values()][1:]:
+        kind = hints[one.name]
+        if one.name in fills:
+            kinds = get_type_hints(kind)
+            shown += [keyword(name, kinds[name], entries[name], getattr(kind, name)) for name in fills[one.name]]
+        else:
+            shown.append(keyword(one.name, kind, entries[one.name], one.default))
+    shared = [name for name in known["shared"] if name in (*mine.get("takes", ()), "json")]
+    for name in shared:
+        kind = KINDS.get(name, str | None)
+        default = getattr(Settings, name, False if kind is bool else None)
+        shown.append(keyword(name, kind, known["shared"][name], default))
 
-    def decorate(command: Callable[..., object]) -> Callable[..., None]:
-        @wraps(command)
-        def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            call = Call({one.field or name: one.value(words.pop(name)) for name, one in shared.items()})
-            if words.get("robot") is not None:
-                words["robot"] = call.address(words["robot"])
-            found = command(call, **words)
-            result = found if isinstance(found, Result) else Result(found)
-            if result.value is not None:
-                call.finish(result.value)
-            if result.code and not call.settings.dry_run:
-                raise typer.Exit(result.code)
+    @wraps(command)
+    def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
+        call = Call({name: _read(name, words.pop(name)) for name in shared})
+        if words.get("robot") is not None:
+            words["robot"] = call.address(words["robot"])
+        for name, parts in fills.items():
+            words[name] = hints[name](**{part: words.pop(part) for part in parts})
+        value = command(call, **words)
+        if value is not None:
+            call.finish(value)
+        if call.code and not call.settings.dry_run:
+            raise typer.Exit(call.code)
 
-        ours = texts(command.__module__.rpartition(".")[0])
-        hints = get_type_hints(command)
-        own = list(signature(command).parameters.values())[1:]
-        entries = known["all"] | ours["all"] | ours[command.__name__.rstrip("_")]
-        kept = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
-        run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
-        run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}
-        return run
-
-    return decorate
+    run.__signature__ = Signature(shown)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in shown}
+    return run

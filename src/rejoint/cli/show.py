@@ -17,10 +17,12 @@ from rejoint.logs.runfolder import Effort, cost
 if TYPE_CHECKING:
     from rejoint.control.moving.drive import Deployed, Followed
     from rejoint.control.servogains import GainsFound
+    from rejoint.runs.fleet.campaign import FleetResult
     from rejoint.runs.stages.calibrate import Calibrated
+    from rejoint.runs.stages.check import Checked
     from rejoint.runs.stages.compare import Compared
     from rejoint.runs.stages.diagnose import Diagnosed
-    from rejoint.runs.stages.train import TrainedPolicy
+    from rejoint.runs.stages.fitting import TrainedPolicy
     from rejoint.twin.twin import Twin
 
 
@@ -214,6 +216,20 @@ def deployment(terminal: Terminal, done: Deployed) -> None:
     _say_gaps(terminal, done.gaps)
 
 
+def check(terminal: Terminal, found: Checked) -> None:
+    """Print the line of a check."""
+    terminal.result(found.line)
+
+
+def fleet(terminal: Terminal, found: FleetResult) -> None:
+    """Print the table of all arms, and what was found of each."""
+    from rejoint.runs.fleet.campaign import HEADERS
+
+    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in found.rows])
+    for row in found.rows:
+        terminal.result(f"{row.name}: {row.found}")
+
+
 def _mm(metres: float | None, digits: int) -> str:
     return "" if metres is None else f"{1e3 * metres:.{digits}f}"
 
@@ -242,5 +258,7 @@ STAGES: dict[str, Callable[[Terminal, Any], None]] = {
     "deploy": deployment,
     "follow": followed,
     "compare": comparison,
+    "check": check,
+    "fleet": fleet,
 }
 """What prints the result of a stage"""

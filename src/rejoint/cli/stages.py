@@ -16,11 +16,11 @@ import msgspec
 import typer
 
 import rejoint
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, is_loopback, picked, results_of
-from rejoint.cli.options import Call, ConsoleObserver, Result, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words
@@ -29,7 +29,7 @@ from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.runs.stages.gains import gains_to_keep, keep_gains
+from rejoint.runs.stages.compare import TrialPlan
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rejoint.training.train import Trainer
 
 
-@takes()
+@takes
 def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = False) -> object:
     """Open the page that guides through a repair."""
     require("rejoint studio", "live")
@@ -64,22 +64,35 @@ def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = Fa
     return {"address": view.address}
 
 
-@takes()
+POINTS = ((0.17, -0.06, 0.21), (0.20, 0.06, 0.19), (0.18, 0.0, 0.23))
+"""[m] of the demonstration, `DWELL` [s] each (chosen)"""
+DWELL = 3.0
+SHOWN = {"The worn arm, as it is": "default", "The same arm, with the policy that comes with rejoint": "shelf"}
+"""Titles and controllers of the demonstration"""
+
+
+@takes
 def demo(call: Call, listen: str = HERE, rounds: int = 10, quiet: bool = False) -> object:
     """Show a worn arm that misses its targets, and the same arm with a policy."""
     require("rejoint demo", "live", *place_of(FIRST_ROBOT).family.needs)
     from rejoint.pages.live.view import LiveView
-    from rejoint.studio.demo import demonstrate
 
     with LiveView(*host_and_port("--listen", listen)) as view:
         call.result(f"Demonstration: {view.address}  (Ctrl-C ends it)")
+        call.say_compiling()
         if not quiet:
             webbrowser.open(view.address)
-        demonstrate(view, call.result, rounds)
+        for _ in range(rounds):
+            errors = []
+            for title, controller in SHOWN.items():
+                view.begin(title)
+                settings = Settings(controller=controller, dwell=DWELL)
+                errors.append(1e3 * rejoint.deploy(FIRST_ROBOT, POINTS, settings=settings, observer=view).error)
+            call.result("As it is: {:.1f} mm off. With the policy: {:.2f} mm off.".format(*errors))
     return {"address": view.address}
 
 
-@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
+@takes
 def repair(
     call: Call,
     robot: str = FIRST_ROBOT,
@@ -88,35 +101,34 @@ def repair(
     targets: Path | None = None,
     controllers: str = "all",
     measure: str | None = None,
-    sets: int | None = None,
-    repetitions: int | None = None,
-    full: bool = False,
+    *,
+    trials: TrialPlan,
     seed: int = 0,
     quick: bool = False,
 ) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
     from rejoint.cli.upkeep import gauge_by_word
 
-    if call.settings.dry_run:
-        chosen = call.arm(robot)
-        with call.watched("repair") as observer:
-            rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
-        return {"robot": robot}
-    require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
+    dry = call.settings.dry_run
+    if not dry:
+        require("rejoint repair", "train", "report")  # all at once: an open address would name only a part
     job = call.job(robot, run, seed)
-    call.say(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
+    if not dry:
+        call.message(f"{'Going on with' if job.path.exists() else 'Starting'} the repair of {robot} in {job.path}")
     plan = rejoint.RepairPlan(
         preset=preset,
         controllers=opt.controller_names(controllers),
         targets=targets,
         gauge=gauge_by_word(call, robot, measure, seed),
-        trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
+        trials=trials,
     )
-    with call.watched("repair", bar=False) as observer:
+    with call.watched("repair", bar=dry) as observer:
         found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
+    if dry:
+        return {"robot": robot}
     page = Path(os.path.relpath(found.page))
     if quick:
-        call.say("A quick try: little of everything was done, so none of this is a result.")
+        call.message("A quick try: little of everything was done, so none of this is a result.")
     from rejoint.pages.report.page import read_contents
 
     contents = read_contents(job.path)
@@ -126,34 +138,18 @@ def repair(
     if errors is not None and errors.sentence:
         call.result(errors.sentence)
     call.result(str(page))
-    call.say("Next:")
+    call.message("Next:")
     for what, line in {"look at the report": command("open", job.path), **steps}.items():
-        call.say(f"  {line}  # {what}")
+        call.message(f"  {line}  # {what}")
     value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
     return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
-
-
-def rehearse(
-    robot: str,
-    arm: Arm | str | None,
-    targets: Path | None,
-    settings: Settings,
-    observer: Observer,
-    *,
-    quick: bool = False,
-) -> None:
-    """Do the motions of a repair in a simulation."""
-    rejoint.diagnose(robot, arm=arm, quick=quick, settings=settings, observer=observer)
-    trials = rejoint.TrialPlan(sets=1, repetitions=1)
-    rejoint.compare(robot, ["default"], targets, arm=arm, plan=trials, settings=settings, observer=observer)
-    observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
 
 
 MISSED = 5
 """Exit code for targets not reached, and a path not followed"""
 
 
-@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
+@takes
 def diagnose(
     call: Call,
     robot: str | None = None,
@@ -169,7 +165,7 @@ def diagnose(
     robot = robot or FIRST_ROBOT
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
     about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
-    found = call.stage(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
+    found = call.do(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
     call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
@@ -181,7 +177,7 @@ def diagnose(
     }
 
 
-@takes("arm", "part")
+@takes
 def identify(
     call: Call,
     run: Path | None = None,
@@ -208,7 +204,7 @@ def identify(
         gain=offline.by_motion(gain),
         torque_off=offline.by_motion(torque_off),
     )
-    twin = call.stage(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
+    twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
     if logs is None:
         call.next(command("train", run))
@@ -221,7 +217,7 @@ def identify(
     return value | {"report": page, "fitted": twin.fitted}
 
 
-@takes()
+@takes
 def train(
     call: Call,
     run: Path,
@@ -240,7 +236,7 @@ def train(
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
-    result = call.stage(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
+    result = call.do(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result
 
@@ -260,21 +256,19 @@ def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
     return made
 
 
-@takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def compare(
     call: Call,
     robot: str,
     run: Path,
     targets: Path | None = None,
     controllers: str = "all",
-    sets: int | None = None,
-    repetitions: int | None = None,
-    full: bool = False,
+    *,
+    plan: TrialPlan,
 ) -> object:
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
-    plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full)
     names = opt.controller_names(controllers)
-    found = call.stage(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
+    found = call.do(rejoint.compare, robot, names, targets, run=run, plan=plan, settings=call.settings)
     call.next(command("report", run))
     return {
         "run": run,
@@ -285,21 +279,18 @@ def compare(
     }
 
 
-@takes(
-    *("arm", "part", "live", "controller", "dwell", "within", "calibration", "payload", "tool", "camera", "period"),
-    *("seed", "dry_run"),
-)
+@takes
 def deploy(
     call: Call,
     robot: str,
     run: Path | None = None,
     targets: Path | None = None,
-) -> Result:
+) -> object:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
-    if run is not None and any(call.pick):
+    if run is not None and call.named is None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
-    done = call.stage(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
+    done = call.do(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
@@ -307,10 +298,11 @@ def deploy(
         **({"turned_deg": turned} if any(visit.orientation for visit in done.visits) else {}),
         **picked(done, "controller", "missed", "visits", "period", "gaps"),
     }
-    return Result(value, MISSED if done.missed else 0)
+    call.code = MISSED if done.missed else 0
+    return value
 
 
-@takes("arm", "live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def goto(
     call: Call,
     robot: str,
@@ -319,9 +311,9 @@ def goto(
     z: float,
     run: Path | None = None,
     timeout: float = 10.0,
-) -> Result:
+) -> object:
     """Move the tool to one point, and hold it there."""
-    target, code = opt.point_of(x, y, z), 0
+    target = opt.point_of(x, y, z)
     with (
         call.watched("goto") as observer,
         rejoint.connect(robot, run=run, arm=call.pick.arm, settings=call.settings, observer=observer) as session,
@@ -329,37 +321,38 @@ def goto(
         try:
             found = session.move_to(target, timeout_s=timeout)
         except NotReachedError as error:
-            found, code = session.state, MISSED
+            found, call.code = session.state, MISSED
             call.result(f"Not reached: {error}")
     error_mm = None if found is None or found.error_m is None else 1e3 * found.error_m
-    if error_mm is not None and found is not None and not code:
+    if error_mm is not None and found is not None and not call.code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
         call.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
-    return Result({"target_mm": [x, y, z], "error_mm": error_mm, "reached": not code}, code)
+    return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}
 
 
-@takes("live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@takes
 def follow(
     call: Call,
     robot: str,
     run: Path,
     path: str,
     repeat: int = 1,
-) -> Result:
+) -> object:
     """Drive an arm along a path, and say how well it followed."""
-    done = call.stage(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
+    done = call.do(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):
-            call.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
+            call.message(f"Path: {draw_followed(job.folder, job.arm, done)}")
     passes = [picked(one, "encoder", "true_error", "turned") for one in done.passes]
     value = picked(done, "path", "controller", "followed", "period", "gaps")
-    return Result({"run": run, **value, "passes": passes}, 0 if done.followed else MISSED)
+    call.code = 0 if done.followed else MISSED
+    return {"run": run, **value, "passes": passes}
 
 
-@takes()
+@takes
 def report(call: Call, run: Path) -> object:
     """Write the report of a run: one self-contained page that opens in a browser."""
     require("rejoint report", "report")
@@ -368,7 +361,7 @@ def report(call: Call, run: Path) -> object:
     return {"run": run, "report": path}
 
 
-@takes("period", "dry_run")
+@takes
 def gains(
     call: Call,
     robot: str,
@@ -378,12 +371,14 @@ def gains(
 ) -> object:
     """Search for better gains of the servos themselves, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
-        found = call.stage(rejoint.gains, robot, run, settings=call.settings)
+        found = call.do(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         return {"run": run, "gains": found}
+    from rejoint.runs.stages.fitting import gains_to_keep, keep_gains
+
     job = Run.open(run)
     wanted = gains_to_keep(job)
-    call.say(
+    call.message(
         f"This writes {in_words(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that "
         "without power, until something else is written. LeRobot writes its own P, I and D whenever it connects. "
         "Policies that were trained under other gains are refused from then on, and the twin of this run is that of "
@@ -399,7 +394,7 @@ def gains(
     return {"run": run, "kept": wanted, "before": before}
 
 
-@takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")
+@takes
 def serve(
     call: Call,
     robot: str,
@@ -412,11 +407,11 @@ def serve(
     if stdio:
         if pty or call.json or call.settings.controller or call.live:
             raise InputError("--stdio does not go with --pty, --json, --live or --controller")
-        serve_lines(robot, run, call.settings, ConsoleObserver(call))
+        serve_lines(robot, run, call.settings, call)
         return None
     with call.watched("serve", bar=False) as observer:
         done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=call.settings, observer=observer)
-    call.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
+    call.message(f"Serving ended after {done.orders} orders; they are in {done.log}")
     return done
 
 

@@ -5,29 +5,30 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 
 import rejoint
 from rejoint.cli import options as opt
+from rejoint.cli import show
 from rejoint.cli.console import Terminal, picked
-from rejoint.cli.options import Call, Result, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
+from rejoint.runs.fleet.campaign import FleetRules
 from rejoint.runs.history import code_of, prometheus_text
 from rejoint.runs.run import RUNS, Run
 from rejoint.runs.stages.calibrate import POINTS
-from rejoint.runs.stages.check import BETWEEN
+from rejoint.runs.stages.check import BETWEEN, CheckNotes
+from rejoint.runs.stages.compare import TrialPlan
 from rejoint.session.inputs import NO_GAUGE, GaugeLike
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
@@ -38,11 +39,9 @@ if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
-    from rejoint.runs.fleet.campaign import Executor, FleetResult
-    from rejoint.runs.fleet.file import FleetArm
 
 
-@takes("arm", "part", "live", "period", "seed", "dry_run")
+@takes
 def calibrate(
     call: Call,
     robot: str,
@@ -77,20 +76,20 @@ def calibrate(
             from rejoint.camera.film import read_folder
 
             given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = call.stage(rejoint.calibrate, run=job, gauge=given, settings=settings)
+        found = call.do(rejoint.calibrate, run=job, gauge=given, settings=settings)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
         count = count or cast("int", getattr(gauge, "postures", POINTS))
         total = scouts + count * visits
-        call.say(
+        call.message(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "
             f"{total * SECONDS / 60:.1f} min of the arm and what the measuring takes."
         )
         if scouts:
-            call.say(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
+            call.message(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
         about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
-        found = call.stage(rejoint.calibrate, robot, run=job, **about)
+        found = call.do(rejoint.calibrate, robot, run=job, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload
@@ -189,7 +188,7 @@ def gauge_by_word(
                 "--measure points=FILE"
             )
         ask, frame = partial(_ask, terminal), means.frame or "base"
-        return TouchGauge(ask=ask, complain=terminal.say, sigma=means.sigma, frame=frame)
+        return TouchGauge(ask=ask, complain=terminal.message, sigma=means.sigma, frame=frame)
     if word or not virtual:
         raise InputError(
             f"--measure {word!r} with {robot}: expected touch, camera=NUMBER or tracker=FILE, or none in a repair; "
@@ -202,8 +201,8 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
     x, y, z = 1e3 * stop.believed
     terminal.bars.close()  # one would write over the question
     if stop.again:
-        terminal.say(f"{stop.again}; it is measured once more.")
-    terminal.say(
+        terminal.message(f"{stop.again}; it is measured once more.")
+    terminal.message(
         f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
     )
     terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
@@ -213,7 +212,7 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
     return line
 
 
-@takes()
+@takes
 def board(
     call: Call,
     file: Path,
@@ -244,54 +243,55 @@ def board(
     width, height = 1e3 * chosen.size
     call.result(f"Board of {width:.1f} x {height:.1f} mm: {file}; what the fit is to know of it: {description}")
     if measured_x is None or measured_y is None:
-        call.say("Print it at 100 %, measure both rulers, and run this again with --measured-x and --measured-y.")
+        call.message("Print it at 100 %, measure both rulers, and run this again with --measured-x and --measured-y.")
     return {"pdf": file, "board": description, "width_mm": width, "height_mm": height}
 
 
-@takes("arm", "part", "live", "period", "dry_run")
+@takes
 def check(
     call: Call,
     robot: str,
     history: Path = RUNS,
     name: str | None = None,
     tolerance: float | None = None,
-    used: float | None = None,
-    date: datetime | None = None,
-    moved: bool = False,
+    *,
+    notes: CheckNotes,
     repeat: int = 1,
     prometheus: Path | None = None,
     seed: int | None = None,
-) -> Result:
+) -> object:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen = call.arm(robot)
     if call.named is not None:
         name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
-    with call.watched("check", lambda found: call.result(found.line)) as observer:
+    with call.watched("check") as observer:
         for number in range(repeat):
-            when = None if date is None else date + number * BETWEEN
+            if number:
+                notes = replace(notes, when=notes.when and notes.when + BETWEEN, moved=False)
             found = rejoint.check(
                 robot,
                 history=history,
                 name=name,
                 arm=chosen,
                 tolerance_mm=tolerance,
-                notes=rejoint.CheckNotes(used_h=used, when=when, moved=moved and not number),
+                notes=notes,
                 settings=replace(call.settings, seed=seed),
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
             )
     if call.settings.dry_run:
-        return Result(picked(found, "arm", "robot"))
+        return picked(found, "arm", "robot")
     for problem in found.unread:
-        call.say(f"left out: {problem}")
+        call.message(f"left out: {problem}")
     call.result(f"{found.arm}: {found.line}")
     outlook = found.outlook
     if prometheus is not None:
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
     value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
-    return Result(value | {"over": outlook.over}, code_of(outlook.state, over=outlook.over))
+    call.code = code_of(outlook.state, over=outlook.over)
+    return value | {"over": outlook.over}
 
 
-@takes()
+@takes
 def history(
     call: Call,
     folder: Path = RUNS,
@@ -305,7 +305,7 @@ def history(
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     rows, unread = find_rows(folder)
     for problem in unread:
-        call.say(f"left out: {problem}")
+        call.message(f"left out: {problem}")
     arms = arms_of(rows)
     if arms:
         call.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
@@ -318,80 +318,60 @@ def history(
     except MissingExtraError as error:
         if page is not None:
             raise
-        call.say(f"No page: {error}")
+        call.message(f"No page: {error}")
         return value | {"page": None}
     write_history(path, arms)
     call.result(f"Page: {path}")
     return value | {"page": path}
 
 
-@takes("dry_run")
+@takes
 def fleet(
     call: Call,
     verb: Literal["check", "repair"],
     file: Path,
     only: str = "",
-    somebody: bool = False,
-    fresh: bool = False,
-    needed: bool = False,
+    *,
+    rules: FleetRules,
+    trials: TrialPlan,
     address: str | None = None,
     cpus: int | None = None,
     training_cpus: float = 1.0,
     preset: str = "default",
     controllers: str = "all",
-    sets: int | None = None,
-    repetitions: int | None = None,
-    seed: int | None = None,
-    quick: bool = False,
-) -> Result:
+) -> object:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
-    from rejoint.cli.stages import rehearse
-    from rejoint.runs.fleet.campaign import FleetRules, run_fleet
+    from rejoint.runs.fleet.campaign import run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
     found, names = read_fleet(file), opt.controller_names(only) if only else ()
     if call.settings.dry_run:
         for arm in found.only(names):
-            call.say(f"{arm.name}:")
+            call.message(f"{arm.name}:")
             with call.watched(verb) as observer:
+                about: dict[str, Any] = {"arm": arm.description, "settings": call.settings, "observer": observer}
                 if verb == "check":
-                    rejoint.check(arm.address, arm=arm.description, settings=call.settings, observer=observer)
+                    rejoint.check(arm.address, **about)
                 else:
-                    rehearse(arm.address, arm.description, None, call.settings, observer, quick=quick)
-        return Result({"fleet": file})
+                    rejoint.repair(arm.address, quick=rules.quick, **about)
+        return {"fleet": file}
     if address is not None and not has_token():
-        call.say(
+        call.message(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
         )
 
-    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
-        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
-
-    trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
-    rules = FleetRules(
-        somebody=somebody,
-        fresh=fresh,
-        needed=needed,
-        plan=rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials),
-        seed=seed,
-        quick=quick,
-    )
+    plan = rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials)
+    rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-    with call.unsaved(partial(_show_rows, call)):
-        result = run_fleet(found, verb, make_executor, rules, only=names, tell=call.say)
-    _show_rows(call, result)
-    if quick:
-        call.say("A quick try: little of everything was done, so none of this is a result.")
+    executor = RayExecutor(found.only(names), address=address, cpus=cpus, training_cpus=training_cpus)
+    with call.watched("fleet", bar=False), closing(executor):
+        result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
+    show.fleet(call, result)
+    if rules.quick:
+        call.message("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
-    return Result({"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}, result.code)
-
-
-def _show_rows(call: Call, result: FleetResult) -> None:
-    from rejoint.runs.fleet.campaign import HEADERS
-
-    call.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
-    for row in result.rows:
-        call.result(f"{row.name}: {row.found}")
+    call.code = result.code
+    return {"verb": verb, **picked(result, "rows", "seconds", "page", "finished")}

@@ -223,6 +223,26 @@ class RobotWrapper:
         self.robot.close()
 
 
+class WatchedRobot(RobotWrapper):
+    """Shows every reading to ``see``, after a step with its command; what that raises ends the motion."""
+
+    def __init__(self, robot: Robot, see: Callable[[JointState, Array | None], object]) -> None:
+        super().__init__(robot)
+        self._see = see
+
+    def read(self) -> JointState:
+        """Read."""
+        state = super().read()
+        self._see(state, None)
+        return state
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Step."""
+        state = super().step(command, active)
+        self._see(state, command)
+        return state
+
+
 class WallClock(RobotWrapper):
     """Slows virtual time to ``pace()`` simulated seconds per second."""
 

@@ -21,9 +21,9 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
 from rejoint.runs.run import Run
-from rejoint.runs.stages.gains import gains_to_keep
+from rejoint.runs.stages.fitting import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
-from rejoint.session.inputs import RunLike, as_calibration, as_run
+from rejoint.session.inputs import RunLike, as_calibration
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
@@ -42,7 +42,7 @@ def export_run(
 
     ``controller``: by default what the run recommends. FileError or InputError for missing inputs.
     """
-    about = as_run(run)
+    about = Run.open(run)
     if kind not in KINDS:
         raise InputError(f"--format {kind!r}: expected {', '.join(KINDS)}")
     for name, given, kinds in (("--lerobot", lerobot, ("lerobot",)), ("--controller", controller, ("onnx", "ros2"))):

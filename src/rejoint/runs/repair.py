@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
@@ -17,13 +17,11 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish, newest_or_new
+from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
 from rejoint.runs.stages.compare import Compared, TrialPlan, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-from rejoint.runs.stages.gains import gains
-from rejoint.runs.stages.identify import identify
-from rejoint.runs.stages.train import TrainedPolicy, train
+from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -36,17 +34,14 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     arm_of,
-    as_run,
     as_targets,
     is_batchable,
     period_of,
-    run_about,
     settled,
 )
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
@@ -131,7 +126,7 @@ def repair(
     """Diagnose an arm, fit a twin, train a policy, compare controllers on the arm, and write the report.
 
     The same call resumes an interrupted repair. Nothing changes on the arm. On Ctrl-C and SIGTERM it holds, then
-    `Interrupted` is raised.
+    `Interrupted` is raised. A dry run simulates diagnosis and comparison.
 
     Parameters
     ----------
@@ -172,11 +167,11 @@ def repair(
     >>> print(result.diagnosis.verdict, result.recommendation.controller)
     >>> print(result.page)
     """
-    if only is None:
-        require("rejoint repair", "train", "report")
     what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
+    if only is None and not chosen.dry_run:
+        require("rejoint repair", "train", "report")
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    if isinstance(what.preset, str):
+    if isinstance(what.preset, str) and not chosen.dry_run:
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)
@@ -184,9 +179,7 @@ def repair(
     tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
-    folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed)) if run is None else run
-    about = run_about(folder, address_of(robot), built, chosen.seed)
-    assert about is not None  # noqa: S101 - for the type checker; a folder was given
+    about = Run.plan(run, address_of(robot), built, chosen.seed)
     chosen, told = settled(chosen, about, robot)
     watching = observer or Observer()
     if told:
@@ -195,91 +188,72 @@ def repair(
         raise InputError(
             f"{about.path} is of a quick try, which is no result; give another --run, or delete the folder"
         )
+    if chosen.dry_run:
+        diagnose(robot, arm=built, quick=quick, settings=chosen, observer=watching)
+        trials = TrialPlan(sets=1, repetitions=1)
+        compare(robot, ["default"], what.targets, arm=built, plan=trials, settings=chosen, observer=watching)
+        watching.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
+        return about
     found = about.begin()
-    _RepairStages(
-        robot=robot, run=found, plan=what, settings=chosen, observer=watching, quick=quick, only=only
-    ).do_all()
+    files = stages_of(robot, found.arm, found.folder, what, quick=quick)
+    works = _works(robot, found, what, chosen, quick=quick)
+    for number, (name, file) in enumerate(files.items(), start=1):
+        if only in (None, name):
+            stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
+            _do(stage, works[name], found, watching, alone=only is not None)
     watching.progress(1.0, "done")
     return found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _RepairStages:
-    robot: RobotLike
-    run: Run
-    plan: RepairPlan
-    settings: Settings
-    observer: Observer
-    quick: bool
-    only: StageName | None
+def _works(
+    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, *, quick: bool
+) -> dict[StageName, Callable[..., object]]:
+    """Return what does each stage, for an observer."""
+    gauge, compared, targets, trials = plan.gauge, settings, plan.targets, plan.trials or TrialPlan()
+    if gauge == NO_GAUGE:
+        gauge, compared = None, replace(settings, calibration=NO_GAUGE)
+    sets, repetitions = (1, 1) if quick else (3, 2) if is_batchable(robot) else (None, None)
+    trials = replace(
+        trials,
+        sets=sets if trials.sets is None else trials.sets,
+        repetitions=repetitions if trials.repetitions is None else trials.repetitions,
+    )
+    if quick and targets is None:
+        targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
+    return {
+        "diagnose": partial(diagnose, robot, run=run, quick=quick, settings=settings),
+        "calibrate": partial(calibrate, robot, run=run, gauge=gauge, settings=settings),
+        "identify": partial(identify, run=run, quick=quick),
+        "gains": partial(gains, robot, run, settings=settings),
+        "train": partial(train, run=run, preset=plan.preset, quick=quick),
+        "compare": partial(compare, robot, plan.controllers, targets, run=run, plan=trials, settings=compared),
+        "report": lambda observer: report(run),  # noqa: ARG005
+    }
 
-    @cached_property
-    def files(self) -> dict[StageName, Path]:
-        """File of each stage, in order."""
-        return stages_of(self.robot, self.run.arm, self.run.folder, self.plan, quick=self.quick)
 
-    def do_all(self) -> None:
-        """Do the stages in order."""
-        robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
-        gauge = None if plan.gauge == NO_GAUGE else plan.gauge
-        moving: dict[str, Any] = {"run": run, "settings": settings}
-        self.do("diagnose", partial(diagnose, robot, quick=quick, **moving))
-        self.do("calibrate", partial(calibrate, robot, gauge=gauge, **moving))
-        self.do("identify", partial(identify, run=run, quick=quick))
-        self.do("gains", partial(gains, robot, **moving))
-        self.do("train", partial(train, run=run, preset=plan.preset, quick=quick))
-        self.do("compare", self._compare)
-        self.do("report", lambda observer: report(run))  # noqa: ARG005
+def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer, *, alone: bool) -> None:
+    """Do a stage, or report that it is done; without others (``alone``) its progress is the whole."""
+    if stage.name != "report" and stage.file.exists():
+        observer.stage(replace(stage, state="kept", result=_kept(run, stage.name)))
+        return
+    observer.stage(stage)
+    begun = time.monotonic()
+    start, end = (0.0, 1.0) if alone else ((stage.number - 1) / stage.total, stage.number / stage.total)
+    try:
+        result = work(observer=StageObserver(observer, start, end))
+    finally:
+        add(run.folder, StageCost(name=stage.name, wall=time.monotonic() - begun))
+        give_back()
+    observer.stage(replace(stage, state="done", result=result))
 
-    def _compare(self, *, observer: Observer) -> Compared:
-        plan, quick, emulated = self.plan, self.quick, is_batchable(self.robot)
-        settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
-        trials, targets = plan.trials or TrialPlan(), plan.targets
-        sets, repetitions = (1, 1) if quick else (3, 2) if emulated else (None, None)
-        trials = replace(
-            trials,
-            sets=sets if trials.sets is None else trials.sets,
-            repetitions=repetitions if trials.repetitions is None else trials.repetitions,
-        )
-        if quick and targets is None:
-            targets = draw_targets(self.run.arm, sets=1, count=QUICK_TARGETS, seed=self.run.seed)
-        return compare(
-            self.robot,
-            plan.controllers,
-            targets,
-            run=self.run,
-            plan=trials,
-            settings=settings,
-            observer=observer,
-        )
 
-    def do(self, name: StageName, work: Callable[..., object]) -> None:
-        """Do a stage, or report that it is done."""
-        if name not in self.files or self.only not in (None, name):
-            return
-        number, total = list(self.files).index(name), len(self.files)
-        stage = Stage(name=name, state="started", file=self.files[name], number=number + 1, total=total)
-        if name != "report" and stage.file.exists():
-            result = self._kept(name)
-            self.observer.stage(replace(stage, state="kept", result=result))
-            return
-        self.observer.stage(stage)
-        begun = time.monotonic()
-        share = (number / total, (number + 1) / total) if self.only is None else (0.0, 1.0)
-        try:
-            result = work(observer=StageObserver(self.observer, *share))
-        finally:
-            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
-            give_back()
-        self.observer.stage(replace(stage, state="done", result=result))
-
-    def _kept(self, name: StageName) -> object:
-        diagnosis, comparison = self.run.diagnosis, self.run.comparison
-        if name == "diagnose" and diagnosis is not None:
-            return Diagnosed(diagnosis=diagnosis)
-        if name == "compare" and comparison is not None:
-            return Compared(comparison=comparison, recommendation=recommend(comparison))
-        return None
+def _kept(run: Run, name: StageName) -> object:
+    diagnosis, comparison = run.diagnosis, run.comparison
+    if name == "diagnose" and diagnosis is not None:
+        return Diagnosed(diagnosis=diagnosis)
+    if name == "compare" and comparison is not None:
+        return Compared(comparison=comparison, recommendation=recommend(comparison))
+    return None
 
 
 def report(run: RunLike) -> Path:
@@ -307,7 +281,7 @@ def report(run: RunLike) -> Path:
     """
     from rejoint.pages.report.page import write_report
 
-    found = as_run(run)
+    found = Run.open(run)
     with exclusive(found):
         page = write_report(found.path)
         finish(found)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rejoint.arms import CATALOGUE, Arm, Array, Mask, differing, load_arm, write_arm_toml
+from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_toml
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.controllers.policy import Policy
-from rejoint.control.robot import JointState, Robot, RobotWrapper
+from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
@@ -53,8 +53,10 @@ class Run(Readable):
     arm: Arm
 
     @classmethod
-    def open(cls, path: Path | str) -> Run:
-        """Open a run folder; FileError if missing, damaged, or of a later version."""
+    def open(cls, path: Run | Path | str) -> Run:
+        """Open a run folder, unless it is open; FileError if missing, damaged, or of a later version."""
+        if isinstance(path, Run):
+            return path
         folder = RunFolder(Path(path))
         if not folder.info.exists():
             depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
@@ -69,10 +71,15 @@ class Run(Readable):
         return cls(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
 
     @classmethod
-    def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int | None = 0) -> Run:
-        """Open the run folder, or plan what `create` writes; same errors. Default seed: the folder's."""
-        folder = RunFolder(Path(path))
-        if folder.info.exists():
+    def plan(cls, path: Run | Path | str | None, robot: str, arm: Arm, seed: int | None = 0) -> Run:
+        """Open the run folder, or plan what `create` writes; same errors.
+
+        Default path: `newest_or_new`. Default seed: the folder's.
+        """
+        if path is None:
+            path = newest_or_new(robot, arm, as_seed(seed))
+        folder = path.folder if isinstance(path, Run) else RunFolder(Path(path))
+        if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
             run.require(robot=robot, arm=arm, seed=seed)
             return run
@@ -277,30 +284,27 @@ class StageMotion:
 
     def watch(self, robot: Robot) -> Robot:
         """Robot whose motion counts."""
-        return _StageRobot(robot, self) if robot.count == 1 else robot
+        before: JointState | None = None
 
+        def see(state: JointState, command: Array | None) -> None:
+            nonlocal before
+            if command is None:
+                return
+            if before is not None:
+                self._count(robot, before, state, command)
+            before = state
 
-class _StageRobot(RobotWrapper):
-    def __init__(self, robot: Robot, motion: StageMotion) -> None:
-        super().__init__(robot)
-        self._motion = motion
-        self._before: JointState | None = None
+        return WatchedRobot(robot, see) if robot.count == 1 else robot
 
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Pass the command on."""
-        state, before, motion = super().step(command, active), self._before, self._motion
-        self._before = state
-        if before is None:
-            return state
-        if motion.journal is None and motion.path is not None:
-            if motion.run is not None:
-                motion.run.begin()
-            motion.journal = Journal(motion.path, self.arm, self.address, motion.stage)
-        motion.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
-        motion.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
-        if motion.journal is not None:
-            motion.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
-        return state
+    def _count(self, robot: Robot, before: JointState, state: JointState, command: Array) -> None:
+        if self.journal is None and self.path is not None:
+            if self.run is not None:
+                self.run.begin()
+            self.journal = Journal(self.path, robot.arm, robot.address, self.stage)
+        self.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
+        self.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
+        if self.journal is not None:
+            self.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
 
 
 @contextmanager

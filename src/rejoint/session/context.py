@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inertia import LoadedArm, loaded
+from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures, too_heavy
 from rejoint.arms.rotations import Orientation
@@ -28,7 +28,7 @@ from rejoint.control.controllers.catalogue import (
 )
 from rejoint.control.controllers.classical import NOMINAL_PERIOD
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.controllers.policy import check_controller_period
+from rejoint.control.controllers.policy import Policy, check_controller_period
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands
@@ -57,10 +57,7 @@ from rejoint.session.inputs import (
     CalibrationLike,
     ControllerLike,
     Period,
-    RobotLike,
-    Settings,
     as_calibration,
-    as_policy,
     laden,
 )
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
@@ -85,22 +82,6 @@ LEAST = 0.04
 UNSEEN = 3.0
 """Factor on torque limits that a twin never saw (chosen)"""
 _NAMED = 5  # targets that a line names
-
-
-def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
-    """Arm with payload, tool and boxes of the settings.
-
-    InputError for payload or tool of an open robot, and for a box that holds a part of the resting arm.
-    """
-    arm = loaded(bare, settings.payload, settings.tool)
-    if arm is not bare and not isinstance(robot, str):
-        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
-    if not settings.keep_out:
-        return arm
-    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
-    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
-        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
-    return found
 
 
 def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
@@ -414,7 +395,7 @@ class ControllerMaker:
     def _factory(self, given: ControllerLike) -> Factory:
         if is_name(given):
             return partial(self._by_name, given)
-        one = as_policy(given) if isinstance(given, Path | str) else given
+        one = Policy.load(given) if isinstance(given, Path | str) else given
         if hasattr(one, "controller"):
             return one.controller
         if hasattr(one, "reset") and not isinstance(one, type):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -27,10 +27,9 @@ from rejoint.control.reference import Reference
 from rejoint.control.robot import (
     ControlInput,
     Controller,
-    JointState,
     Robot,
-    RobotWrapper,
     WallClock,
+    WatchedRobot,
     heeds_turn,
     part_of,
     turned_off,
@@ -47,7 +46,6 @@ from rejoint.session.context import (
     Factory,
     calibration_of,
     correction_of,
-    equipped,
     guard_limits,
     quick_note,
     stance_of,
@@ -62,8 +60,8 @@ from rejoint.session.inputs import (
     Settings,
     address_of,
     arm_of,
-    as_run,
     as_twin,
+    equipped,
     period_of,
     settled,
 )
@@ -196,7 +194,7 @@ def copied(run: Run) -> Iterator[Run]:
         yield replace(run, folder=RunFolder(path))
 
 
-class RehearsedRobot(RobotWrapper):
+class RehearsedRobot(WatchedRobot):
     """Simulates a robot at its present posture; with nominal servos without a twin."""
 
     def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
@@ -210,16 +208,11 @@ class RehearsedRobot(RobotWrapper):
         low, high = period or PERIOD
         draw = replace(Draw.of(own), period=np.array([(low + high) / 2]))
         jitter = (high - low) / (high + low)
-        super().__init__(TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address))
+        simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
+        super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))
         self._positions: list[Array] = [start.copy()]
         servos = part_of(robot, Tunable)
         self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """See `rejoint.control.robot.Robot`."""
-        state = super().step(command, active)
-        self._positions.append(state.position[0].copy())
-        return state
 
     def servo_gains(self) -> ServoGains | None:
         """Gains that the arm has, or would have; the simulation ignores them."""
@@ -260,20 +253,20 @@ RESTS, JITTER = 0.8, float(np.radians(0.3))
 """[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
 
 
-class ArmMotion:
-    """``work`` drives; its result, or what ended it early, is the `outcome`; `ended` asks it to end."""
+class ArmMotion(Future[Any]):
+    """What ``work`` finds by driving, or what ended it early; `ended` asks it to end."""
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
-        self.goal, self._work = goal, work
+        super().__init__()
+        self.goal, self._work, self.ended = goal, work, threading.Event()
         """where the arm is on its way to, in words"""
-        self.ended, self.outcome = threading.Event(), Future[Any]()
 
     def run(self) -> None:
         """Drive until the end."""
         try:
-            self.outcome.set_result(self._work(self))
+            self.set_result(self._work(self))
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
-            self.outcome.set_exception(error)
+            self.set_exception(error)
 
     def give_up(self, _: ControlInput) -> bool:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
@@ -375,12 +368,12 @@ class ArmDriver:
 
         Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
         """
-        about, self.observer = None if run is None else as_run(run), observer or Observer()
+        about, self.observer = None if run is None else Run.open(run), observer or Observer()
         self.settings, kept = settled(settings, about, robot)
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
-        self.arm: Arm = equipped(arm_of(robot, arm) if about is None else about.arm, robot, self.settings)
+        self.arm: Arm = equipped(arm_of(robot, arm if about is None else about.arm), robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
         self.address = "" if robot is None else address_of(robot)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import CATALOGUE, Arm, Array, Box, load_arm
-from rejoint.arms.inertia import Payload, loaded
+from rejoint.arms import CATALOGUE, Arm, Array, Box, clearance, differing, load_arm
+from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
 from rejoint.logs.runfolder import LOGS, RunFolder
@@ -47,7 +47,6 @@ ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], 
 """A controller, its name, a policy or its file, or a factory"""
 
 TwinLike: TypeAlias = "Twin | Path | str"
-PolicyLike: TypeAlias = "Policy | Path | str"
 CalibrationLike: TypeAlias = "Calibration | Path | str"
 """A calibration, its file, or ``none`` for no correction"""
 GaugeLike: TypeAlias = "Gauge | FilmingGauge | Literal['none']"
@@ -147,15 +146,6 @@ def as_twin(given: TwinLike) -> Twin:
     return read_twin(Path(given))
 
 
-def as_policy(given: PolicyLike) -> Policy:
-    """Policy, or read it."""
-    if not isinstance(given, Path | str):
-        return given
-    from rejoint.control.controllers.policy import Policy
-
-    return Policy.load(given)
-
-
 def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
     """Calibration given, read, or of the run; None for ``none``.
 
@@ -172,24 +162,6 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
     return replace(given, arm=arm)  # with what was told of its hand
 
 
-def as_run(given: RunLike) -> Run:
-    """Run, or open its folder."""
-    return given if isinstance(given, Run) else Run.open(given)
-
-
-def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
-    """Run that a stage will write into, or None; writes nothing.
-
-    InputError for another robot, arm or seed; default seed: the folder's.
-    """
-    if run is None:
-        return None
-    if not isinstance(run, Run):
-        return Run.plan(run, robot, arm, seed)
-    run.require(robot=robot, arm=arm, seed=seed)
-    return run
-
-
 def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:
     """Run of a stage on logs, without writing, and the arm."""
     if isinstance(run, Run):
@@ -198,7 +170,7 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
         chosen = Run.open(run).arm  # described there
     else:
         chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else as_arm(arm)
-    return run_about(run, source_of(logs), chosen, None), chosen
+    return None if run is None else Run.plan(run, source_of(logs), chosen, None), chosen
 
 
 def arm_named(name: str, whose: str) -> Arm:
@@ -364,3 +336,22 @@ def laden(run: Run) -> Arm:
     """Return the arm with payload and tool of its diagnosis."""
     mine = kept(run)
     return loaded(run.arm, mine.payload, mine.tool)
+
+
+def equipped(arm: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
+    """Arm with payload, tool and boxes of the settings.
+
+    InputError for another payload or tool than an open robot has, and for a box that holds a part of the resting arm.
+    """
+    own = arm if isinstance(robot, str) else bare(arm)
+    found = loaded(own, settings.payload, settings.tool)
+    if isinstance(robot, str):
+        arm = found
+    elif found is not own and differing(found, arm):
+        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
+    if not settings.keep_out:
+        return arm
+    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
+    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
+        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
+    return found

@@ -123,7 +123,7 @@ class ArmSession(ArmDriver):
 
     @property
     def _moving(self) -> bool:
-        return self._motion is not None and not self._motion.outcome.done()
+        return self._motion is not None and not self._motion.done()
 
     @property
     def motors(self) -> Motors | None:
@@ -272,7 +272,7 @@ class ArmSession(ArmDriver):
         self._start(motion, wait=False)
         self._goals = goals
         for _ in range(round(STARTING / _LOOK)):
-            if self._last is not None or futures.wait([motion.outcome], _LOOK).done:
+            if self._last is not None or futures.wait([motion], _LOOK).done:
                 break
         if not self._moving:
             self._tell_last()
@@ -322,7 +322,7 @@ class ArmSession(ArmDriver):
         self._require_free()
         motion = ArmMotion("its targets", to_targets(self, targets))
         self._start(motion, wait=True)
-        return motion.outcome.result()
+        return motion.result()
 
     # --- what looks at motions and ends them ----------------------------------------------------
 
@@ -400,13 +400,13 @@ class ArmSession(ArmDriver):
             return self.state
         try:
             with noted():
-                while not motion.outcome.done() and (timeout_s is None or waited < timeout_s):
+                while not motion.done() and (timeout_s is None or waited < timeout_s):
                     pause(_LOOK)
                     waited += _LOOK
         except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
             self.stop()
             raise
-        if not motion.outcome.done():
+        if not motion.done():
             raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
         self._tell_last()
         return self.state
@@ -422,7 +422,7 @@ class ArmSession(ArmDriver):
                 return
             if motion is not None:
                 motion.ended.set()
-                motion.outcome.exception()  # when it is over
+                motion.exception()  # when it is over
             self._goals = None
             self.robot.stop()
             if motion is not None and self._last is not None:
@@ -460,7 +460,7 @@ class ArmSession(ArmDriver):
             finally:
                 self._stack.__exit__(kind, error, trace)
         if error is None and motion is not None:
-            motion.outcome.result()
+            motion.result()
 
     def _require_open(self) -> None:
         if self._closed:
@@ -477,7 +477,7 @@ class ArmSession(ArmDriver):
     def _tell_last(self) -> None:
         motion, self._motion = self._motion, None
         if motion is not None:
-            motion.outcome.result()
+            motion.result()
 
     def _start(self, motion: ArmMotion, *, wait: bool) -> ArmState | None:
         with self._asking:  # two threads may have looked before either started

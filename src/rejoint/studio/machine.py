@@ -18,7 +18,7 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
-from rejoint.control.robot import JointState, Mask, Robot, RobotWrapper
+from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
@@ -97,7 +97,7 @@ class Studio(Observer):
         self.left = threading.Event()
         """the program is to end"""
         self._lock, self._status = threading.RLock(), Status()
-        self._jobs, self._answers = queue.SimpleQueue[tuple[str, Job]](), queue.SimpleQueue[str | None]()
+        self._answers = queue.SimpleQueue[str | None]()
         self._stopped_by = ""
         self._session: rejoint.Session | None = None
         self.seen: JointState | None = None
@@ -105,8 +105,7 @@ class Studio(Observer):
         self.travel = 0.0
         """[rad] of all joints in this job"""
         LOGGER.addHandler(_Messages(self.message))
-        self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
-        self._thread.start()
+        self._thread = threading.Thread()
 
     @property
     def status(self) -> Status:
@@ -135,14 +134,15 @@ class Studio(Observer):
     def do(self, title: str, job: Job) -> bool:
         """Begin a job, unless one is under way; return whether it began."""
         with self._lock:
-            if self.status.busy:
+            if self.status.busy or self.left.is_set():
                 return False
             self._stopped_by, self.travel = "", 0.0
             while not self._answers.empty():
                 self._answers.get()
             self.change(job=title, share=0.0, what="", began=time.monotonic(), stage=None)
             self.change(error="", done="", lines=(), stopping=False, question="", picture=None)
-            self._jobs.put((title, job))
+            self._thread = threading.Thread(target=self._work, args=(title, job), name="studio", daemon=True)
+            self._thread.start()
             return True
 
     def stop(self, by: str = "the stop button") -> None:
@@ -160,26 +160,22 @@ class Studio(Observer):
         """End the job, let the arm hold, and end the program."""
         self.left.set()
         self.stop("the end of the studio")
-        self._thread.join(10.0)
+        if self._thread.is_alive():
+            self._thread.join(10.0)
         self.release()
 
-    def _work(self) -> None:
-        while not self.left.is_set():
-            try:
-                title, job = self._jobs.get(timeout=0.5)
-            except queue.Empty:
-                continue
-            error = ""
-            try:
-                job(self)
-            except BaseException as why:  # noqa: BLE001 - whatever it is, the page says it
-                error = self._line(title, why)
-                if not isinstance(why, Interrupted):
-                    self.release()
-                elif not why.by:  # a signal, which ends the program
-                    self.left.set()
-            with self._lock:
-                self.change(job="", stopping=False, question="", picture=None, served="", error=error)
+    def _work(self, title: str, job: Job) -> None:
+        error = ""
+        try:
+            job(self)
+        except BaseException as why:  # noqa: BLE001 - whatever it is, the page says it
+            error = self._line(title, why)
+            if not isinstance(why, Interrupted):
+                self.release()
+            elif not why.by:  # a signal, which ends the program
+                self.left.set()
+        with self._lock:
+            self.change(job="", stopping=False, question="", picture=None, served="", error=error)
 
     def _line(self, title: str, error: BaseException) -> str:
         """Return in one line why a job ended, and what to do."""
@@ -279,26 +275,11 @@ class Studio(Observer):
 
     def watch(self, robot: Robot, **facts: object) -> Robot:  # noqa: ARG002 - as `Observer` has it
         """See `Observer`."""
-        return _SeenRobot(robot, self)
+        return WatchedRobot(robot, self._see)
 
-
-class _SeenRobot(RobotWrapper):
-    def __init__(self, robot: Robot, studio: Studio) -> None:
-        super().__init__(robot)
-        self._studio = studio
-
-    def read(self) -> JointState:
-        """Read."""
-        self._studio.heed()
-        return self._see(super().read())
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Step, unless the job is to end: a stop between two motions counts in the next one."""
-        self._studio.heed()
-        return self._see(super().step(command, active))
-
-    def _see(self, state: JointState) -> JointState:
-        last, self._studio.seen = self._studio.seen, state
+    def _see(self, state: JointState, _: Array | None) -> None:
+        """Keep a reading, unless the job is to end: a stop between two motions counts in the next one."""
+        self.heed()
+        last, self.seen = self.seen, state
         if last is not None and last.position.shape == state.position.shape:
-            self._studio.travel += float(np.abs(state.position[0] - last.position[0]).sum())
-        return state
+            self.travel += float(np.abs(state.position[0] - last.position[0]).sum())

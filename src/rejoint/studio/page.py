@@ -123,7 +123,6 @@ class StudioPage(WebPage):
         self._busy = False  # when it was drawn: a job may be over before the next look
         self._frames = 0
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
-        self._parts: list[Any] = []
         self._marked: object = None
         self._words = macros("studio.html")
         super().__init__(host, port)
@@ -161,7 +160,6 @@ class StudioPage(WebPage):
         off = self._busy and not anyway
         made = self.server.gui.add_button(label, color="teal" if first else "gray", disabled=off)
         made.on_click(lambda _: self._act(act))
-        self._parts.append(made)
 
     def _act(self, act: Callable[[], object]) -> None:
         act()
@@ -171,27 +169,24 @@ class StudioPage(WebPage):
         """Add a button that begins a job of the same name."""
         self.button(label, lambda: self.studio.do(label, job), first=first)
 
-    def _typed(self, key: str, made: Any) -> None:  # noqa: ANN401
-        made.on_update(lambda _: self.form.update({key: made.value}))
-        self._parts.append(made)
-
-    def text(self, label: str, key: str, usual: str = "") -> None:
-        """Add a line to type into."""
-        self._typed(key, self.server.gui.add_text(label, str(self.form.setdefault(key, usual))))
-
-    def number(self, label: str, key: str, usual: float, step: float = 1.0) -> None:
-        """Add a number."""
-        self._typed(key, self.server.gui.add_number(label, float(self.form.setdefault(key, usual)), step=step))
+    def field(self, label: str, key: str, usual: str | float = "", step: float = 1.0) -> None:
+        """Add a line to type into, a box to tick or a number, by the kind of its ``usual`` value."""
+        value, gui = self.form.setdefault(key, usual), self.server.gui
+        if isinstance(usual, bool):
+            self._keep(key, gui.add_checkbox(label, value))
+        elif isinstance(usual, str):
+            self._keep(key, gui.add_text(label, value))
+        else:
+            self._keep(key, gui.add_number(label, float(value), step=step))
 
     def choice(self, label: str, key: str, options: Sequence[str]) -> None:
         """Add a list of options, the first by default."""
         value = self.form.get(key)
         self.form[key] = value = value if value in options else options[0]
-        self._typed(key, self.server.gui.add_dropdown(label, list(options), initial_value=value))
+        self._keep(key, self.server.gui.add_dropdown(label, list(options), initial_value=value))
 
-    def tick(self, label: str, key: str) -> None:
-        """Add a box to tick."""
-        self._typed(key, self.server.gui.add_checkbox(label, bool(self.form.setdefault(key, False))))
+    def _keep(self, key: str, made: Any) -> None:  # noqa: ANN401
+        made.on_update(lambda _: self.form.update({key: made.value}))
 
     def upload(self, label: str, job: Callable[[Studio, bytes], object]) -> None:
         """Add a button that takes a file and begins a job with its content."""
@@ -199,15 +194,14 @@ class StudioPage(WebPage):
         made.on_upload(
             lambda _: self._act(lambda: self.studio.do(label, lambda studio: job(studio, made.value.content)))
         )
-        self._parts.append(made)
 
     def html(self, macro: str, *given: object) -> None:
         """Add text by a macro of the template."""
-        self._parts.append(self.server.gui.add_html(str(getattr(self._words, macro)(*given))))
+        self.server.gui.add_html(str(getattr(self._words, macro)(*given)))
 
     def picture(self, image: Array) -> None:
         """Add a picture (height, width, 3)."""
-        self._parts.append(self.server.gui.add_image(image.astype(np.uint8)))
+        self.server.gui.add_image(image.astype(np.uint8))
 
     # --- drawing ------------------------------------------------------------------------------------
 
@@ -263,10 +257,9 @@ class StudioPage(WebPage):
 
     def _furnish_step(self, status: Status) -> None:
         self._busy = status.busy
-        for part in self._parts:
-            part.remove()
-        self._parts.clear()
-        self._panel_of_step.label = TITLES[status.step]
+        before = self._panel_of_step
+        self._panel_of_step = self.server.gui.add_folder(TITLES[status.step], order=before.order)
+        before.remove()
         with self._panel_of_step:
             PANELS[status.step](self, status)
 
@@ -315,7 +308,7 @@ def find(page: StudioPage, status: Status) -> None:
     page.html("hint", "Connect the arm and switch it on. Or try everything with an emulated one.")
     if known:
         page.choice("Arm", "arm", list(known))
-    page.text("or its address", "address")
+    page.field("or its address", "address")
     page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
     page.job("Connect", lambda studio: connect(studio, page.form, known), first=True)
     page.job("Look for arms again", jobs.look)
@@ -344,7 +337,7 @@ def diagnose(page: StudioPage, status: Status) -> None:
     """Find out what is wrong."""
     found = status.found.get("diagnosis")
     page.html("hint", f"The arm goes to ten targets and turns each joint. {QUICK}")
-    page.tick("Quick try", "quick")
+    page.field("Quick try", "quick", False)
     page.job(
         "Diagnose",
         lambda studio: jobs.diagnose(studio, quick=bool(page.form["quick"])),
@@ -361,7 +354,7 @@ def repair(page: StudioPage, status: Status) -> None:
     page.html(
         "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
     )
-    page.tick("Quick try", "quick")
+    page.field("Quick try", "quick", False)
     page.job("Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
     if done is not None:
         page.html("repaired", done, status.found.get("advice"))
@@ -376,14 +369,14 @@ def calibrate(page: StudioPage, status: Status) -> None:
     if status.question:
         page.html("question", status.question)
         page.form["measured"] = ""
-        page.text("x y z in mm", "measured")
+        page.field("x y z in mm", "measured")
         page.button("Enter", lambda: page.studio.answer(str(page.form["measured"])), first=True, anyway=True)
         return
     page.html("hint", "Encoders do not see everything. A few measured points show where the tool really is.")
     page.choice("Measure with", "gauge", jobs.gauges(status.address))
-    page.number("Postures", "count", 10)
-    page.text("Board", "board", "board.toml")
-    page.number("Camera", "camera", 0)
+    page.field("Postures", "count", 10)
+    page.field("Board", "board", "board.toml")
+    page.field("Camera", "camera", 0)
     page.job("Calibrate", lambda studio: measure(studio, page.form), first=True)
 
 
@@ -412,15 +405,15 @@ def places(page: StudioPage, status: Status) -> None:
         [150.0, 0.0, 150.0] if status.arm is None else 500.0 * (status.arm.targets.lower + status.arm.targets.upper)
     )
     for name, usual in zip("xyz", middle, strict=True):
-        page.number(f"{name} mm", name, round(float(usual)))
+        page.field(f"{name} mm", name, round(float(usual)))
 
 
 def use(page: StudioPage, status: Status) -> None:
     """Drive the arm, let others drive it, and look after it."""
     page.html("hint", "Type a point, or click on the table: the height is that of z.")
     places(page, status)
-    page.number("Accept mm", "within", 2.0, step=0.1)
-    page.tick("Click to go", "at once")
+    page.field("Accept mm", "within", 2.0, step=0.1)
+    page.field("Click to go", "at once", False)
     page.job(
         "Go",
         lambda studio: jobs.go_to(studio, point(page.form), 1e-3 * page.form["within"]),
@@ -431,15 +424,15 @@ def use(page: StudioPage, status: Status) -> None:
     page.button("Record the point", lambda: path.append(point(page.form)))
     page.job("Record where the tool is", lambda studio: jobs.record(studio, path))
     page.button("Forget the path", path.clear)
-    page.number("Times", "times", 1.0)
+    page.field("Times", "times", 1.0)
     page.job("Play the path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
     page.upload("Play a path file (CSV)", jobs.play_file)
-    page.number("Load g", "load", 0.0)
+    page.field("Load g", "load", 0.0)
     page.job("The hand carries this load", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0)))
-    page.text("For programs", "listen", "127.0.0.1:9001")
+    page.field("For programs", "listen", "127.0.0.1:9001")
     page.job("Let programs drive it", lambda studio: jobs.serve(studio, str(page.form["listen"])))
     page.choice("Export", "export", KINDS)
-    page.text("LeRobot file", "lerobot")
+    page.field("LeRobot file", "lerobot")
     page.job("Write the file", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"])))
     page.job("Check again", jobs.check_again)
     page.job("History of all arms", jobs.history)

@@ -29,11 +29,6 @@ class PlayedExecutor:
         self.held: list[str] = []
         self.running: list[Work] = []
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_): ...
-
     def begin(self, work):
         self.running.append(work)
         self.begun.append((work.arm.name, work.step))
@@ -97,7 +92,7 @@ def call(
     **given,
 ):
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, lambda _: executor, rules or FleetRules(now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, executor, rules or FleetRules(now=lambda: MONDAY), **given)
 
 
 @pytest.mark.parametrize(

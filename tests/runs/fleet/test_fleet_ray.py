@@ -88,9 +88,11 @@ def called(address, tmp_path_factory):
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = FleetRules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
+    with world.executor(fleet.arms) as executor:
+        found = run_fleet(fleet, "check", executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
-    again = run_fleet(fleet, "check", world.executor, rules, only=(VIRTUAL,))
+    with world.executor(fleet.only((VIRTUAL,))) as executor:
+        again = run_fleet(fleet, "check", executor, rules, only=(VIRTUAL,))
     return found, world, again
 
 

@@ -29,7 +29,6 @@ from rejoint.session.inputs import (
     as_logs,
     is_robot,
     keep,
-    run_about,
     run_of_logs,
     settled,
     source_of,
@@ -120,7 +119,7 @@ def diagnose(
             return Diagnosed(diagnosis=_from_logs(cast(LogsLike, source), arm, run, healthy, update))
     robot, chosen = cast(RobotLike, source), settled(settings, None, None)[0]
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    about = None if chosen.dry_run else run_about(run, address_of(robot), built, chosen.seed)
+    about = None if run is None or chosen.dry_run else Run.plan(run, address_of(robot), built, chosen.seed)
     with (
         pacing(observer) as update,
         noted(),
