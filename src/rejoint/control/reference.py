@@ -178,9 +178,9 @@ class Reference(ABC):
 
     @abstractmethod
     def advance(self, now: ControlInput) -> ControlInput:
-        """Return ``now`` with the goals, ``now.since_target`` after the leg began.
+        """Return ``now`` with the goals; its ``since_target`` is the time [s] since the leg began, without waits.
 
-        Called once per cycle, and again where a leg begins.
+        Called once per cycle, and again where a leg begins. Without a target, NaN stays: the joints alone count.
         """
 
     def again(self, inputs: ControlInput) -> Mask | None:  # noqa: ARG002 - most correct nothing
@@ -204,7 +204,7 @@ class JointMotion(Reference):
 
     def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
-        return replace(now, goal=self._trajectory(now.since_target), place=now.target)
+        return replace(now, goal=self._trajectory(now.since_target), place=now.target)  # nowhere: NaN
 
 
 class ToolAtGoals(Reference):

@@ -106,7 +106,7 @@ class ControlInput:
     sent: Array
     """(B, n) [rad] last command, after the guard"""
     since_target: Array
-    """(B,) [s] since the goal stopped, 0 on a planned way"""
+    """(B,) [s] since the goal stopped, 0 on a planned way; along a path since it began"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
     arrived: Mask = field(default_factory=lambda: np.ones(1, dtype=bool))

@@ -330,10 +330,8 @@ class PathDrive:
             session.go(PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0], motion.give_up)
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
-            schedule, reference = (
-                Schedule(dwell=self.duration, give_up=motion.give_up),
-                PathReference(arm, [aimed], home),
-            )
+            schedule = Schedule(dwell=self.duration, give_up=motion.give_up)
+            reference = PathReference(arm, [aimed], home)
             last = session.drive(make(), schedule, reference, partial(self._show, number))
             if motion.ended.is_set():
                 return None

@@ -118,7 +118,7 @@ class WireFaults:
         self.delay = size_of(faults, "slow")
         """[s] extra time of every answer"""
         self._streams = {name: np.random.default_rng([seed, place]) for place, name in enumerate(_CHANCES)}
-        # kind of a request and head of its answer, which names who answers -> the last of both
+        # kind of a request, and head of its answer: the servo or command that it is of -> the last of both
         self._earlier: dict[tuple[int, bytes], tuple[bytes, bytes]] = {}
 
     def check(self, elapsed: float) -> None:
@@ -141,7 +141,7 @@ class WireFaults:
         """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
         hit = {name for name in _CHANCES if name in self._faults and self._hits(name)}
         if "stale" in self._faults:
-            key = request[3], answer[:5]
+            key = request[3], answer[: 5 if answer[2:4] == b"\xfd\x00" else 4]  # Dynamixel's has the ID behind
             asked, answered = self._earlier.get(key, (b"", b""))
             if "stale" in hit and asked == request:
                 answer = answered

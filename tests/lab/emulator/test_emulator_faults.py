@@ -105,11 +105,17 @@ def test_an_answer_is_doubled_echoed_cut_or_split(talk):
     assert 0.03 < second - first < 0.3
 
 
-def test_a_stale_answer_is_an_earlier_one_of_the_same_servo():
-    line, question = WireFaults(faults("stale=1")), b"\xff\xff\xfd\x00\xfe read all"
-    first, later = ([b"\xff\xff\xfd\x00" + bytes([servo]) + word for servo in (1, 2, 3)] for word in (b"here", b"gone"))
+@pytest.mark.parametrize("begin", [b"\xff\xff\xfd\x00", b"\xff\xff"])
+def test_a_stale_answer_is_an_earlier_one_of_the_same_servo(begin):
+    line, question = WireFaults(faults("stale=1")), begin + b"\xfe\x04 read all"
+    first, later = ([begin + bytes([servo, 4]) + word for servo in (1, 2, 3)] for word in (b"here", b"gone"))
     assert [line.pieces(question, answer) for answer in first] == [[answer] for answer in first]
     assert [line.pieces(question, answer) for answer in later] == [[answer] for answer in first]
+
+
+def test_a_stale_posture_is_the_one_before():
+    line, other = WireFaults(faults("stale=1")), ANGLES[:4] + bytes([ANGLES[4] ^ 1]) + ANGLES[5:]
+    assert [line.pieces(GET_ANGLES, answer) for answer in (ANGLES, other)] == [[ANGLES], [ANGLES]]
 
 
 def test_garbage_comes_before_an_answer_or_inside(talk):

@@ -331,7 +331,7 @@ class TrialRunner:
         name = DefaultController.name
         alone = TrialRunner(
             self.open_robot,
-            {name: DefaultController},
+            {name: self.controllers[name]},
             self.targets[:1],
             replace(self.settings, block=0),
             limits=self.limits,

@@ -257,7 +257,7 @@ class CommandLaw:
         return (self.authority_floor + self.authority_slope * largest).clip(None, self.authority_limit)
 
     def decayed(self, since_target: Array, largest: Array) -> Array:
-        """Factor (B, 1) on corrections of unloaded joints, (B,) [s] after the target, as `authority`."""
+        """Factor (B, 1) on corrections of unloaded joints, (B,) [s] after the target, at steps as for `authority`."""
         late = (self.decay_start / since_target.clip(self.decay_start)[:, None]) ** self.decay_power
         return late + (1.0 - late) * (largest / self.decay_step).clip(None, 1.0) ** 2
 
