@@ -83,7 +83,7 @@ def test_swapped_and_crooked_views_are_named_and_left_out():
         name="bent", number=views[15].number, pixel=views[15].pixel + 3.0 * rng.standard_normal((24, 2))
     )
     found = film_of(replace(t, views=views)).fit(ARM)
-    why = {one.name: one.why for one in found.left_out}
+    why = dict(found.left_out)
     assert set(why) == {"view-04.png", "view-09.png", "bent"}
     assert "not taken there, swapped" in why["view-04.png"]
     assert "of a flat board" in why["bent"]

@@ -10,7 +10,7 @@ from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.arms.rotations import inverse
-from rejoint.camera.board import ON_TABLE, ON_TOOL, Unusable
+from rejoint.camera.board import ON_TABLE, ON_TOOL
 from rejoint.camera.film import (
     POSTURES,
     read_folder,
@@ -27,7 +27,8 @@ SWAPPED = ("view-05.png", "view-06.png")
 def film_of(count):
     """Corners of the worn arm's board, two of whose pictures are swapped, and one picture that shows nothing."""
     film = camera_scenes.film_of(taken(count=count), names=SWAPPED)
-    blank = replace(film.shots[0], number=count + 1, seen=Unusable(name="blank.jpg", why="the board cannot be seen"))
+    unseen = replace(film.shots[0].seen, name="blank.jpg", why="the board cannot be seen")
+    blank = replace(film.shots[0], number=count + 1, seen=unseen)
     return film.with_shot(blank, SIZE)
 
 
@@ -53,7 +54,7 @@ def test_a_displacement_comes_back_within_its_interval(filmed):
 
 
 def test_what_does_not_belong_to_a_film_is_named(filmed):
-    left = {one.name: one.why for one in filmed.left_out}
+    left = dict(filmed.left_out)
     assert set(left) == {*SWAPPED, "blank.jpg"}
     assert any("swapped" in left[name] for name in SWAPPED)
     assert len(filmed.residuals) == len(filmed.measurements) == filmed.calibration.points == 20
@@ -75,7 +76,7 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     (tmp_path / "view-02.png").write_bytes(b"no picture")
     (tmp_path / "notes.txt").write_text("skipped")
     unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable
-    assert [(one.name, one.why) for one in unreadable] == [("view-02.png", "is no picture that OpenCV can read")]
+    assert unreadable == (("view-02.png", "is no picture that OpenCV can read"),)
     first = (tmp_path / "view-00.png").read_bytes()
     (tmp_path / "view-00.png").write_bytes(b"no picture")
     assert len(read_folder(str(tmp_path), ARM, ON_TOOL).usable) == 1

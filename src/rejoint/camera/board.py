@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -112,6 +111,8 @@ class BoardView:
     """(K,) corner numbers"""
     pixel: Array
     """(K, 2)"""
+    why: str = ""
+    """why it tells no pose, or empty"""
 
 
 ON_TABLE = Board()
@@ -219,13 +220,6 @@ PICTURE_MOST = 100 * MEGABYTE
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
 
-class Unusable(NamedTuple):
-    """A rejected image."""
-
-    name: str
-    why: str
-
-
 class Detector:
     """Detector of a board."""
 
@@ -236,22 +230,17 @@ class Detector:
         self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
         self._shown = False  # whether it has been seen: then it is the right board, and any fault is of one picture
 
-    def find(self, name: str, picture: Picture) -> BoardView | Unusable:
+    def find(self, name: str, picture: Picture) -> BoardView:
         """Find the board in a ``picture``."""
         corners, numbers, markers, _ = self._opencv.detectBoard(picture)
-        count = 0 if numbers is None else len(numbers)
-        why = next(filter(None, self._doubts(picture, markers or (), count)), "")
-        if why:
-            return Unusable(name=name, why=why)
-        number = np.ravel(numbers).astype(np.int64)
-        known = self.board.corners[number, :2]
-        if np.linalg.matrix_rank(known - known[0]) < 2:
-            return Unusable(name=name, why="the corners of the board that are seen lie on one line")
-        self._shown = True
-        return BoardView(name=name, number=number, pixel=np.reshape(corners, (-1, 2)).astype(float))
+        number = np.ravel([] if numbers is None else numbers).astype(np.int64)
+        pixel = np.reshape([] if corners is None else corners, (-1, 2)).astype(float)
+        why = next(filter(None, self._doubts(picture, markers or (), number)), "")
+        self._shown |= not why
+        return BoardView(name=name, number=number, pixel=pixel, why=why)
 
-    def _doubts(self, grey: Picture, markers: Sequence[Array], count: int) -> Iterator[str]:
-        if not count and not self._shown:
+    def _doubts(self, grey: Picture, markers: Sequence[Array], number: NDArray[np.int64]) -> Iterator[str]:
+        if not len(number) and not self._shown:
             yield self._unlike(grey)
         around = [np.reshape(one, (-1, 2)) for one in markers] or [np.array([[0.0, 0.0], grey.shape[1::-1]])]
         softness = edge_width(grey, np.concatenate(around))
@@ -261,8 +250,12 @@ class Detector:
         if softness > SOFT:
             wide = f"its edges are {softness:.1f} px wide, expected at most {SOFT:g}"
             yield f"blurred: {wide}; hold still, focus, add light"
-        if count < FEWEST:
-            yield f"{count} of {len(self.board.corners)} corners of the board are seen, expected at least {FEWEST}"
+        if len(number) < FEWEST:
+            seen = f"{len(number)} of {len(self.board.corners)} corners of the board are seen"
+            yield f"{seen}, expected at least {FEWEST}"
+        known = self.board.corners[number, :2]
+        if np.linalg.matrix_rank(known - known[0]) < 2:
+            yield "the corners of the board that are seen lie on one line"
 
     def _unlike(self, grey: Picture) -> str:
         """Whether the picture shows markers, but another board, or this one mirrored."""

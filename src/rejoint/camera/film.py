@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
-from rejoint.camera.board import KINDS, Board, BoardView, Detector, Unusable, read_picture
+from rejoint.camera.board import KINDS, Board, BoardView, Detector, read_picture
 from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import ANYWHERE, Belief, Calibration, PriorCase, belief
 from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, earlier, judged, likeliest, solve
@@ -45,7 +45,7 @@ class Shot:
     """(n,) [rad] by encoders"""
     posture: int
     """shots of the same number visit one posture from different sides"""
-    seen: BoardView | Unusable
+    seen: BoardView
 
     @property
     def name(self) -> str:
@@ -81,22 +81,18 @@ class Film:
     @property
     def usable(self) -> tuple[Shot, ...]:
         """Shots that show the board well."""
-        return tuple(shot for shot in self.shots if isinstance(shot.seen, BoardView))
+        return tuple(shot for shot in self.shots if not shot.seen.why)
 
     @property
-    def unusable(self) -> tuple[Unusable, ...]:
-        """The other shots, and why."""
-        return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, Unusable))
-
-    @property
-    def views(self) -> tuple[BoardView, ...]:
-        """Views of the usable shots."""
-        return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
+    def unusable(self) -> tuple[tuple[str, str], ...]:
+        """Names of the other shots, and why."""
+        return tuple((shot.name, shot.seen.why) for shot in self.shots if shot.seen.why)
 
     def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
         """Lens, and places of camera and board, by flat boards and encoders; and the board in each usable shot."""
-        lens = first_lens(self.size, self.board, self.views)
-        placed = [place(lens, self.board, view) for view in self.views]
+        views = [shot.seen for shot in self.usable]
+        lens = first_lens(self.size, self.board, views)
+        placed = [place(lens, self.board, view) for view in views]
         sights = np.array([one.pose for one in placed])
         return first_rig(arm, lens, self.board, self.carried, positions(self.usable), sights), placed
 
@@ -105,9 +101,10 @@ class Film:
 
         ``prior``: an earlier calibration. InputError for too few views that fit, or a bent board.
         """
-        shots, views, board = self.usable, self.views, self.board
+        shots, board = self.usable, self.board
+        views = [shot.seen for shot in shots]
         if len(shots) < FEWEST:
-            why = "; ".join(f"{one.name}: {one.why}" for one in self.unusable[:3])
+            why = "; ".join(f"{name}: {why}" for name, why in self.unusable[:3])
             raise InputError(
                 f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
                 f"{why and f' ({why})'}"
@@ -162,7 +159,7 @@ class Film:
             residuals=tuple(residuals[v] for v in kept),
             left_out=(
                 *self.unusable,
-                *(Unusable(one.name, why) for one, why in zip(residuals, doubts, strict=True) if why),
+                *((one.name, why) for one, why in zip(residuals, doubts, strict=True) if why),
             ),
         )
 
@@ -194,18 +191,25 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
     if not paths:
         remedy = f"give a folder or a pattern of pictures ({', '.join(KINDS)})"
         raise FileError(folder, "holds no pictures" if folder.is_dir() else "no such pictures", remedy)
-    shots = _postures(paths[0].parent / POSTURES, arm, [path.name for path in paths])
+    position, posture = _postures(paths[0].parent / POSTURES, arm, [path.name for path in paths])
     detector, film = Detector(board), Film(board=board, carried=carried)
-    for path, shot in zip(paths, shots, strict=True):
+    for row, path in enumerate(paths):
         picture, size = read_picture(path), film.size
-        seen: BoardView | Unusable = Unusable(path.name, "is no picture that OpenCV can read")
+        seen = BoardView(
+            name=path.name,
+            number=np.zeros(0, np.int64),
+            pixel=np.zeros((0, 2)),
+            why="is no picture that OpenCV can read",
+        )
         if picture is not None:
-            seen, size = detector.find(path.name, picture), (picture.shape[1], picture.shape[0])
-        film = film.with_shot(replace(shot, seen=seen), size)
+            seen, size = detector.find(path.name, picture), picture.shape[::-1]
+        shot = Shot(number=row + 1, position=position[row], posture=int(posture[row]), seen=seen)
+        film = film.with_shot(shot, size)
     return film
 
 
-def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
+def _postures(path: Path, arm: Arm, pictures: list[str]) -> tuple[Array, Array]:
+    """Positions (V, n) [rad] and numbers (V,) of the postures of ``pictures``; FileError."""
     joints = joint_columns(arm)
     remedy = "write one line for each picture"
     meanings = {"picture": None, **dict.fromkeys(joints, ANGLES), "posture": COUNT}
@@ -219,16 +223,9 @@ def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
         raise FileError(path, "two lines name the same picture", "leave one line out")
     if without := [name for name in pictures if name not in rows]:
         raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
-    place = found.get("posture", np.full(len(lines), np.nan))
-    return [
-        Shot(
-            number=number,
-            position=position[rows[name]],
-            posture=int(np.nan_to_num(place[rows[name]], nan=number)),
-            seen=Unusable(name, ""),
-        )
-        for number, name in enumerate(pictures, start=1)
-    ]
+    order = [rows[name] for name in pictures]
+    posture = found.get("posture", np.full(len(lines), np.nan))[order]
+    return position[order], np.where(np.isnan(posture), np.arange(1, len(order) + 1), posture)
 
 
 FEWEST = 10
@@ -421,7 +418,8 @@ class Filmed:
     rig_sigma: Array
     """(19,) sigma of the lens's `TERMS`, shift [m] and turn [rad] of camera and board"""
     residuals: tuple[Residual, ...]
-    left_out: tuple[Unusable, ...]
+    left_out: tuple[tuple[str, str], ...]
+    """names of views, and why"""
 
     @property
     def rms(self) -> float:

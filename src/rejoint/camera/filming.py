@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
-from rejoint.camera.board import Board, Detector, Picture, Unusable
+from rejoint.camera.board import Board, Detector, Picture
 from rejoint.camera.film import (
     POSTURES,
     USUAL,
@@ -201,12 +201,12 @@ class _Shooting:
         check()
         seen = self.detector.find(f"view-{number:03}.png", picture)
         shot = Shot(number=number, position=position, posture=place, seen=seen)
-        self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
+        self.film = self.film.with_shot(shot, picture.shape[::-1])
         if self.folder is not None:
             data = cv2.imencode(".png", picture)[1].tobytes()
             write_bytes(self.folder.pictures / seen.name, data)
             write_postures(self.folder.pictures / POSTURES, self.drive.robot.arm, self.film)
-        if number == 1 and isinstance(seen, Unusable):
+        if number == 1 and seen.why:
             raise UnseenBoardError(
                 f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
                 "the board there, and begin again"

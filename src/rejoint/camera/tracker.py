@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.camera.board import BoardView, Detector, Picture, Unusable
+from rejoint.camera.board import BoardView, Detector, Picture
 from rejoint.camera.rig import Rig, place, point_sigma, read_rig
 from rejoint.control.seeing import Sighting
 from rejoint.system.errors import LOGGER, InputError, RejointError
@@ -88,11 +88,8 @@ class ToolTracker:
     def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
         """Locate the tool in a picture; None without a good view."""
         found = self._detector.find("picture", picture)
-        if isinstance(found, Unusable):
-            self.why = found.why
-            return None
-        self.why = ""
-        return self.sighting(found, time)
+        self.why = found.why
+        return None if found.why else self.sighting(found, time)
 
     def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
         """Return the same for a ``view`` with known corners."""

@@ -62,8 +62,8 @@ def twin(terminal: Terminal, result: Twin) -> None:
 def calibration(terminal: Terminal, found: Calibrated) -> None:
     """Print where the tool is behind the encoders, and whether correcting for it helps."""
     own, filmed, points = found.calibration, found.filmed, found.measurements.point
-    for one in () if filmed is None else filmed.left_out:
-        terminal.result(f"  ! {one.name} is not used: {one.why}")
+    for name, why in () if filmed is None else filmed.left_out:
+        terminal.result(f"  ! {name} is not used: {why}")
     for row in own.suspects:
         name = f"Measurement {row + 1} ({_place(points[row])} mm)" if filmed is None else filmed.residuals[row].name
         terminal.result(f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again.")

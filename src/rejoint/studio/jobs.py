@@ -226,11 +226,9 @@ class _ShownCamera(NamedTuple):
         picture = self.camera.still(number)
         import cv2
 
-        from rejoint.camera.board import Unusable
-
         seen = self.detector.find(f"picture {number}", picture)
         drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
-        if isinstance(seen, Unusable):
+        if seen.why:
             self.studio.message(f"Picture {number}: {seen.why}")
         else:
             for x, y in np.rint(seen.pixel).astype(int).tolist():
