@@ -4,20 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, collides, frames, mycobot280, position_kinematics, so101, solve_position
+from rejoint.arms.compiled import missing_turn
 from rejoint.arms.inertia import loaded
-from rejoint.arms.kinematics import chain_of, goals_of
+from rejoint.arms.kinematics import goals_of, task
 from rejoint.arms.postures import NEAR, TURNED, find_postures, missed_pose
 from rejoint.arms.rotations import (
     WEIGHT,
     Orientation,
+    between_directions,
     quaternion_of,
     rotation_about,
     rotation_of,
     same_side,
     stacked,
-    task,
     tool_axis,
 )
 
@@ -70,16 +72,14 @@ def test_rows_are_the_derivatives_of_the_error(arm, whole):
 
 
 @pytest.mark.parametrize(("arm", "whole"), KINDS)
-def test_compiled_errors_are_those_of_the_controllers(arm, whole):
-    from rejoint.arms.compiled import task as compiled_task
-
+def test_the_error_is_the_weighted_turn_that_scipy_finds(arm, whole):
     q, start = postures(arm, 10, 3), postures(arm, 10, 4)
-    turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
-    error, jacobian = task(arm, start, place, turn)
-    for k, goal in enumerate(goals_of(place, turn)):
-        one, other = compiled_task(chain_of(arm), goal, start[k])
-        np.testing.assert_allclose(one, error[k], atol=1e-12)
-        np.testing.assert_allclose(other, jacobian[k], atol=1e-12)
+    turn, place, f = shown(arm, q, whole), frames(arm, q).tcp_position, frames(arm, start)
+    error = task(arm, start, place, turn)[0]
+    np.testing.assert_allclose(error[:, :3], place - f.tcp_position, atol=1e-12)
+    between = Rotation.from_matrix(turn.rotation @ np.swapaxes(f.tcp_rotation, -1, -2)).as_rotvec()
+    axes = between_directions(f.tcp_rotation @ turn.axis, turn.rotation @ turn.axis)
+    np.testing.assert_allclose(error[:, 3:] / WEIGHT, between if whole else axes, atol=1e-10)
 
 
 @pytest.mark.parametrize("whole", [True, False])
@@ -89,8 +89,10 @@ def test_the_error_is_the_angle_of_a_known_turn_up_to_half_of_one(whole):
     across = own @ np.array([1.0, 0.0, 0.0])  # at right angles to the tool
     for angle in (1e-6, 0.3, 2.0, np.pi - 1e-6, np.pi):
         turned = np.stack([rotation_about(axis, angle) for axis in across]) @ own
-        np.testing.assert_allclose(turn.angle(turned), angle, atol=2e-6)
-        back = np.stack([rotation_about(e / np.linalg.norm(e), np.linalg.norm(e)) for e in turn.error(turned)])
+        goals, shown_as = goals_of(np.zeros((5, 3)), turn), np.concatenate([turned, np.zeros((5, 3, 1))], axis=-1)
+        errors = np.stack([missing_turn(goal, frame) for goal, frame in zip(goals, shown_as, strict=True)])
+        np.testing.assert_allclose(np.linalg.norm(errors, axis=-1), angle, atol=2e-6)
+        back = np.stack([rotation_about(e / np.linalg.norm(e), np.linalg.norm(e)) for e in errors])
         np.testing.assert_allclose(back @ turned @ turn.axis, own @ turn.axis, atol=1e-5)
 
 
@@ -98,10 +100,11 @@ def test_a_direction_leaves_the_turn_about_the_tool_free_and_no_weight_everythin
     arm, q = ARMS[0], postures(ARMS[0], 6, 5)
     turn, f = shown(arm, q, whole=False), frames(arm, q)
     spun = np.stack([rotation_about(rotation @ turn.axis, 1.0) @ rotation for rotation in f.tcp_rotation])
-    assert turn.angle(spun).max() < 1e-7
-    assert (replace(turn, whole=np.ones(6, dtype=bool)).angle(spun) > 0.9).all()
-    free = replace(turn, weight=np.zeros(6))
-    assert np.isnan(free.angle(spun)).all()
+    other, free = replace(turn, rotation=spun), replace(turn, weight=np.zeros(6))
+    assert missed_pose(arm, q, f.tcp_position, other)[1].max() < 1e-7
+    whole = replace(other, whole=np.ones(6, dtype=bool))
+    assert (missed_pose(arm, q, f.tcp_position, whole)[1] > 0.9).all()
+    assert np.isnan(missed_pose(arm, q, f.tcp_position, replace(other, weight=np.zeros(6)))[1]).all()
     error, jacobian = task(arm, q, f.tcp_position + 0.01, free)
     assert not error[:, 3:].any()
     assert not jacobian[:, 3:].any()

@@ -19,7 +19,7 @@ from rejoint.arms.kinematics import DAMPING, MOST_STEP, Chain
 IN1, IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3, 4))
 ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))
 OUT1, OUT2, OUT3, OUT4 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
-CHAIN = types.NamedTuple((IN3, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
+CHAIN = types.NamedTuple((IN4, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
 SHAPE = types.NamedTuple((float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
 inner = njit(cache=True, nogil=True)
 """of a loop that others call"""
@@ -58,37 +58,6 @@ def compile_all() -> None:
         build()
 
 
-@compiled(OUT3(IN3, IN2, IN2, IN2), fastmath={"contract"})
-def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
-    """Frames (n + 1, 16, B) of joints and TCP, each in the one before."""
-    joints, postures = sine.shape
-    steps = np.empty((joints + 1, 16, postures))
-    for e in range(16):
-        for i in range(joints):
-            for b in range(postures):
-                steps[i, e, b] = terms[i, e, 2] * cosine[i, b] + (terms[i, e, 1] * sine[i, b] + terms[i, e, 0])
-        steps[joints, e] = tip[e // 4, e % 4]
-    return steps
-
-
-@compiled(void(IN3, IN2, IN2, IN2, OUT4))
-def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, 3, 4, B) of joints and TCP; ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` (n, B)."""
-    steps = _steps(terms, tip, sine, cosine)
-    postures = poses.shape[3]
-    for e in range(12):
-        for b in range(postures):
-            poses[0, e // 4, e % 4, b] = steps[0, e, b]
-    for i in range(1, len(steps)):
-        for r in range(3):
-            for k in range(4):
-                for b in range(postures):
-                    value = poses[i - 1, r, 0, b] * steps[i, k, b]
-                    for j in range(1, 4):
-                        value += poses[i - 1, r, j, b] * steps[i, 4 * j + k, b]
-                    poses[i, r, k, b] = value
-
-
 @inner
 def dot(row, vector):  # noqa: ANN001, ANN201
     """Scalar product with the beginning of a ``row``."""
@@ -103,43 +72,10 @@ def _cross(a, b):  # noqa: ANN001, ANN202
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled(void(IN2, IN4, OUT3))
-def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
-    """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
-    _, joints, postures = columns.shape
-    axis, lever = np.empty(3), np.empty(3)
-    for i in range(joints):
-        for b in range(postures):
-            for r in range(3):
-                axis[r] = dot(poses[i, r, :, b], axes[i])
-                lever[r] = poses[joints, r, 3, b] - poses[i, r, 3, b]
-            columns[0, i, b], columns[1, i, b], columns[2, i, b] = _cross(axis, lever)
-
-
-@compiled(void(CHAIN, IN4, IN1, OUT2))
-def fill_torques(chain, poses, gravity, torques):  # noqa: ANN001, ANN201
-    """Fill ``torques`` (B, n) [N m] that hold ``poses`` (n + 1, 3, 4, B) against ``gravity`` (3,) [m/s^2]."""
-    postures, joints = torques.shape
-    axis, lever, moment = np.empty(3), np.empty(3), np.empty(3)
-    for b in range(postures):
-        mass = 0.0
-        moment[:] = 0.0
-        for i in range(joints - 1, -1, -1):
-            mass += chain.mass[i]
-            for r in range(3):
-                row = poses[i, r, :, b]  # axis, and moment of all that hangs on the joint
-                axis[r] = dot(row, chain.axes[i])
-                moment[r] += chain.mass[i] * (dot(row, chain.com[i]) + row[3])
-                lever[r] = moment[r] - mass * row[3]
-            torques[b, i] = -dot(_cross(axis, lever), gravity)
-
-
-@compiled(OUT3(CHAIN, IN1))
-def place(chain, q):  # noqa: ANN001, ANN201
-    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
-    poses = np.empty((len(q) + 1, 3, 4, 1))
-    fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
-    return poses.reshape(poses.shape[:3])
+@inner
+def _product(frame, vector):  # noqa: ANN001, ANN202
+    """Product (3,) of the rotation in a ``frame`` (3, 4) and a ``vector`` (3,)."""
+    return dot(frame[0], vector), dot(frame[1], vector), dot(frame[2], vector)
 
 
 @inner
@@ -149,6 +85,65 @@ def _times(matrix, vector):  # noqa: ANN001, ANN202
     for r in range(len(matrix)):
         out[r] = dot(matrix[r], vector)
     return out
+
+
+@compiled(OUT3(CHAIN, IN1))
+def place(chain, q):  # noqa: ANN001, ANN201
+    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
+    joints = len(q)
+    frames, step = np.empty((joints + 1, 3, 4)), np.empty((4, 4))
+    for i in range(joints + 1):
+        if i < joints:
+            terms, sine, cosine = chain.terms[i], np.sin(q[i]), np.cos(q[i])
+            for r in range(4):
+                for k in range(4):
+                    step[r, k] = terms[0, r, k] + terms[1, r, k] * sine + terms[2, r, k] * cosine
+        else:
+            step[:] = chain.tip
+        if i == 0:
+            frames[i] = step[:3]
+            continue
+        for r in range(3):
+            for k in range(4):
+                value = 0.0
+                for j in range(4):
+                    value += frames[i - 1, r, j] * step[j, k]
+                frames[i, r, k] = value
+    return frames
+
+
+@compiled(OUT4(CHAIN, IN2))
+def place_all(chain, q):  # noqa: ANN001, ANN201
+    """Frames (B, n + 1, 3, 4) of `place` at postures (B, n)."""
+    frames = np.empty((len(q), q.shape[1] + 1, 3, 4))
+    for b in range(len(q)):
+        frames[b] = place(chain, q[b])
+    return frames
+
+
+@compiled(OUT1(CHAIN, IN3, IN1))
+def torques(chain, frames, gravity):  # noqa: ANN001, ANN201
+    """Torques (n,) [N m] that hold ``frames`` (n + 1, 3, 4) against ``gravity`` (3,) [m/s^2]."""
+    joints, mass = len(chain.axes), 0.0
+    held, axis, lever, moment = np.empty(joints), np.empty(3), np.empty(3), np.zeros(3)
+    for i in range(joints - 1, -1, -1):
+        mass += chain.mass[i]
+        for r in range(3):
+            row = frames[i, r]  # axis, and moment of all that hangs on the joint
+            axis[r] = dot(row, chain.axes[i])
+            moment[r] += chain.mass[i] * (dot(row, chain.com[i]) + row[3])
+            lever[r] = moment[r] - mass * row[3]
+        held[i] = -dot(_cross(axis, lever), gravity)
+    return held
+
+
+@compiled(OUT2(CHAIN, IN2, IN1))
+def torques_all(chain, q, gravity):  # noqa: ANN001, ANN201
+    """`torques` (B, n) [N m] at postures (B, n)."""
+    held = np.empty(q.shape)
+    for b in range(len(q)):
+        held[b] = torques(chain, place(chain, q[b]), gravity)
+    return held
 
 
 @inner
@@ -161,7 +156,7 @@ def largest(vector):  # noqa: ANN001, ANN201
 
 
 @compiled(OUT1(IN1, IN2))
-def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
+def missing_turn(goal, frame):  # noqa: ANN001, ANN201
     """Rotation vector (3,) [rad] from a ``frame`` (3, 4) to the orientation of a ``goal``."""
     wanted = goal[3:12].reshape(3, 3)
     if goal[16] == 2.0:
@@ -191,20 +186,29 @@ def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
 def task(chain, goal, q):  # noqa: ANN001, ANN201
     """Error (k,) [m] from a ``goal`` at ``q`` (n,), and minus its derivatives (k, n); k is 3, or 6 with orientation."""
     joints, rows = len(q), 3 if goal[16] == 0.0 else 6
-    poses, columns = place(chain, q), np.empty((3, joints, 1))
-    error, jacobian = np.empty(rows), np.empty((rows, joints))
-    fill_columns(chain.axes, poses.reshape(joints + 1, 3, 4, 1), columns)
-    error[:3] = goal[:3] - poses[joints, :, 3]
-    jacobian[:3] = columns[:, :, 0]
+    frames, error, jacobian = place(chain, q), np.empty(rows), np.empty((rows, joints))
+    for r in range(3):
+        error[r] = goal[r] - frames[joints, r, 3]
+    for i in range(joints):
+        axis, lever = _product(frames[i], chain.axes[i]), _from_to(frames[:, :, 3], i, joints)
+        jacobian[0, i], jacobian[1, i], jacobian[2, i] = _cross(axis, lever)
     if rows == 6:
-        error[3:] = goal[15] * _missing_turn(goal, poses[joints])
+        error[3:] = goal[15] * missing_turn(goal, frames[joints])
         own = _times(goal[3:12].reshape(3, 3), goal[12:15])
         for i in range(joints):
-            axis = _times(poses[i], chain.axes[i])
+            axis = _times(frames[i], chain.axes[i])
             if goal[16] == 1.0:
                 axis -= dot(axis, own) * own
             jacobian[3:, i] = goal[15] * axis
     return error, jacobian
+
+
+@compiled(void(CHAIN, IN2, IN2, OUT2, OUT3))
+def fill_tasks(chain, goals, q, errors, jacobians):  # noqa: ANN001, ANN201
+    """Fill `task` of ``goals`` (B, 17) at ``q`` (B, n): (B, k) and (B, k, n); zeros where no orientation counts."""
+    for b in range(len(q)):
+        error, jacobian = task(chain, goals[b], q[b])
+        errors[b, : len(error)], jacobians[b, : len(error)] = error, jacobian
 
 
 @compiled(OUT1(IN2, IN1, float64))
@@ -306,32 +310,29 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@compiled(void(IN4, IN1, SHAPE, OUT2))
-def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`; ``poses`` (n + 1, 3, 4, B), ``floors`` (n,)."""
-    ends = np.zeros((len(poses) + 1, 3))
-    for b in range(len(out)):
-        ends[1:] = poses[:, :, 3, b]
-        row, at = out[b], len(floors)
-        row[:at] = ends[2 : at + 2, 2] - floors
-        for pair in shape.pairs:
-            row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
+@compiled(void(IN3, IN1, SHAPE, OUT1))
+def fill_clearances(frames, floors, shape, row):  # noqa: ANN001, ANN201
+    """Fill ``row`` (n + P + G + L K,) [m] as `collision.clearances`; ``frames`` (n + 1, 3, 4), ``floors`` (n,)."""
+    ends, at = np.zeros((len(frames) + 1, 3)), len(floors)
+    ends[1:] = frames[:, :, 3]
+    row[:at] = ends[2 : at + 2, 2] - floors
+    for pair in shape.pairs:
+        row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
+        at += 1
+    for place in shape.places:
+        row[at] = ends[place, 2] - shape.ground - shape.radius
+        at += 1
+    for k in range(len(shape.boxes)):
+        for link in shape.moving:
+            row[at] = _box_distance(ends, link, shape.boxes[k]) - shape.radius
             at += 1
-        for place in shape.places:
-            row[at] = ends[place, 2] - shape.ground - shape.radius
-            at += 1
-        for k in range(len(shape.boxes)):
-            for link in shape.moving:
-                row[at] = _box_distance(ends, link, shape.boxes[k]) - shape.radius
-                at += 1
 
 
 @compiled(OUT2(CHAIN, SHAPE, IN1, IN2))
 def clearances(chain, shape, floors, q):  # noqa: ANN001, ANN201
     """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n) above ``floors`` (n,)."""
-    angles, poses = q.T.copy(), np.empty((q.shape[1] + 1, 3, 4, len(q)))
-    fill_poses(chain.terms, chain.tip, np.sin(angles), np.cos(angles), poses)
     bodies = len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
     out = np.empty((len(q), len(floors) + bodies))
-    fill_clearances(poses, floors, shape, out)
+    for b in range(len(q)):
+        fill_clearances(place(chain, q[b]), floors, shape, out[b])
     return out

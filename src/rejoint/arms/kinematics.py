@@ -46,7 +46,7 @@ class Chain(NamedTuple):
     """A kinematic chain in compiled loops; see `Arm`."""
 
     terms: Array
-    """(n, 16, 3) as `joint_terms`"""
+    """(n, 3, 4, 4) as `joint_terms`"""
     tip: Array
     axes: Array
     limits: Array
@@ -64,35 +64,37 @@ def chain_of(arm: Arm) -> Chain:
 
 
 def joint_terms(arm: Arm) -> Array:
-    """Constants (n, 16, 3) A, B, C: a frame in its parent is A + B sin q + C cos q."""
+    """Constants (n, 3, 4, 4) A, B, C: a frame in its parent is A + B sin q + C cos q."""
     along = arm.axis[:, :, None] * arm.axis[:, None, :]
     cross = np.swapaxes(np.cross(arm.axis[:, None], np.eye(3)), 1, 2)
-    terms = np.zeros((arm.joints, 4, 4, 3))
+    terms = np.zeros((arm.joints, 3, 4, 4))
     for i, rotation in enumerate((along, cross, np.eye(3) - along)):  # Rodrigues
-        terms[:, :3, :3, i] = arm.offset[:, :3, :3] @ rotation
-    terms[..., 3, 0] = arm.offset[:, :, 3]
-    return terms.reshape(arm.joints, 16, 3)
+        terms[:, i, :3, :3] = arm.offset[:, :3, :3] @ rotation
+    terms[:, 0, :, 3] = arm.offset[:, :, 3]
+    return terms
+
+
+def _rows(arm: Arm, q: Array) -> Array:
+    """Postures (B, n) [rad] for compiled loops."""
+    return np.ascontiguousarray(q.reshape(-1, arm.joints), dtype=float)
 
 
 def all_poses(arm: Arm, q: Array) -> Array:
-    """Rotations and places of joints and TCP, (n + 1, 3, 4, B), at ``q`` (..., n)."""
-    angles = np.ascontiguousarray(q.reshape(-1, arm.joints).T)
-    poses, chain = np.empty((arm.joints + 1, 3, 4, angles.shape[1])), chain_of(arm)
-    compiled.fill_poses(chain.terms, chain.tip, np.sin(angles), np.cos(angles), poses)
-    return poses
+    """Rotations and places of joints and TCP, (..., n + 1, 3, 4), at ``q`` (..., n)."""
+    return compiled.place_all(chain_of(arm), _rows(arm, q)).reshape(*q.shape[:-1], arm.joints + 1, 3, 4)
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """All frames at ``q`` (..., n) [rad]."""
     poses = all_poses(arm, q)
-    axes = (arm.axis[:, None, None] @ poses[:-1, :, :3])[:, :, 0]
-    joints, axis, tcp = (_by_posture(values, q) for values in (poses[:-1], axes, poses[-1]))
+    joints, tcp = poses[..., :-1, :, :], poses[..., -1, :, :]
+    axis = (joints[..., :3] * arm.axis[:, None]).sum(axis=-1)
     return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
 
 
 def origins(arm: Arm, q: Array) -> Array:
     """Origins (..., n + 1, 3) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return _by_posture(all_poses(arm, q), q)[..., 3]
+    return all_poses(arm, q)[..., 3]
 
 
 def heights(arm: Arm, q: Array) -> Array:
@@ -107,21 +109,27 @@ def tcp_position(arm: Arm, q: Array) -> Array:
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    rows = _by_posture(all_poses(arm, q), q)[..., -1, :, :]
+    rows = all_poses(arm, q)[..., -1, :, :]
     return np.concatenate([rows, np.broadcast_to([[0.0, 0.0, 0.0, 1.0]], (*q.shape[:-1], 1, 4))], axis=-2)
 
 
-def _by_posture(values: Array, q: Array) -> Array:
-    """Values (..., s) of ``values`` (s, B) at B postures ``q`` (..., n)."""
-    return np.moveaxis(values, -1, 0).reshape(*q.shape[:-1], *values.shape[:-1])
+def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:
+    """Error at ``q`` (..., n) [rad], (..., k) [m], and minus its derivatives (..., k, n).
+
+    k is 3 for ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
+    """
+    shape, rows = np.broadcast_shapes(q.shape[:-1], target.shape[:-1]), 3 if turn is None else 6
+    postures = _rows(arm, np.broadcast_to(q, (*shape, arm.joints)))
+    goals = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17)
+    errors, jacobians = np.zeros((len(goals), rows)), np.zeros((len(goals), rows, arm.joints))
+    compiled.fill_tasks(chain_of(arm), goals, postures, errors, jacobians)
+    return errors.reshape(*shape, rows), jacobians.reshape(*shape, rows, arm.joints)
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP (..., 3) [m] and its derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
-    poses = all_poses(arm, q)
-    columns = np.empty((3, arm.joints, poses.shape[-1]))
-    compiled.fill_columns(chain_of(arm).axes, poses, columns)
-    return _by_posture(poses[-1, :, 3], q), _by_posture(columns, q)
+    missed, jacobian = task(arm, q, np.zeros(3), None)
+    return -missed, jacobian
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
@@ -131,10 +139,7 @@ def jacobian(arm: Arm, q: Array) -> Array:
 
 def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
     """Return holding torques (..., n) [N m] against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
-    poses = all_poses(arm, q)
-    torques = np.empty((poses.shape[-1], arm.joints))
-    compiled.fill_torques(chain_of(arm), poses, np.array(gravity, dtype=float), torques)
-    return torques.reshape(q.shape)
+    return compiled.torques_all(chain_of(arm), _rows(arm, q), np.array(gravity, dtype=float)).reshape(q.shape)
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:

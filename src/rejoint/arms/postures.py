@@ -24,6 +24,7 @@ from rejoint.arms.kinematics import (
     goals_of,
     gravity_torque,
     solve_position,
+    task,
     tcp_position,
 )
 from rejoint.arms.rotations import Orientation
@@ -170,8 +171,9 @@ def find_postures(
 
 def missed_pose(arm: Arm, posture: Array, target: Array, turn: Orientation) -> tuple[Array, Array]:
     """Errors (...) [m] and (...) [rad] of postures (..., n) from their poses; NaN: any angle."""
-    f = frames(arm, posture)
-    return np.linalg.norm(target - f.tcp_position, axis=-1), turn.angle(f.tcp_rotation)
+    error = task(arm, posture, target, turn)[0]
+    angle = np.linalg.norm(error[..., 3:], axis=-1) / np.where(turn.counts, turn.weight, np.nan)
+    return np.linalg.norm(error[..., :3], axis=-1), angle
 
 
 def comfortable_postures(arm: Arm) -> Array:

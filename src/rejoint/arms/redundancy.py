@@ -24,13 +24,13 @@ from rejoint.arms.compiled import (
     SHAPE,
     compiled,
     fill_clearances,
-    fill_torques,
     in_null_space,
     inner,
     largest,
     place,
     solve,
     task,
+    torques,
 )
 from rejoint.arms.kinematics import GRAVITY, REST_GAIN, TOLERANCE, Chain
 
@@ -74,9 +74,9 @@ BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64, IN2, float64), Bo
 @compiled(OUT1(BODY, OUT3))
 def measure(body, poses):  # noqa: ANN001, ANN201
     """Clearances (n + c,) [m] of one posture's frames (n + 1, 3, 4), as `collision.clearances`."""
-    clear = np.empty((1, len(body.floors) + len(body.least)))
-    fill_clearances(poses.reshape(len(poses), 3, 4, 1), body.floors, body.shape, clear)
-    return clear[0]
+    clear = np.empty(len(body.floors) + len(body.least))
+    fill_clearances(poses, body.floors, body.shape, clear)
+    return clear
 
 
 @compiled(types.UniTuple(float64, 4)(BODY, IN1, IN2))
@@ -86,12 +86,11 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
     A cost of `FAR` and more: impossible.
     """
     poses, limits, joints = place(body.chain, q), body.chain.limits, len(q)
-    torque, clear = np.empty((1, joints)), measure(body, poses)
-    fill_torques(body.chain, poses.reshape(joints + 1, 3, 4, 1), GRAVITY, torque)
+    torque, clear = torques(body.chain, poses, GRAVITY), measure(body, poses)
     cost = wrong = share = over = lack = 0.0
     away = np.inf
     for i in range(joints):
-        lifted = abs(torque[0, i])
+        lifted = abs(torque[i])
         share, over = max(share, lifted / load[0, i]), max(over, lifted / load[1, i])
         near = min(q[i] - limits[0, i], limits[1, i] - q[i])
         cost += 0.5 * min(lifted / load[0, i] / LOAD, MOST_LOAD) ** 4

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms.arm import Arm, Array, Mask
 from rejoint.arms.inertia import bare
-from rejoint.arms.kinematics import frames, position_kinematics
 
 
 def turned(vector: Array) -> Array:
@@ -127,23 +126,6 @@ class Orientation:
         """(...) where an orientation is wanted."""
         return self.weight > 0.0
 
-    def error(self, rotation: Array) -> Array:
-        """Rotation vectors (..., 3) [rad] from ``rotation`` (..., 3, 3) to the wanted one."""
-        about = between_directions(rotation @ self.axis, self.rotation @ self.axis)
-        return np.where(self.whole[..., None], rotation_error(rotation, self.rotation), about)
-
-    def angle(self, rotation: Array) -> Array:
-        """Orientation errors (...) [rad]; NaN: any."""
-        size = np.linalg.norm(self.error(rotation), axis=-1)
-        return np.where(self.counts, size, np.nan)
-
-    def rows(self, axes: Array) -> Array:
-        """Return turns (..., 3, n) per joint motion: minus the error's derivatives; ``axes`` (..., n, 3)."""
-        columns = np.swapaxes(axes, -1, -2)
-        own = np.broadcast_to(self.rotation @ self.axis, (*self.weight.shape, 3))
-        along = own[..., :, None] * (own[..., None, :] @ columns)
-        return columns - np.where(self.whole[..., None, None], 0.0, along)
-
 
 def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
     """Stack along a new leading ``axis``."""
@@ -161,19 +143,6 @@ def tool_axis(arm: Arm) -> Array:
     off = tip[:3, :3].T @ tip[:3, 3]
     largest = int(np.argmax(np.abs(off))) if np.linalg.norm(off) >= 1e-9 else 2
     return np.eye(3)[largest] * (-1.0 if off[largest] < -1e-9 else 1.0)
-
-
-def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:
-    """Error at ``q`` (..., n) [rad], (..., k) [m], and minus its derivatives (..., k, n).
-
-    k is 3 for ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
-    """
-    tcp, jacobian = position_kinematics(arm, q)
-    if turn is None:
-        return target - tcp, jacobian
-    f, weight = frames(arm, q), turn.weight[..., None]
-    error = np.concatenate([target - tcp, weight * turn.error(f.tcp_rotation)], axis=-1)
-    return error, np.concatenate([jacobian, weight[..., None] * turn.rows(f.axis)], axis=-2)
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:

@@ -9,8 +9,9 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames
+from rejoint.arms import Arm, Array
 from rejoint.arms import Mask as Mask
+from rejoint.arms.postures import missed_pose
 from rejoint.arms.rotations import Orientation
 from rejoint.system.stopping import pause
 
@@ -132,7 +133,7 @@ def turned_off(arm: Arm, inputs: ControlInput) -> Array:
     """Orientation errors (B,) [rad] by the encoders; NaN: none wanted."""
     if inputs.turn is None:
         return np.full(len(inputs.since_target), np.nan)
-    return inputs.turn.angle(frames(arm, inputs.state.position).tcp_rotation)
+    return missed_pose(arm, inputs.state.position, inputs.target, inputs.turn)[1]
 
 
 class Controller(Protocol):

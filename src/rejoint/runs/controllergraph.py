@@ -60,7 +60,7 @@ def _arm_tensors(arm: Arm) -> list[Tensor]:
     Joint frames (n, 4, 4): constant, sine and cosine part; axes (n, 3), centres of mass (n, 4), tip (4,), rest posture,
     limits (n,).
     """
-    parts = np.moveaxis(joint_terms(arm).reshape(-1, 4, 4, 3), -1, 0)
+    parts = np.moveaxis(joint_terms(arm), 1, 0)
     com = np.column_stack([arm.com, np.ones(arm.joints)])
     return [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
 

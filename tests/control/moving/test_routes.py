@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orientations import angles
 from rejoint.arms import Displacement, mycobot280, tcp_position
 from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
 from rejoint.control.correction import Modelled
@@ -78,7 +79,7 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
     places, turns = stream.ahead(1.0, later)
     expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
     for k, angle in enumerate(expected):
-        assert turns[k].angle(rotation_about(axis, angle)) < np.radians(0.02)
+        assert angles(turns[k], rotation_about(axis, angle)) < np.radians(0.02)
     assert turns.whole.all()
     assert np.allclose(turns.weight, 0.03)
     assert places.shape == (6, 3)

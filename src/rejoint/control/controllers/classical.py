@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls
-from rejoint.arms.rotations import Orientation, task
+from rejoint.arms.kinematics import task
+from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import ControlInput
 
 GAIN = 0.1
@@ -32,7 +33,7 @@ class DlsStep(NamedTuple):
     error: Array
     """(..., k) [m] target minus measured TCP, then the orientation's"""
     jacobian: Array
-    """(..., k, n) [m/rad], see `rejoint.arms.rotations.task`"""
+    """(..., k, n) [m/rad], see `rejoint.arms.kinematics.task`"""
 
 
 def dls_step(arm: Arm, measured: Array, target: Array, turn: Orientation | None = None) -> DlsStep:

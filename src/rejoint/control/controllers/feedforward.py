@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, tcp_position
-from rejoint.arms.rotations import task
+from rejoint.arms.kinematics import task
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, torque_size, unloaded_joints
 from rejoint.control.controllers.classical import (
     FADE,

@@ -23,8 +23,9 @@ from rejoint.arms import (
     position_kinematics,
     tcp_position,
 )
+from rejoint.arms.kinematics import task
 from rejoint.arms.postures import find_postures
-from rejoint.arms.rotations import Orientation, task
+from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.reference import TURNING
 from rejoint.control.robot import ControlInput, Servos
