@@ -74,7 +74,7 @@ def _cross(a, b):  # noqa: ANN001, ANN202
 
 @inner
 def _product(frame, vector):  # noqa: ANN001, ANN202
-    """Product (3,) of the rotation in a ``frame`` (3, 4) and a ``vector`` (3,)."""
+    """Product (3,) of the rotation in a ``frame`` (4, 4) and a ``vector`` (3,)."""
     return dot(frame[0], vector), dot(frame[1], vector), dot(frame[2], vector)
 
 
@@ -89,9 +89,9 @@ def _times(matrix, vector):  # noqa: ANN001, ANN202
 
 @compiled(OUT3(CHAIN, IN1))
 def place(chain, q):  # noqa: ANN001, ANN201
-    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
+    """Frames (n + 1, 4, 4) of joints and TCP at one posture (n,)."""
     joints = len(q)
-    frames, step = np.empty((joints + 1, 3, 4)), np.empty((4, 4))
+    frames, step = np.empty((joints + 1, 4, 4)), np.empty((4, 4))
     for i in range(joints + 1):
         if i < joints:
             terms, sine, cosine = chain.terms[i], np.sin(q[i]), np.cos(q[i])
@@ -101,9 +101,9 @@ def place(chain, q):  # noqa: ANN001, ANN201
         else:
             step[:] = chain.tip
         if i == 0:
-            frames[i] = step[:3]
+            frames[i] = step
             continue
-        for r in range(3):
+        for r in range(4):
             for k in range(4):
                 value = 0.0
                 for j in range(4):
@@ -114,8 +114,8 @@ def place(chain, q):  # noqa: ANN001, ANN201
 
 @compiled(OUT4(CHAIN, IN2))
 def place_all(chain, q):  # noqa: ANN001, ANN201
-    """Frames (B, n + 1, 3, 4) of `place` at postures (B, n)."""
-    frames = np.empty((len(q), q.shape[1] + 1, 3, 4))
+    """Frames (B, n + 1, 4, 4) of `place` at postures (B, n)."""
+    frames = np.empty((len(q), q.shape[1] + 1, 4, 4))
     for b in range(len(q)):
         frames[b] = place(chain, q[b])
     return frames
@@ -123,7 +123,7 @@ def place_all(chain, q):  # noqa: ANN001, ANN201
 
 @compiled(OUT1(CHAIN, IN3, IN1))
 def torques(chain, frames, gravity):  # noqa: ANN001, ANN201
-    """Torques (n,) [N m] that hold ``frames`` (n + 1, 3, 4) against ``gravity`` (3,) [m/s^2]."""
+    """Torques (n,) [N m] that hold ``frames`` (n + 1, 4, 4) against ``gravity`` (3,) [m/s^2]."""
     joints, mass = len(chain.axes), 0.0
     held, axis, lever, moment = np.empty(joints), np.empty(3), np.empty(3), np.zeros(3)
     for i in range(joints - 1, -1, -1):
@@ -193,10 +193,10 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
         axis, lever = _product(frames[i], chain.axes[i]), _from_to(frames[:, :, 3], i, joints)
         jacobian[0, i], jacobian[1, i], jacobian[2, i] = _cross(axis, lever)
     if rows == 6:
-        error[3:] = goal[15] * missing_turn(goal, frames[joints])
+        error[3:] = goal[15] * missing_turn(goal, frames[joints, :3])
         own = _times(goal[3:12].reshape(3, 3), goal[12:15])
         for i in range(joints):
-            axis = _times(frames[i], chain.axes[i])
+            axis = _times(frames[i, :3], chain.axes[i])
             if goal[16] == 1.0:
                 axis -= dot(axis, own) * own
             jacobian[3:, i] = goal[15] * axis
@@ -312,9 +312,9 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
 
 @compiled(void(IN3, IN1, SHAPE, OUT1))
 def fill_clearances(frames, floors, shape, row):  # noqa: ANN001, ANN201
-    """Fill ``row`` (n + P + G + L K,) [m] as `collision.clearances`; ``frames`` (n + 1, 3, 4), ``floors`` (n,)."""
+    """Fill ``row`` (n + P + G + L K,) [m] as `collision.clearances`; ``frames`` (n + 1, 4, 4), ``floors`` (n,)."""
     ends, at = np.zeros((len(frames) + 1, 3)), len(floors)
-    ends[1:] = frames[:, :, 3]
+    ends[1:] = frames[:, :3, 3]
     row[:at] = ends[2 : at + 2, 2] - floors
     for pair in shape.pairs:
         row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius

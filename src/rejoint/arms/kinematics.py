@@ -80,21 +80,22 @@ def _rows(arm: Arm, q: Array) -> Array:
 
 
 def all_poses(arm: Arm, q: Array) -> Array:
-    """Rotations and places of joints and TCP, (..., n + 1, 3, 4), at ``q`` (..., n)."""
-    return compiled.place_all(chain_of(arm), _rows(arm, q)).reshape(*q.shape[:-1], arm.joints + 1, 3, 4)
+    """Poses (..., n + 1, 4, 4) of joints and TCP at ``q`` (..., n)."""
+    return compiled.place_all(chain_of(arm), _rows(arm, q)).reshape(*q.shape[:-1], arm.joints + 1, 4, 4)
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """All frames at ``q`` (..., n) [rad]."""
     poses = all_poses(arm, q)
-    joints, tcp = poses[..., :-1, :, :], poses[..., -1, :, :]
-    axis = (joints[..., :3] * arm.axis[:, None]).sum(axis=-1)
-    return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
+    rotation, place = poses[..., :3, :3], poses[..., :3, 3]
+    joints = rotation[..., :-1, :, :]
+    axis = (joints * arm.axis[:, None]).sum(axis=-1)
+    return Frames(joints, place[..., :-1, :], axis, rotation[..., -1, :, :], place[..., -1, :])
 
 
 def origins(arm: Arm, q: Array) -> Array:
     """Origins (..., n + 1, 3) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return all_poses(arm, q)[..., 3]
+    return all_poses(arm, q)[..., :3, 3]
 
 
 def heights(arm: Arm, q: Array) -> Array:
@@ -109,8 +110,7 @@ def tcp_position(arm: Arm, q: Array) -> Array:
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    rows = all_poses(arm, q)[..., -1, :, :]
-    return np.concatenate([rows, np.broadcast_to([[0.0, 0.0, 0.0, 1.0]], (*q.shape[:-1], 1, 4))], axis=-2)
+    return all_poses(arm, q)[..., -1, :, :]
 
 
 def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:

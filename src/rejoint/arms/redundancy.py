@@ -73,7 +73,7 @@ BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64, IN2, float64), Bo
 
 @compiled(OUT1(BODY, OUT3))
 def measure(body, poses):  # noqa: ANN001, ANN201
-    """Clearances (n + c,) [m] of one posture's frames (n + 1, 3, 4), as `collision.clearances`."""
+    """Clearances (n + c,) [m] of one posture's frames (n + 1, 4, 4), as `collision.clearances`."""
     clear = np.empty(len(body.floors) + len(body.least))
     fill_clearances(poses, body.floors, body.shape, clear)
     return clear
