@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-import tomlkit
 
 from rejoint.arms.arm import MODELS, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
 from rejoint.arms.displacement import Displacement
@@ -25,7 +24,7 @@ from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
-from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, write_text
+from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, toml_of, write_text
 
 
 class _FrameTable(Table):
@@ -111,8 +110,8 @@ def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
         zeros = ", ".join(["0"] * arm.joints)
         lines.append(f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit")
     else:
-        own = {"rest_deg": np.degrees(arm.rest).tolist(), "targets": _bounds(arm.targets)}
-    text = "\n".join([*lines, tomlkit.dumps(_table(arm) | own)])
+        own = {"rest_deg": np.degrees(arm.rest), "targets": _bounds(arm.targets)}
+    text = "\n".join([*lines, toml_of(_table(arm) | own)])
     write_text(path, text)
 
 
@@ -148,37 +147,37 @@ def read_draft(path: Path) -> Loaded:
 def _table(arm: Arm) -> dict[str, Any]:
     known: dict[str, Any] = {"keep_out": [_bounds(box) for box in arm.keep_out]} if arm.keep_out else {}
     if np.isfinite(arm.servo_acceleration):
-        known["servo_acceleration_rad_s2"] = float(arm.servo_acceleration)
+        known["servo_acceleration_rad_s2"] = arm.servo_acceleration
     return {
         "name": arm.name,
-        "floor_m": float(arm.floor),
-        "encoder_counts_per_turn": float(2 * np.pi / arm.encoder_step),
+        "floor_m": arm.floor,
+        "encoder_counts_per_turn": 2 * np.pi / arm.encoder_step,
         **known,
         "tip": _frame(arm.tip),
         "joint": [
             {
                 "name": arm.joint_names[i],
                 **_frame(arm.offset[i]),
-                "axis": arm.axis[i].tolist(),
-                "lower_deg": float(np.degrees(arm.lower[i])),
-                "upper_deg": float(np.degrees(arm.upper[i])),
-                "max_speed_deg_s": float(np.degrees(arm.max_speed[i])),
+                "axis": arm.axis[i],
+                "lower_deg": np.degrees(arm.lower[i]),
+                "upper_deg": np.degrees(arm.upper[i]),
+                "max_speed_deg_s": np.degrees(arm.max_speed[i]),
                 **({"servo": arm.servos[i]} if any(arm.servos[i : i + 1]) else {}),
-                "mass_kg": float(arm.mass[i]),
-                "com_m": arm.com[i].tolist(),
-                "inertia_kg_m2": inertia_values(arm.inertia[i]).tolist(),
+                "mass_kg": arm.mass[i],
+                "com_m": arm.com[i],
+                "inertia_kg_m2": inertia_values(arm.inertia[i]),
             }
             for i in range(arm.joints)
         ],
     }
 
 
-def _bounds(box: Box) -> dict[str, list[float]]:
-    return {"lower_m": box.lower.tolist(), "upper_m": box.upper.tolist()}
+def _bounds(box: Box) -> dict[str, Array]:
+    return {"lower_m": box.lower, "upper_m": box.upper}
 
 
-def _frame(pose: Array) -> dict[str, list[float]]:
-    return {"position_m": pose[:3, 3].tolist(), "quaternion": quaternion_of(pose[:3, :3]).tolist()}
+def _frame(pose: Array) -> dict[str, Array]:
+    return {"position_m": pose[:3, 3], "quaternion": quaternion_of(pose[:3, :3])}
 
 
 def _chain(joints: list[_JointTable]) -> tuple[Array, Array, Array]:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import tomlkit
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from rejoint.arms import Array
 from rejoint.system.errors import InputError
-from rejoint.system.files import MEGABYTE, read_bounded, read_toml, write_text, write_whole
+from rejoint.system.files import MEGABYTE, read_bounded, read_toml, toml_of, write_text, write_whole
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""
@@ -125,7 +124,7 @@ ON_TOOL = Board(square=0.020, marker=0.015)
 def write_board(path: Path, board: Board) -> None:
     """Write a board as TOML [m]."""
     about = "# A ChArUco board [m]: the board that `rejoint board` drew, and how its print came out.\n"
-    write_text(path, about + tomlkit.dumps(asdict(board)))
+    write_text(path, about + toml_of(asdict(board)))
 
 
 def read_board(path: Path) -> Board:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation
 from rejoint.camera.board import Board, BoardView
 from rejoint.diagnosis.calibration.calibration import require_finite
 from rejoint.system.errors import ContractError
-from rejoint.system.files import array_of, read_sealed, write_sealed
+from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
@@ -191,7 +190,7 @@ sigma: standard deviations of the lens (f, cx, cy, k1, k2, p1, p2), then shift a
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
     """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
     told = {"format": FORMAT, "arm": arm.name, "date": date, **vars(rig), "sigma": sigma}
-    write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
+    write_sealed(path, toml_of(told), _ABOUT)
 
 
 def read_rig(path: Path, arm: Arm) -> Rig:

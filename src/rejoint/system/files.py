@@ -225,9 +225,14 @@ def read_shipped(module: str, name: str, kind: type[T]) -> T:
 _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
-def write_sealed(path: Path, table: Mapping[str, Any], about: str = "") -> None:
+def toml_of(table: Mapping[str, Any]) -> str:
+    """TOML of a ``table``, in which arrays become lists."""
+    return tomlkit.dumps(msgspec.to_builtins(table, enc_hook=methodcaller("tolist")))
+
+
+def write_sealed(path: Path, toml: str, about: str = "") -> None:
     """Write TOML below comments ``about`` it, whole or not at all."""
-    text = "".join(f"# {line}\n" for line in about.splitlines()) + tomlkit.dumps(table)
+    text = "".join(f"# {line}\n" for line in about.splitlines()) + toml
     write_text(path, f"# digest of the text below: {digest(text.encode()).decode()}\n{text}")
 
 

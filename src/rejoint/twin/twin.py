@@ -299,7 +299,7 @@ ERRORS = ("no_twin", "healthy_twin", "twin")
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin, atomically."""
-    write_sealed(path, _document(twin))
+    write_sealed(path, tomlkit.dumps(_document(twin)))
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:

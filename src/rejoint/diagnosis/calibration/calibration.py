@@ -8,7 +8,6 @@ The play of an unloaded joint is scatter, not a shift.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from operator import methodcaller
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -25,7 +24,7 @@ from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.policy import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.system.errors import ContractError, InputError
-from rejoint.system.files import array_of, read_sealed, write_sealed
+from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
 from rejoint.system.results import Readable
 from rejoint.system.statistics import CONFIDENCE
 
@@ -407,7 +406,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     own = calibration
     told = {"format": FORMAT, **vars(own), "arm": own.arm.name, "geometry": geometry_of(own.arm)}
     told["order"] = own.layout.names()
-    write_sealed(path, msgspec.to_builtins(told, enc_hook=methodcaller("tolist")), _ABOUT)
+    write_sealed(path, toml_of(told), _ABOUT)
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:
