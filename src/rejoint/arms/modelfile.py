@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -133,12 +132,9 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
 @contextmanager
 def _warnings_noted(notes: list[str]) -> Iterator[None]:
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(warnings.warn)
+    mujoco.set_mju_user_warning(lambda said: notes.append(f"MuJoCo: {' '.join(said.split())}"))
     try:
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            yield
-        notes += [f"MuJoCo: {' '.join(str(warning.message).split())}" for warning in said]
+        yield
     finally:
         mujoco.set_mju_user_warning(before)
 

@@ -213,16 +213,10 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
         else:
             cosine = pool.rotation @ goal[12:15] @ (rotation @ goal[12:15])
         away += 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
-
-    def worth(rows: Index) -> Array:
-        travel = (((pool.posture[rows] - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
-        heavy = np.minimum((np.abs(pool.torque[rows]) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
-        return away[rows] + 0.3 * (pool.bare[rows] + redundancy.TRAVEL * travel) + 0.15 * heavy
-
-    count = min(count, len(away))
-    nearest = np.argpartition(away, count - 1)[:count]
-    rows = np.flatnonzero(away <= worth(nearest).max())  # others are worth less than all of the nearest
-    return rows[np.argsort(worth(rows), kind="stable")[:count]]
+    travel = (((pool.posture - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
+    heavy = np.minimum((np.abs(pool.torque) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
+    cost = away + 0.3 * (pool.bare + redundancy.TRAVEL * travel) + 0.15 * heavy
+    return np.argsort(cost, kind="stable")[:count]
 
 
 def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -152,22 +153,21 @@ class CameraGauge:
         A run ``folder`` keeps each; resumes unless ``fresh``. InputError if the board is hardly visible; errors of
         `rejoint.control.loop.run`.
         """
-        arm, total = drive.robot.arm, SCOUTS + count * visits
+        pictures, total = None if folder is None else folder.pictures, SCOUTS + count * visits
         film = Film(board=self.board, carried=self.carried)
-        if folder is not None and (folder.pictures / POSTURES).exists() and not fresh:
-            begun = read_folder(str(folder.pictures), arm, self.board, self.carried)
+        if pictures is not None and (pictures / POSTURES).exists() and not fresh:
+            begun = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
             if len(begun) < total:
-                log_resumed(folder.pictures / POSTURES, f"{len(begun.usable)} pictures are there")
+                log_resumed(pictures / POSTURES, f"{len(begun.usable)} pictures are there")
                 film = begun
-        if folder is not None and not film.shots:
-            set_aside(folder.pictures)
-        with kept(None if folder is None else folder.pictures, fresh=fresh), self.camera(drive.robot) as camera:
+        if pictures is not None and not film.shots:
+            set_aside(pictures)
+        with kept(pictures, fresh=fresh), self.camera(drive.robot) as camera:
             try:
-                shooting = _Shooting(drive, camera, film, folder, on_progress, total, Detector(self.board))
-                return shooting.take(count, visits)
+                return _Shooting(drive, camera, film, pictures, on_progress, total).take(count, visits)
             except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
-                if folder is not None:
-                    set_aside(folder.pictures)
+                if pictures is not None:
+                    set_aside(pictures)
                 raise
 
 
@@ -176,10 +176,12 @@ class _Shooting:
     drive: StandingDrive
     camera: StillCamera
     film: Film
-    folder: RunFolder | None
+    pictures: Path | None
     on_progress: Progress
     total: int
-    detector: Detector
+
+    def __post_init__(self) -> None:
+        self.detector = Detector(self.film.board)
 
     def take(self, count: int, visits: int) -> Film:
         arm = self.drive.robot.arm
@@ -202,10 +204,9 @@ class _Shooting:
         seen = self.detector.find(f"view-{number:03}.png", picture)
         shot = Shot(number=number, position=position, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, picture.shape[::-1])
-        if self.folder is not None:
-            data = cv2.imencode(".png", picture)[1].tobytes()
-            write_bytes(self.folder.pictures / seen.name, data)
-            write_postures(self.folder.pictures / POSTURES, self.drive.robot.arm, self.film)
+        if self.pictures is not None:
+            write_bytes(self.pictures / seen.name, cv2.imencode(".png", picture)[1].tobytes())
+            write_postures(self.pictures / POSTURES, self.drive.robot.arm, self.film)
         if number == 1 and seen.why:
             raise UnseenBoardError(
                 f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
