@@ -33,13 +33,15 @@ _STILL = 1e-6
 GRID = 3
 """Free targets per edge (chosen)"""
 
-NO_FLOORS = np.zeros(0)
+NO_FLOORS = frozen(np.zeros(0))
 """Where heights do not count"""
 
 
 class CollisionShape(NamedTuple):
     """Capsules; link 0 is the base, ends are base to TCP."""
 
+    floors: Array
+    """(n,) [m] under the joint frames but the first, and the TCP; empty: heights do not count"""
     radius: float
     """[m]"""
     pairs: NDArray[np.int64]
@@ -60,11 +62,11 @@ def collision_shape(arm: Arm) -> CollisionShape:
     solution, links = posture_grid(arm, GRID), arm.joints + 1
     free = np.concatenate([arm.rest[None], solution.q[solution.converged]])  # rest and targets: without contacts
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
-    high = np.append(0.0, heights(arm, arm.rest)) > ground + radius
+    places = np.flatnonzero(np.append(0.0, heights(arm, arm.rest)) > ground + radius)
     apart = np.transpose(np.triu_indices(links, 2))
     boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
-    shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
-    distance = clearances_of(arm, shape, free, NO_FLOORS)[:, : len(apart)]
+    shape = CollisionShape(NO_FLOORS, radius, frozen(apart), frozen(places), ground, _moving(arm), frozen(boxes))
+    distance = clearances_of(arm, shape, free)[:, : len(apart)]
     return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))
 
 
@@ -73,10 +75,10 @@ def collides(arm: Arm, q: Array) -> Mask:
     return np.asarray((clearances(arm, q) < 0.0).any(axis=-1))
 
 
-def clearances_of(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> Array:
+def clearances_of(arm: Arm, shape: CollisionShape, q: Array) -> Array:
     """`clearances` of a ``shape``."""
     postures = np.ascontiguousarray(q.reshape(-1, arm.joints), dtype=float)
-    found: Array = compiled.clearances(chain_of(arm), shape, floors, postures)
+    found: Array = compiled.clearances(chain_of(arm), shape, postures)
     return found.reshape(*q.shape[:-1], found.shape[1])
 
 
@@ -99,7 +101,7 @@ def clearances(arm: Arm, q: Array, floors: Array = NO_FLOORS) -> Array:
 
     Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.
     """
-    return clearances_of(arm, collision_shape(arm), q, floors)
+    return clearances_of(arm, collision_shape(arm)._replace(floors=frozen(floors)), q)
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:

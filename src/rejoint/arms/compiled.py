@@ -20,7 +20,7 @@ IN1, IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for d
 ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))
 OUT1, OUT2, OUT3, OUT4 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 CHAIN = types.NamedTuple((IN4, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
-SHAPE = types.NamedTuple((float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
+SHAPE = types.NamedTuple((IN1, float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
 inner = njit(cache=True, nogil=True)
 """of a loop that others call"""
 
@@ -310,12 +310,19 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@compiled(void(IN3, IN1, SHAPE, OUT1))
-def fill_clearances(frames, floors, shape, row):  # noqa: ANN001, ANN201
-    """Fill ``row`` (n + P + G + L K,) [m] as `collision.clearances`; ``frames`` (n + 1, 4, 4), ``floors`` (n,)."""
-    ends, at = np.zeros((len(frames) + 1, 3)), len(floors)
+@inner
+def _count(shape):  # noqa: ANN001, ANN202
+    """Distances of a posture."""
+    bodies = len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
+    return len(shape.floors) + bodies
+
+
+@compiled(OUT1(IN3, SHAPE))
+def gaps(frames, shape):  # noqa: ANN001, ANN201
+    """`collision.clearances` (n + P + G + L K,) [m] of one posture's ``frames`` (n + 1, 4, 4)."""
+    ends, row, at = np.zeros((len(frames) + 1, 3)), np.empty(_count(shape)), len(shape.floors)
     ends[1:] = frames[:, :3, 3]
-    row[:at] = ends[2 : at + 2, 2] - floors
+    row[:at] = ends[2 : at + 2, 2] - shape.floors
     for pair in shape.pairs:
         row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
         at += 1
@@ -326,13 +333,13 @@ def fill_clearances(frames, floors, shape, row):  # noqa: ANN001, ANN201
         for link in shape.moving:
             row[at] = _box_distance(ends, link, shape.boxes[k]) - shape.radius
             at += 1
+    return row
 
 
-@compiled(OUT2(CHAIN, SHAPE, IN1, IN2))
-def clearances(chain, shape, floors, q):  # noqa: ANN001, ANN201
-    """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n) above ``floors`` (n,)."""
-    bodies = len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
-    out = np.empty((len(q), len(floors) + bodies))
+@compiled(OUT2(CHAIN, SHAPE, IN2))
+def clearances(chain, shape, q):  # noqa: ANN001, ANN201
+    """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n)."""
+    out = np.empty((len(q), _count(shape)))
     for b in range(len(q)):
-        fill_clearances(place(chain, q[b]), floors, shape, out[b])
+        out[b] = gaps(place(chain, q[b]), shape)
     return out

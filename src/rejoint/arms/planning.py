@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array, Mask, frozen
-from rejoint.arms.collision import clearances, contact
+from rejoint.arms.collision import clearances, clearances_of, contact
 from rejoint.arms.kinematics import gravity_torque, link_inertia, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
@@ -152,7 +152,7 @@ class _Field:
         least[: arm.joints] = LOW * length_size(arm)
         least[arm.joints : arm.joints + len(body.shape.pairs)] *= 2.0
         always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
-        ends = np.stack([clearances(arm, q, body.floors) for q in (start, goal)])
+        ends = np.stack([clearances_of(arm, body.shape, q) for q in (start, goal)])
         field = cls(
             arm=arm,
             least=frozen(np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))),
@@ -302,7 +302,7 @@ def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool
     for order in (1, 2, 3):
         if (np.abs(corner.at(time, order)) > limits[order - 1] * (1.0 + 1e-6)).any():
             return False
-    apart = clearances(field.arm, corner.at(time), body_of(field.arm).floors)
+    apart = clearances_of(field.arm, body_of(field.arm).shape, corner.at(time))
     return bool((apart >= field.least - 1e-7).all())
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array, Index, frozen
-from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
+from rejoint.arms.collision import clearances_of, collides, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.inertia import link_ends
 from rejoint.arms.kinematics import (
     REST_GAIN,
@@ -244,7 +244,7 @@ def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None, 
         away = float(np.linalg.norm(goal[:3] - tcp_position(arm, closest)))
         return f"out of reach by {1e3 * away:.1f} mm"
     body = body_of(arm)
-    room = clearances(arm, found, body.floors) - np.append(np.full(arm.joints, -2.0 * TOLERANCE), body.least)
+    room = clearances_of(arm, body.shape, found) - np.append(np.full(arm.joints, -2.0 * TOLERANCE), body.least)
     if room.min() < 0.0:
         cost, found, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
         if cost >= redundancy.FAR:
@@ -301,9 +301,9 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when
     """Return data of an arm for compiled loops."""
     margin = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
     inner = frozen(np.stack([arm.lower + margin, arm.upper - margin]))
-    floors, least, spacious = guarded_floors(arm), frozen(_least(arm)), SPACIOUS * length_size(arm)
-    step = STEP * length_size(arm)
-    return redundancy.Body(chain_of(arm), collision_shape(arm), inner, floors, least, spacious, _levers(arm), step)
+    shape, size = collision_shape(arm)._replace(floors=guarded_floors(arm)), length_size(arm)
+    least, levers = frozen(_least(arm)), _levers(arm)
+    return redundancy.Body(chain_of(arm), shape, inner, least, SPACIOUS * size, levers, STEP * size)
 
 
 def _levers(arm: Arm) -> Array:

@@ -20,10 +20,9 @@ from rejoint.arms.compiled import (
     IN2,
     OUT1,
     OUT2,
-    OUT3,
     SHAPE,
     compiled,
-    fill_clearances,
+    gaps,
     in_null_space,
     inner,
     largest,
@@ -54,10 +53,9 @@ class Body(NamedTuple):  # Numba's files on disk name this class: give this modu
 
     chain: Chain
     shape: CollisionShape
+    """with `collision.guarded_floors`"""
     inner: Array
     """(2, n) [rad] limits less margin"""
-    floors: Array
-    """(n,) [m] as `collision.guarded_floors`"""
     least: Array
     """(c,) [m] least distances; minus infinity: constant"""
     spacious: float
@@ -68,15 +66,7 @@ class Body(NamedTuple):  # Numba's files on disk name this class: give this modu
     """[m] by which a clearance may change between checks"""
 
 
-BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, IN1, float64, IN2, float64), Body)
-
-
-@compiled(OUT1(BODY, OUT3))
-def measure(body, poses):  # noqa: ANN001, ANN201
-    """Clearances (n + c,) [m] of one posture's frames (n + 1, 4, 4), as `collision.clearances`."""
-    clear = np.empty(len(body.floors) + len(body.least))
-    fill_clearances(poses, body.floors, body.shape, clear)
-    return clear
+BODY = types.NamedTuple((CHAIN, SHAPE, IN2, IN1, float64, IN2, float64), Body)
 
 
 @compiled(types.UniTuple(float64, 4)(BODY, IN1, IN2))
@@ -86,7 +76,7 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
     A cost of `FAR` and more: impossible.
     """
     poses, limits, joints = place(body.chain, q), body.chain.limits, len(q)
-    torque, clear = torques(body.chain, poses, GRAVITY), measure(body, poses)
+    torque, clear = torques(body.chain, poses, GRAVITY), gaps(poses, body.shape)
     cost = wrong = share = over = lack = 0.0
     away = np.inf
     for i in range(joints):
@@ -223,7 +213,7 @@ def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
     rates = (body.levers * np.abs(goal - start)).sum(axis=1)
     before, share, safe = np.full(len(least), -np.inf), 0.0, 0.0
     while True:
-        clear, ahead = measure(body, place(body.chain, start + share * (goal - start))), 1.0
+        clear, ahead = gaps(place(body.chain, start + share * (goal - start)), body.shape), 1.0
         for k in range(len(least)):
             leaves = leaving and before[k] < least[k] and clear[k] >= before[k]
             if clear[k] < least[k] - ROUNDING and not leaves:

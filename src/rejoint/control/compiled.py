@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, from_dtype, int64, njit, types, uint16, void
 
-from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, clearances, compiled, inner
+from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, compiled, gaps, inner, place
 from rejoint.control.guard import Reason, Rules
 
 HISTORY = 8
@@ -119,7 +119,7 @@ def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN2
                 verdict[i, j] = OVERDUE
 
 
-RULES = types.NamedTuple((*[IN1] * 6, *[float64] * 4, int64), Rules)
+RULES = types.NamedTuple((*[IN1] * 5, *[float64] * 4, int64), Rules)
 
 TOLERANCE = 1e-9
 """[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
@@ -185,7 +185,7 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
 
     No clearance may become negative, or more so.
     """
-    least = clearances(chain, shape, rules.floors, last.copy().reshape(1, -1))[0]
+    least = gaps(place(chain, last), shape)
     for c in range(len(least)):
         least[c] = least[c] - TOLERANCE if least[c] < 0.0 else 0.0
     if (clear >= least).all():
@@ -193,8 +193,8 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     way, found, k = out - last, 0, 0
     while found == 0:
         k += 1
-        tried = (last + k / rules.parts * way).reshape(1, -1)
-        there = clear if k == rules.parts else clearances(chain, shape, rules.floors, tried)[0]
+        tried = last + k / rules.parts * way
+        there = clear if k == rules.parts else gaps(place(chain, tried), shape)
         for c in range(len(least)):
             if there[c] < least[c]:
                 found |= _FLOOR if c < len(way) else _COLLISION
@@ -212,7 +212,7 @@ def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
     last, position, found = asked[1], asked[3], 0
     if (np.abs(position - last) < FOLLOWS).all():  # the commanded posture tells
         return found
-    here = clearances(chain, shape, rules.floors, position.copy().reshape(1, -1))[0]
+    here = gaps(place(chain, position), shape)
     if (here > rules.near + WATCHED).all():
         return found
     least = np.minimum(here - APPROACH, here - CLOSING * (here - rules.near))
@@ -222,8 +222,8 @@ def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
         while share > 0.0:
             step = share * (out[j] - last[j])
             moved[0, j], moved[1, j] = position[j] + step, last[j] + step
-            there = clearances(chain, shape, rules.floors, moved)
-            if (there[0] >= here - APPROACH).all() or ((there[0] >= least) & (there[1] >= least_ahead)).all():
+            there, ahead = gaps(place(chain, moved[0]), shape), gaps(place(chain, moved[1]), shape)
+            if (there >= here - APPROACH).all() or ((there >= least) & (ahead >= least_ahead)).all():
                 break
             share = 0.5 * share if share > SHORTEST else 0.0
         if share < 1.0:
@@ -247,14 +247,14 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
         else:
             found[b] = _limit(rules, asked[b], elapsed[b], out[0, b])
             found[b] |= _keep_away(chain, shape, rules, asked[b], out[0, b])
-    clear = clearances(chain, shape, rules.floors, out[0])
     for b in range(arms):
         command, last = out[0, b], asked[b, 1]
         out[1, b] = 0.0
         if reasons[b]:
             continue
-        if (clear[b] < 0.0).any():
-            found[b] |= shorten(chain, shape, rules, last, clear[b], command)
+        clear = gaps(place(chain, command), shape)
+        if (clear < 0.0).any():
+            found[b] |= shorten(chain, shape, rules, last, clear, command)
         if (command != asked[b, 0]).any():
             reasons[b] = found[b]
         for j in range(len(last) if elapsed[b] > 0.0 else 0):

@@ -80,7 +80,6 @@ class Rules(NamedTuple):
     upper: Array
     max_speed: Array
     max_acceleration: Array
-    floors: Array
     near: Array
     max_lead: float
     max_period: float
@@ -138,8 +137,8 @@ class GuardLimits:
 
     @cached_property
     def shape(self) -> CollisionShape:
-        """Bodies that must not touch."""
-        shape = collision_shape(self.arm)
+        """Bodies that must not touch, and floors."""
+        shape = collision_shape(self.arm)._replace(floors=self.floors)
         none = shape._replace(pairs=shape.pairs[:0], places=shape.places[:0], moving=shape.moving[:0])
         return shape if self.collisions else none
 
@@ -257,4 +256,4 @@ def clear_by(limits: GuardLimits, q: Array) -> Array:
 
     Heights of the joint frames but the first, and TCP, above floors; then distances between bodies.
     """
-    return clearances_of(limits.arm, limits.shape, q, limits.floors)
+    return clearances_of(limits.arm, limits.shape, q)
