@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import orientations
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.arms.postures import missed_pose
 from rejoint.control.moving.reference import (
@@ -101,9 +102,9 @@ def test_a_path_turns_the_tool_smoothly_through_what_is_given(tmp_path):
     file.write_text("\n".join(["time,x,y,z,rx,ry,rz", *lines]))
     path = read_path(file, ARM)
     wanted = placed(ARM, [Pose(place_m=p, angles_rad=np.radians(a)) for p, a in zip(place, angles, strict=True)])[1]
-    assert wanted.angle(path.poses(time)[1].rotation).max() < 1e-6
+    assert orientations.angles(wanted, path.poses(time)[1].rotation).max() < 1e-6
     fine = np.linspace(0.0, 4.0, 400)
-    ways = path.poses(fine[1:])[1].angle(path.poses(fine[:-1])[1].rotation) / np.diff(fine)
+    ways = orientations.angles(path.poses(fine[1:])[1], path.poses(fine[:-1])[1].rotation) / np.diff(fine)
     assert ways.max() < np.radians(30.0)
     path.require_followable(ARM)
     postures = PathPostures(ARM, path.at(fine[:1]), path.poses(fine[:1])[1])
