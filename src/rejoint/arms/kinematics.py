@@ -129,7 +129,7 @@ def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[A
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP (..., 3) [m] and its derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
     missed, jacobian = task(arm, q, np.zeros(3), None)
-    return -missed, jacobian
+    return 0.0 - missed, jacobian  # without a minus zero
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
