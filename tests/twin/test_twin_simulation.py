@@ -57,7 +57,9 @@ def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(accele
 
 def test_an_exchanged_arm_begins_anew_and_the_others_go_on():
     start = np.tile(ARM.rest, (3, 1))
-    draw = dataclasses.replace(Draw.of(TWIN.repeat(3), 1.5), backlash=np.full((3, 6), 0.02))
+    draw = dataclasses.replace(
+        Draw.of(dataclasses.replace(TWIN, stiction=np.full(6, 1.5)).repeat(3)), backlash=np.full((3, 6), 0.02)
+    )
     exchanged, whole = Simulation(ARM, 3), Simulation(ARM, 3)
     for simulation in (exchanged, whole):
         simulation.place(draw, start, start)

@@ -264,7 +264,7 @@ def _limits(arm: Arm, way: Array, motors: Motors | None) -> Array:
     acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
     if motors is not None:
         torque, lifted = _torques(arm, way[None], 4 * _PARTS)
-        left = motors.limit - np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
+        left = motors.limit - motors.coulomb - np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
         fastest = np.clip(left / np.maximum(motors.back_emf, 1e-9), SLOWEST * fastest, fastest)
         inertia = link_inertia(arm, np.linspace(way[:-1], way[1:], _PARTS)).max(axis=(0, 1))
         spare = (left - 0.5 * motors.back_emf * fastest) / (motors.armature + inertia)  # half way to full speed

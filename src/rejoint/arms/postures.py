@@ -70,7 +70,7 @@ class Motors(NamedTuple):
     limit: Array
     """(n,) [N m] largest holding torque"""
     usable: Array
-    """(n,) [N m] surely lifted, against friction"""
+    """(n,) [N m] lifted from rest, against friction"""
     damping: Array | float = 0.0
     """(n,) [N m s/rad] torque by which a command leads a turning joint"""
     coulomb: Array | float = 0.0

@@ -55,6 +55,8 @@ class Call(Terminal, Observer):
         """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
         self.settings = Settings(**{name: given[name] for name in Settings.__dataclass_fields__ if name in given})
         self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
+        self.picked = any(self.pick)
+        """whether the user described the arm"""
         self.named: FleetArm | None = None
         """the arm, where it was given by name"""
         self.code = 0

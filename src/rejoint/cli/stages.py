@@ -119,7 +119,7 @@ def repair(
         preset=preset,
         controllers=opt.controller_names(controllers),
         targets=targets,
-        gauge=gauge_by_word(call, robot, measure, seed),
+        gauge=None if dry else gauge_by_word(call, robot, measure, seed),
         trials=trials,
     )
     with call.watched("repair", bar=dry) as observer:
@@ -287,7 +287,7 @@ def deploy(
     targets: Path | None = None,
 ) -> object:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
-    if run is not None and call.named is None and any(call.pick):
+    if run is not None and call.picked:
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
     done = call.do(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)

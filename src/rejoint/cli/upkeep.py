@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import sys
-from contextlib import closing, nullcontext
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +26,7 @@ from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGa
 from rejoint.robots import place_of
 from rejoint.runs.fleet.campaign import FleetRules
 from rejoint.runs.history import code_of, prometheus_text
-from rejoint.runs.run import RUNS, Run
+from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.runs.stages.check import BETWEEN, CheckNotes
 from rejoint.runs.stages.compare import TrialPlan
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
+    from rejoint.runs.fleet.campaign import Executor
+    from rejoint.runs.fleet.file import FleetArm
 
 
 @takes
@@ -355,7 +358,8 @@ def fleet(
                 if verb == "check":
                     rejoint.check(arm.address, **about)
                 else:
-                    rejoint.repair(arm.address, quick=rules.quick, **about)
+                    run = newest_or_new(arm.address, arm.built, 0, found.folder / "repairs" / arm.name)
+                    rejoint.repair(arm.address, run=run, quick=rules.quick, **about)
         return {"fleet": file}
     if address is not None and not has_token():
         call.message(
@@ -366,8 +370,11 @@ def fleet(
     rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-    executor = RayExecutor(found.only(names), address=address, cpus=cpus, training_cpus=training_cpus)
-    with call.watched("fleet", bar=False), closing(executor):
+
+    def executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
+        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
+
+    with call.watched("fleet", bar=False):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
     show.fleet(call, result)
     if rules.quick:

@@ -55,7 +55,7 @@ class Parameter:
     wrist: float = 1.0
     """factor for wrist joints"""
     alike: float | None = None
-    """sigma of the logarithm among equal servos (`rejoint.arms.Arm.servos`)"""
+    """sigma, as `sigma`, among equal servos (`rejoint.arms.Arm.servos`)"""
     by_load: bool = False
     """nominal value and bounds scale with the arm's weight"""
     by_time: int = 0
@@ -139,8 +139,9 @@ PARAMETERS: tuple[Parameter, ...] = (
               nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
     Parameter(name="stiction", unit="1", meaning="dry friction at rest over that in motion",
-              # measured on a real low-cost arm, and better than 2 for emulated ones
+              # chosen: dry gears
               nominal=2.0, sigma=0.15, healthy=0.5, lower=1.0, upper=2.5, log=False, difference=0.1, beside=0.4,
+              # measured on a real low-cost arm
               wide={"nominal": 1.25, "sigma": 0.4, "alike": 0.1}),
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
@@ -366,12 +367,12 @@ def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
 
 
-RUBBING = 0.1
-"""Friction over load; chosen"""
+RUBBING = 0.15
+"""Friction over load, and a margin for an unknown load; chosen"""
 
 
 def lifting_torque(twin: TwinParameters) -> Array:
-    """Return the torque (..., n) [N m] that motors surely lift from rest, against their friction."""
+    """Return the torque (..., n) [N m] that motors lift from rest, against their friction."""
     usable = (twin.torque_limit - twin.stiction * twin.coulomb) / (1.0 + RUBBING)
     return np.maximum(usable, 0.1 * twin.torque_limit)
 

@@ -1,4 +1,4 @@
-"""What a twin needs to explain some logs: active limits, which have no gradient.
+"""What a twin needs to explain some logs: limits and friction that grows with load.
 
 So fits to the same windows are compared.
 """
@@ -139,7 +139,8 @@ def explored(problem: Problem, x: Array, joints: Mask | None = None) -> Array:
     rng, moved = np.random.default_rng(0), np.ones(problem.joints, dtype=bool) if joints is None else joints
     drawn = _drawn(problem, x, TRIALS * count, rng, WIDER)
     starts = np.where(np.append(moved, joints is None)[problem.owner], drawn, x)
-    order = np.argsort(loss(problem.residuals(starts)).sum(axis=(1, 2)))[:count]
+    losses = [loss(problem.residuals(part)).sum(axis=(1, 2)) for part in np.array_split(starts, count)]  # memory
+    order = np.argsort(np.concatenate(losses))[:count]
     found = [fit(problem, start, 2 * ROUGH, SCALES).vector for start in starts[order]]
     return search(problem, np.array([x, *found]), rng, rounds=1)
 

@@ -245,7 +245,8 @@ class Twin(Readable):
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
         layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
-        free = layout.is_fitted & (sigma > layout.has("difference"))  # else the prior settles it
+        # else the prior settles it, or no data could
+        free = layout.is_fitted & (sigma > layout.has("difference")) & (sigma > layout.has("beside"))
         known = self.identified | ~free
         return tuple(name for name, told in zip(self.names, known, strict=True) if not told)
 

@@ -109,7 +109,8 @@ def fixed_covariance(
 ) -> Array:
     """Covariance (k, k) of an estimate by what it holds fixed.
 
-    ``residual`` (rows, n), ``jacobian`` (rows, n, q), ``weight`` (rows, n) and ``curvature`` (k, k) there.
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q), ``weight`` (rows, n) and ``curvature`` (k, k), with
+    the prior, at the estimate.
     """
     moved = []
     for other, sigma in others(problem.replay):

@@ -29,6 +29,11 @@ class PlayedExecutor:
         self.held: list[str] = []
         self.running: list[Work] = []
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_): ...
+
     def begin(self, work):
         self.running.append(work)
         self.begun.append((work.arm.name, work.step))
@@ -92,7 +97,7 @@ def call(
     **given,
 ):
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, executor, rules or FleetRules(now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, lambda _: executor, rules or FleetRules(now=lambda: MONDAY), **given)
 
 
 @pytest.mark.parametrize(

@@ -88,11 +88,9 @@ def called(address, tmp_path_factory):
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = FleetRules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    with world.executor(fleet.arms) as executor:
-        found = run_fleet(fleet, "check", executor, rules, tell=world.events.append)
+    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
-    with world.executor(fleet.only((VIRTUAL,))) as executor:
-        again = run_fleet(fleet, "check", executor, rules, only=(VIRTUAL,))
+    again = run_fleet(fleet, "check", world.executor, rules, only=(VIRTUAL,))
     return found, world, again
 
 

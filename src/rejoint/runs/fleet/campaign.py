@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -406,10 +406,13 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
     )
 
 
+MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
+
+
 def run_fleet(
     fleet: Fleet,
     verb: Verb,
-    executor: Executor,
+    executor: MakeExecutor,
     rules: FleetRules,
     *,
     only: tuple[str, ...] = (),
@@ -417,7 +420,7 @@ def run_fleet(
 ) -> FleetResult:
     """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    ``executor`` does the work; ``tell`` receives a line for each event. FileError or UnsavedError if the
+    ``executor`` makes what does the work; ``tell`` receives a line for each event. FileError or UnsavedError if the
     folder is in use or not writable; InputError for an unknown arm or cluster.
     """
     require(f"rejoint fleet {verb}", "report")
@@ -428,7 +431,8 @@ def run_fleet(
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
         tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
-        campaign.drive(executor, tell)
+        with executor([one.arm for one in campaign.arms]) as ready:
+            campaign.drive(ready, tell)
         rows = [_row(campaign, one) for one in campaign.arms]
         result = FleetResult(
             verb=verb,

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 import tomlkit
 from msgspec.structs import replace
+from numpy.lib.stride_tricks import sliding_window_view
 
-from rejoint.arms import CATALOGUE, Arm
+from rejoint.arms import CATALOGUE, Arm, Mask
 from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
@@ -42,18 +44,24 @@ class Hours:
     closed: tuple[tuple[int, int], ...] = ()
     """first and last minute without motion, from `_MONDAY`"""
 
+    def _open(self, now: datetime, minutes: int) -> Mask:
+        minute = (now - _MONDAY) // _MINUTE + np.arange(minutes)
+        found = np.full(minutes, not self.spans)
+        for first, length in self.spans:
+            found |= (minute - first) % _WEEK < length
+        for first, last in self.closed:
+            found &= (minute < first) | (minute > last)
+        return found
+
     def is_open(self, now: datetime) -> bool:
         """Whether the arm may move at ``now``."""
-        minute = (now - _MONDAY) // _MINUTE
-        within = not self.spans or any((minute - first) % _WEEK < length for first, length in self.spans)
-        return within and not any(first <= minute <= last for first, last in self.closed)
+        return bool(self._open(now, 1)[0])
 
     def begins(self, now: datetime) -> datetime | None:
         """Return ``now`` if a motion may begin, else when it may next; None beyond `HORIZON`."""
-        for minutes in range(HORIZON * _DAY):
-            if all(self.is_open(now + k * _MINUTE) for k in range(minutes, minutes + ROOM)):
-                return now.replace(second=0, microsecond=0) + minutes * _MINUTE if minutes else now
-        return None
+        room = sliding_window_view(self._open(now, HORIZON * _DAY), ROOM)
+        first = next(iter(np.flatnonzero(room.all(axis=1)).tolist()), None)
+        return now.replace(second=0, microsecond=0) + first * _MINUTE if first else None if first is None else now
 
 
 def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:

@@ -285,12 +285,12 @@ def _drive(
         with noted(), staged(session.run, "compare") as watch:
             runner.open_robot, runner.on_trial = lambda *about: watch(opened(*about)), see
             result = _beside(runner, before)
+        if before is not None and session.run is not None:
+            keep(before.log.label, before.log)
     except BaseException as error:
         if session.run is not None and (done := len(runner.ledger.done)):
             error.add_note(f"What was tried until then is kept ({done} runs): the same command goes on.")
         raise
-    if before is not None and session.run is not None:
-        keep(before.log.label, before.log)
     return result, logs
 
 
