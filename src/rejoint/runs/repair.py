@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,7 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, TrialPlan, compare
+from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
@@ -197,10 +198,19 @@ def repair(
     found = about.begin()
     files = stages_of(robot, found.arm, found.folder, what, quick=quick)
     works = _works(robot, found, what, chosen, quick=quick)
-    for number, (name, file) in enumerate(files.items(), start=1):
-        if only in (None, name):
-            stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
-            _do(stage, works[name], found, watching, alone=only is not None)
+    prepared, ahead = partial(_comparison, robot, found, what, chosen, quick=quick), None
+    early = is_batchable(robot) and only is None and not what.controllers
+    early = early and not (found.folder.policy.exists() or found.folder.comparison.exists())
+    with ExitStack() as stack:
+        for number, (name, file) in enumerate(files.items(), start=1):
+            if name == "train" and early:  # a comparison of an emulated arm begins during the training
+                with prepared(Observer()) as job:
+                    ahead = job.begin_ahead()
+                stack.enter_context(nullcontext() if ahead is None else closing(ahead))
+            if only in (None, name):
+                work = partial(_compare, prepared, ahead) if name == "compare" else works[name]
+                stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
+                _do(stage, work, found, watching, alone=only is not None)
     watching.progress(1.0, "done")
     return found
 
@@ -208,10 +218,24 @@ def repair(
 def _works(
     robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, *, quick: bool
 ) -> dict[StageName, Callable[..., object]]:
-    """Return what does each stage, for an observer."""
-    gauge, compared, targets, trials = plan.gauge, settings, plan.targets, plan.trials or TrialPlan()
-    if gauge == NO_GAUGE:
-        gauge, compared = None, replace(settings, calibration=NO_GAUGE)
+    """Return what does each stage but the comparison, for an observer."""
+    gauge = None if plan.gauge == NO_GAUGE else plan.gauge
+    return {
+        "diagnose": partial(diagnose, robot, run=run, quick=quick, settings=settings),
+        "calibrate": partial(calibrate, robot, run=run, gauge=gauge, settings=settings),
+        "identify": partial(identify, run=run, quick=quick),
+        "gains": partial(gains, robot, run, settings=settings),
+        "train": partial(train, run=run, preset=plan.preset, quick=quick),
+        "report": lambda observer: report(run),  # noqa: ARG005
+    }
+
+
+@contextmanager
+def _comparison(
+    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, observer: Observer, *, quick: bool
+) -> Iterator[ComparisonJob]:
+    compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
+    targets, trials = plan.targets, plan.trials or TrialPlan()
     sets, repetitions = (1, 1) if quick else (3, 2) if is_batchable(robot) else (None, None)
     trials = replace(
         trials,
@@ -220,15 +244,18 @@ def _works(
     )
     if quick and targets is None:
         targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
-    return {
-        "diagnose": partial(diagnose, robot, run=run, quick=quick, settings=settings),
-        "calibrate": partial(calibrate, robot, run=run, gauge=gauge, settings=settings),
-        "identify": partial(identify, run=run, quick=quick),
-        "gains": partial(gains, robot, run, settings=settings),
-        "train": partial(train, run=run, preset=plan.preset, quick=quick),
-        "compare": partial(compare, robot, plan.controllers, targets, run=run, plan=trials, settings=compared),
-        "report": lambda observer: report(run),  # noqa: ARG005
-    }
+    with ArmSession(robot, run=run, settings=compared, observer=observer) as session:
+        yield comparison_job(session, plan.controllers, targets, trials)
+
+
+def _compare(
+    prepared: Callable[[Observer], AbstractContextManager[ComparisonJob]],
+    ahead: HelperProcess | None,
+    *,
+    observer: Observer,
+) -> Compared:
+    with prepared(observer) as job:
+        return job.drive(observer.progress, ahead)
 
 
 def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer, *, alone: bool) -> None:

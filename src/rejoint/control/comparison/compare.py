@@ -8,8 +8,9 @@ controllers leave after three misses in a row, or by a paired t-test on logarith
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from itertools import product
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.protocols import measure, schedule
+from rejoint.control.comparison.protocols import measure, metrics_of, schedule
 from rejoint.control.comparison.result import (
     KINDS,
     WAS_WORSE,
@@ -37,7 +38,7 @@ from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import run
-from rejoint.control.recording import Cycle, Recording, recording_of
+from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
 from rejoint.control.reference import TargetSequence, Ways
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import OverloadedError, limits_under, require_gains, under_gains
@@ -46,6 +47,7 @@ from rejoint.control.targets import in_words
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.system.files import read_json, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.stopping import pause
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,10 @@ class Ledger:
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 Result = tuple[Driven, Recording]
+Helper = Callable[[Key], Future[Result]]
+"""Drives trials elsewhere"""
+
+_LOOK = 0.02  # [s]
 
 BLOCK = 5
 """targets between eliminations (chosen)"""
@@ -145,6 +151,7 @@ class TrialRunner:
     """trials of one arm, driven before"""
     on_progress: Progress = no_progress
     on_trial: Callable[[Driven, Recording], object] = field(default=lambda *_: None)
+    helper: Helper | None = None
 
     def __post_init__(self) -> None:
         settings, (sets, count) = self.settings, self.targets.shape[:2]
@@ -188,15 +195,26 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        for name, kind in product(self.controllers, KINDS):
-            key = Key(name, kind, places)
-            self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
+        asked = [Key(name, kind, places) for name, kind in product(self.controllers, KINDS)]
+        left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
+        beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
+        for key in asked:
+            if key in beside and not beside[key].cancel():
+                waiting.append(key)
+            else:
+                self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
+        for key in waiting:
+            while not beside[key].done():
+                pause(_LOOK)
+            if beside[key].exception() is None:
+                self.on_trial(*beside[key].result())
+                self._take(beside[key].result()[0])
+            else:  # what the helper lost
+                self._take(self.drive_batch(key)[0])
 
     def drive_batch(self, key: Key) -> Result:
-        """Drive a controller's trials, each on an arm of its own."""
+        """Drive a controller's trials side by side, each on an arm."""
         with closing(self.open_robot(len(key.places), self.settings.seed)) as robot:
-            if not self.settings.batched:
-                self._to_rest(robot)
             return self._drive(robot, key)
 
     # --- in turns on one arm --------------------------------------------------------------------
@@ -303,14 +321,8 @@ class TrialRunner:
         def see(cycle: Cycle) -> None:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
 
-        controller = self.controllers[name](robot.arm)
-        correction = self.correction(robot.arm) if self.correction else None
-        reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
-        plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)
-        limits = limits_under(self.limits, robot, controller)
         try:
-            with under_gains(robot, controller):
-                recording = run(robot, controller, reference, plan, limits=limits, on_cycle=see)
+            recording = self._run(robot, name, targets, kind, turns=turns, on_cycle=see)
         except GuardTripError as error:
             stopped = recording_of(error)
             if stopped is None or not bad_command(stopped):
@@ -324,22 +336,37 @@ class TrialRunner:
         self.on_trial(driven, recording)
         return driven, recording
 
+    def _run(
+        self,
+        robot: Robot,
+        name: str,
+        targets: Array,
+        kind: Kind,
+        *,
+        corrected: bool = True,
+        turns: Orientation | None = None,
+        on_cycle: OnCycle | None = None,
+    ) -> Recording:
+        controller = self.controllers[name](robot.arm)
+        correction = self.correction(robot.arm) if self.correction and corrected else None
+        reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
+        plan = schedule(
+            kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=self.settings.wait
+        )
+        limits = limits_under(self.limits, robot, controller)
+        with under_gains(robot, controller):
+            return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
+
     # --- beside the trials --------------------------------------------------------------------
 
     def as_found(self) -> TargetErrors:
         """Errors of the default controller at the first target set, not corrected; raises as `run`."""
-        name = DefaultController.name
-        alone = TrialRunner(
-            self.open_robot,
-            {name: self.controllers[name]},
-            self.targets[:1],
-            replace(self.settings, block=0),
-            limits=self.limits,
-            stance=self.stance,
-            model=self.model,
-            ways=self.ways,
-        )
-        return TargetErrors.of(alone.drive_batch(Key(name, "hold", ((0, 0),)))[0].columns)
+        targets, settings, models = self.targets[:1], self.settings, [self.model] if self.model else ()
+        with closing(self.open_robot(1, settings.seed)) as robot:
+            self._sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
+            recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False)
+            self._sent = None  # of a robot that is closed now
+            return TargetErrors.of(metrics_of(robot.arm, recording, targets, settings.protocol, models=models))
 
 
 def bad_command(recording: Recording) -> bool:

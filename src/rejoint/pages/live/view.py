@@ -98,6 +98,8 @@ class LiveView(Observer):
     ...     rejoint.deploy("emulated:worn", observer=view)
     """
 
+    shows = True
+
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
         """Serve at ``host`` and ``port`` (0: any free one), without a password."""
         self._host, self._port = host, port

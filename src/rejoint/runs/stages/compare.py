@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from itertools import product
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import BLOCK, Ledger, TrialRunner
+from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Driven, Key, Protocol, TargetErrors
+from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -23,14 +32,41 @@ from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
-from rejoint.session.context import ControllerMaker, Controllers, correction_of, guard_limits, say_heavy, stance_of
-from rejoint.session.inputs import ArmLike, Borrowed, RobotLike, RunLike, Settings, Targets, as_targets, is_batchable
+from rejoint.session.context import (
+    ControllerMaker,
+    Controllers,
+    Factory,
+    correction_of,
+    guard_limits,
+    is_name,
+    named,
+    say_heavy,
+    stance_of,
+)
+from rejoint.session.inputs import (
+    ArmLike,
+    Borrowed,
+    Period,
+    RobotLike,
+    RunLike,
+    Settings,
+    Targets,
+    address_of,
+    as_targets,
+    is_batchable,
+    period_of,
+)
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
+from rejoint.system.progress import Progress
 from rejoint.system.results import Readable
-from rejoint.system.shell import __version__
+from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
 
 DEFAULT = DefaultController.name
 
@@ -96,11 +132,162 @@ class Compared(Readable):
     """one per controller and protocol, such as ``hold-policy-0-0``"""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ComparisonJob:
+    """Inputs of a comparison."""
+
+    robot: RobotLike
+    arm: Arm
+    targets: Array
+    settings: TrialSettings
+    run: Run | None = None
+    factories: dict[str, Factory] = field(default_factory=dict)
+    period: Period | None = None
+    twin: Twin | None = None
+    trials: dict[str, Any] = field(default_factory=dict)
+    """what holds for the trials of all controllers: fields of `TrialRunner`"""
+    file: str = ""
+    """of the targets, or empty"""
+    before: OpenLoopTrials | None = None
+    """the diagnosis's trials of the first set, if used"""
+    observer: Observer = field(default_factory=Observer)
+    by_name: bool = False
+    """another process can make the controllers"""
+    threads: int = 2
+    """of emulated arms; no effect on results"""
+
+    def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
+        """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
+        limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
+        about = {"limits": limits, **self.trials, **hooks}
+        return TrialRunner(opened or self._open, factories, self.targets, self.settings, **about)
+
+    @property
+    def places(self) -> Places:
+        """Target sets and repetitions of all trials."""
+        return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
+
+    def runner_of(self, name: str) -> TrialRunner:
+        """Runner of a named controller's trials, in another process."""
+        posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
+        return self.runner(ControllerMaker(self.arm, period, self.run, self.twin).factories([name], posed=posed))
+
+    def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
+        """Compare; in a run, resume and write. Closes ``helper``."""
+        run = self.run
+        if run is None:
+            return self._drive(Ledger(), on_progress, helper)
+        require_space(run.path)
+        ledger = Ledger(run.folder.trials, self._digest(run))
+        try:
+            found = self._drive(ledger, on_progress, helper)
+        except BaseException as error:
+            if ledger.done:
+                kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
+                error.add_note(kept)
+            raise
+        with saving(found):
+            set_aside(run.folder.comparison)
+            write_json(run.folder.comparison, found.comparison)
+            ledger.close()
+            summarise(run)
+        return found
+
+    def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
+        logs: dict[str, RunLog] = {}
+        before = self.before if DEFAULT in self.factories else None
+
+        def keep(label: str, log: RunLog) -> None:
+            logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
+            if self.run is not None:
+                set_aside(self.run.folder.log(label))
+                log.save(self.run.folder.log(label))
+
+        def see(driven: Driven, recording: Recording) -> None:
+            if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
+                keep(driven.key.label, recording.log(0, driven.key.label))
+
+        helper = ahead or self._help()
+        with (
+            noted(),
+            staged(self.run, "compare") as watch,
+            nullcontext() if helper is None else closing(helper),
+        ):
+
+            def watched(count: int, seed: int) -> Robot:
+                return watch(self._open(count, seed))
+
+            runner = self.runner(
+                self.factories,
+                watched,
+                on_progress=on_progress,
+                on_trial=see,
+                ledger=ledger,
+                measured=None if before is None else before.driven,
+                helper=helper,
+            )
+            result = self._beside(runner, before)
+        if before is not None and self.run is not None:
+            keep(before.log.label, before.log)
+        model = self.trials.get("model")
+        result = replace(
+            result,
+            robot=address_of(self.robot),
+            arm=self.arm.name,
+            targets_file=self.file,
+            period=self.period,
+            calibration=model.date if model else "",
+        )
+        return Compared(comparison=result, recommendation=recommend(result), logs=logs)
+
+    def _beside(self, runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:
+        """Compare, and see what the uncorrected arm does where it is to be corrected."""
+        result = runner.compare()
+        if runner.correction is None or runner.turns is not None or DEFAULT not in self.factories:
+            return result
+        try:
+            return replace(result, as_found=TargetErrors.of(before.driven.columns) if before else runner.as_found())
+        except GuardTripError as error:  # it is not worth a comparison that is decided
+            told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
+            return replace(result, left_out=(*result.left_out, told))
+
+    def begin_ahead(self) -> HelperProcess | None:
+        """Start a second process, if a core is free."""
+        helper = self._help()
+        if helper is not None:
+            for name, kind in product(self.factories, KINDS):
+                helper(Key(name, kind, self.places))
+        return helper
+
+    def _help(self) -> HelperProcess | None:
+        size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
+        plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
+        if not (plain and self.settings.batched and size >= LEAST and core_to_spare()):
+            return None
+        trials = self.trials | {"model": None}
+        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer(), threads=1))
+
+    def _open(self, count: int, seed: int) -> Robot:
+        if not isinstance(self.robot, str):
+            robot: Robot = Borrowed(self.robot)
+        else:
+            robot = open_robot(
+                self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=self.threads
+            )
+        return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
+
+    def _digest(self, run: Run) -> str:
+        used = run.folder.policy, run.folder.twin, run.folder.gains
+        files = [digest(path.read_bytes()) for path in used if path.exists()]
+        turns = self.trials.get("turns")
+        turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
+        options = self.period, self.trials.get("correction"), self.before is None, turned
+        about = self.arm, self.settings, list(self.factories), self.targets.tolist(), files, options
+        return digest(repr((__version__, address_of(self.robot), about)).encode()).decode()
+
+
 SETS, REPETITIONS = 10, 6
 """Default target sets and repetitions (Park et al. 2024: six repetitions)"""
-
-THREADS = 2
-"""of emulated arms; no effect on results"""
 
 ONE_ARM_SETS = 1
 """Target sets on one arm; chosen: those of the diagnosis"""
@@ -136,7 +323,7 @@ def compare(
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-    Emulated arms run side by side. On a real one, controllers take turns in blocks of targets; after three misses in a
+    Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets; after three misses in a
     row, or if significantly worse, they are eliminated. The run's diagnosis counts as trials of ``default``. The same
     call resumes after the last finished trial.
 
@@ -187,42 +374,21 @@ def compare(
         pacing(observer) as update,
         ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
     ):
-        runner, before = _trials(session, controllers, targets, plan or TrialPlan())
-        runner.on_progress, about = update, session.run
-        if about is not None:
-            require_space(about.path)
-            runner.ledger = Ledger(about.folder.trials, _digest(session, about, runner))
-        result, logs = _drive(session, runner, before)
-        result = replace(
-            result,
-            robot=session.address,
-            arm=session.arm.name,
-            targets_file=str(targets) if isinstance(targets, Path | str) else "",
-            period=session.settings.period,
-            calibration="" if session.calibration is None else session.calibration.date,
-        )
-        found = Compared(comparison=result, recommendation=recommend(result), logs=logs)
-        if about is not None:
-            with saving(found):
-                set_aside(about.folder.comparison)
-                write_json(about.folder.comparison, result)
-                runner.ledger.close()
-                summarise(about)
-        return found
+        return comparison_job(session, controllers, targets, plan or TrialPlan()).drive(update)
 
 
-def _trials(
+def comparison_job(
     session: ArmSession, controllers: Controllers, targets: Targets | None, plan: TrialPlan
-) -> tuple[TrialRunner, OpenLoopTrials | None]:
-    """Assemble and validate the trials of a comparison, and those of the diagnosis that it takes over."""
-    arm, run, twin = session.arm, session.run, session.twin
-    robot = session.robot if session.settings.dry_run or session.given is None else session.given
+) -> ComparisonJob:
+    """Assemble and validate a comparison on the arm of a session."""
+    arm, run, twin, settings = session.arm, session.run, session.twin, session.settings
+    robot = session.robot if settings.dry_run or session.given is None else session.given
     real = not is_batchable(robot)
     block = BLOCK if real and not plan.full else 0
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
     say_heavy(arm, twin, points, session.observer.message, turns)
-    settings = TrialSettings(
+    trials = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,
         batched=not real,
@@ -233,84 +399,89 @@ def _trials(
     model, before = session.calibration, None
     if block and run is not None and not isinstance(arm, LoadedArm) and turns is None and session.address == run.robot:
         path = run.folder.log("targets")  # of the diagnosis
-        before = open_loop_trials(run.arm, RunLog.load(path), settings.protocol, model) if path.exists() else None
+        before = open_loop_trials(run.arm, RunLog.load(path), trials.protocol, model) if path.exists() else None
     if before is not None and targets is None:
         points[0] = before.targets
-    maker = ControllerMaker(arm, session.period, run, twin)
-    factories = maker.factories(controllers, real=real, posed=turns is not None)
-    if before is not None and not (DEFAULT in factories and np.array_equal(points[0], before.targets)):
-        before = None
-
-    def opened(count: int, seed: int) -> Robot:
-        found: Robot = (
-            open_robot(robot, arm=arm, seed=seed, count=count, period=session.settings.period, threads=THREADS)
-            if isinstance(robot, str)
-            else Borrowed(robot)
-        )
-        return session.observer.watch(found, twin=twin, within=settings.protocol.threshold)
-
-    runner = TrialRunner(
-        opened,
-        factories,
-        points,
-        settings,
-        turns=turns,
-        limits=guard_limits(run, arm, session.address),
-        stance=stance_of(twin, run),
-        correction=correction_of(model, arm, points),
-        model=model,
-        measured=None if before is None else before.driven,
+    posed = turns is not None
+    return ComparisonJob(
+        robot=robot,
+        arm=arm,
+        run=run,
+        factories=ControllerMaker(arm, session.period, run, twin).factories(controllers, real=real, posed=posed),
+        targets=points,
+        settings=trials,
+        period=settings.period,
+        twin=twin,
+        trials={
+            "turns": turns,
+            "stance": stance_of(twin, run),
+            "correction": correction_of(model, arm, points),
+            "model": model,
+        },
+        observer=session.observer,
+        by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
+        file=str(targets) if isinstance(targets, Path | str) else "",
+        before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )
-    return runner, before
 
 
-def _drive(
-    session: ArmSession, runner: TrialRunner, before: OpenLoopTrials | None
-) -> tuple[Comparison, dict[str, RunLog]]:
-    """Compare; the run keeps logs, and finished trials also after an error."""
-    logs: dict[str, RunLog] = {}
+LEAST = 400
+"""Targets of all trials that are worth a helper; chosen"""
 
-    def keep(label: str, log: RunLog) -> None:
-        logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
-        if session.run is not None:
-            set_aside(session.run.folder.log(label))
-            log.save(session.run.folder.log(label))
-
-    def see(driven: Driven, recording: Recording) -> None:
-        if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
-            keep(driven.key.label, recording.log(0, driven.key.label))
-
-    opened = runner.open_robot
-    try:
-        with noted(), staged(session.run, "compare") as watch:
-            runner.open_robot, runner.on_trial = lambda *about: watch(opened(*about)), see
-            result = _beside(runner, before)
-        if before is not None and session.run is not None:
-            keep(before.log.label, before.log)
-    except BaseException as error:
-        if session.run is not None and (done := len(runner.ledger.done)):
-            error.add_note(f"What was tried until then is kept ({done} runs): the same command goes on.")
-        raise
-    return result, logs
+_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
 
 
-def _beside(runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:
-    """Compare, and see what the uncorrected arm does where it is to be corrected."""
-    result = runner.compare()
-    if runner.correction is None or runner.turns is not None or DEFAULT not in runner.controllers:
-        return result
-    try:
-        return replace(result, as_found=TargetErrors.of(before.driven.columns) if before else runner.as_found())
-    except GuardTripError as error:  # it is not worth a comparison that is decided
-        told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
-        return replace(result, left_out=(*result.left_out, told))
+def core_to_spare() -> bool:
+    """Whether a second core is free, by OMP_NUM_THREADS."""
+    return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
-def _digest(session: ArmSession, run: Run, runner: TrialRunner) -> str:
-    """Digest of all that the finished trials of a comparison depend on."""
-    folder, turns = run.folder, runner.turns
-    files = [digest(path.read_bytes()) for path in (folder.policy, folder.twin, folder.gains) if path.exists()]
-    turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
-    options = session.settings.period, runner.correction, runner.measured is None, turned
-    about = session.arm, runner.settings, list(runner.controllers), runner.targets.tolist(), files, options
-    return digest(repr((__version__, session.address, about)).encode()).decode()
+class HelperProcess:
+    """A running helper; close it."""
+
+    def __init__(self, job: ComparisonJob) -> None:
+        self._line, other = Pipe()
+        self._process: subprocess.Popen[bytes] | None = None
+        with other, suppress(OSError):  # no process to be had: its tasks fail
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
+                [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(other.fileno(),),
+                start_new_session=True,  # Ctrl-C is for the process that started it
+            )
+        self._asking = ThreadPoolExecutor(1)
+        self._asking.submit(self._line.send, job)
+        self._futures: dict[Key, Future[Result]] = {}
+
+    def __call__(self, key: Key) -> Future[Result]:
+        """Have trials driven, once."""
+        if key not in self._futures:
+            self._futures[key] = self._asking.submit(self._ask, key)
+        return self._futures[key]
+
+    def _ask(self, key: Key) -> Result:
+        self._line.send(key)
+        found: Result = self._line.recv()
+        return found
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._asking.shutdown(cancel_futures=True)
+        self._line.close()
+
+
+def main(line: int) -> None:
+    """Serve `HelperProcess` at file descriptor ``line`` to its end."""
+    asked = Connection(line)
+    with suppress(OSError, EOFError):
+        job: ComparisonJob = asked.recv()
+        while True:
+            key: Key = asked.recv()
+            driven, recording = job.runner_of(key.controller).drive_batch(key)
+            asked.send((driven, recording.of(slice(1))))
+            give_back()
