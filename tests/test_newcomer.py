@@ -95,17 +95,18 @@ def test_who_may_not_open_a_port_reads_which_group_may(tmp_path):
     assert "usermod -aG" in ports.why_closed(PermissionError(13, "Permission denied"), str(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("written", "meant"),
-    [
-        ("/dev/ttyACM0", "feetech:///dev/ttyACM0"),
-        ("192.168.1.20:9000", "tcp://192.168.1.20:9000"),
-        ("192.168.1.20", "tcp://192.168.1.20:9000"),
-        ("bench-3", "rejoint arms"),
-        ("worn", "emulated:worn"),
-    ],
-)
-def test_an_address_without_its_scheme_is_completed(written, meant):
+MEANT = """
+/dev/ttyACM0 | feetech:///dev/ttyACM0
+192.168.1.20:9000 | tcp://192.168.1.20:9000
+192.168.1.20 | tcp://192.168.1.20:9000
+bench-3 | rejoint arms
+worn | emulated:worn
+"""
+
+
+@pytest.mark.parametrize("line", MEANT.strip().splitlines())
+def test_an_address_without_its_scheme_is_completed(line):
+    written, meant = line.split(" | ")
     with pytest.raises(rejoint.AddressError) as caught:
         rejoint.open_robot(written)
     assert meant in str(caught.value)

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 
@@ -78,15 +77,6 @@ def started(monkeypatch):
 
 def compared(*controllers):
     return rejoint.compare("emulated:worn", controllers, plan=rejoint.TrialPlan(sets=1, repetitions=1, protocol=QUICK))
-
-
-def test_it_drives_what_a_session_compares(started):
-    plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=QUICK)
-    with rejoint.Session("emulated:worn", arm=ARM) as session:
-        job = comparing.comparison_job(session, ("default", "integrator"), None, plan)
-    with closing(job.begin_ahead()) as helper:
-        for name in job.factories:
-            assert helper(Key(name, "hold", job.places)).result(60)[0].key.controller == name
 
 
 @pytest.mark.parametrize("lost", [False, True])

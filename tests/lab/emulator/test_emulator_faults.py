@@ -113,11 +113,6 @@ def test_a_stale_answer_is_an_earlier_one_of_the_same_servo(begin):
     assert [line.pieces(question, answer) for answer in later] == [[answer] for answer in first]
 
 
-def test_a_stale_posture_is_the_one_before():
-    line, other = WireFaults(faults("stale=1")), ANGLES[:4] + bytes([ANGLES[4] ^ 1]) + ANGLES[5:]
-    assert [line.pieces(GET_ANGLES, answer) for answer in (ANGLES, other)] == [[ANGLES], [ANGLES]]
-
-
 def test_garbage_comes_before_an_answer_or_inside(talk):
     answers = [data for _, data in talk("garbage=1", [GET_ANGLES] * 60)]
     before = [data for data in answers if data.endswith(ANGLES)]
