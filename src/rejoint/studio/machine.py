@@ -154,7 +154,7 @@ class Studio(Observer):
             self._stopped_by = by
             self.change(stopping=True)
             self._answers.put(None)
-        interrupt(by)
+            interrupt(by)  # still within the lock: else it could reach the next job
 
     def leave(self) -> None:
         """End the job, let the arm hold, and end the program."""
