@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -206,7 +206,8 @@ def repair(
             if name == "train" and early:  # a comparison of an emulated arm begins during the training
                 with prepared(Observer()) as job:
                     ahead = job.begin_ahead()
-                stack.enter_context(nullcontext() if ahead is None else closing(ahead))
+                if ahead is not None:
+                    stack.enter_context(closing(ahead))
             if only in (None, name):
                 work = partial(_compare, prepared, ahead) if name == "compare" else works[name]
                 stage = Stage(name=name, state="started", file=file, number=number, total=len(files))

@@ -258,7 +258,8 @@ class ArmMotion(Future[Any]):
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
         super().__init__()
-        self.goal, self._work, self.ended = goal, work, threading.Event()
+        self._work, self.ended = work, threading.Event()
+        self.goal = goal
         """where the arm is on its way to, in words"""
 
     def run(self) -> None:

@@ -219,8 +219,10 @@ class Twin(Readable):
             raise InputError("twin: the covariance must be symmetric, without negative eigenvalues")
         if (self.narrowing <= 0).any() or (self.lower >= self.upper).any():
             raise InputError("twin: every narrowing must be positive, and every lower bound below the upper one")
-        if not (self.acceleration > 0.0 and (self.parameters.stiction >= 1.0).all()):
-            raise InputError(f"twin: acceleration {self.acceleration} not above 0, or a stiction below 1")
+        if not self.acceleration > 0.0:
+            raise InputError(f"twin: acceleration {self.acceleration} not above 0")
+        if not (self.parameters.stiction >= 1.0).all():
+            raise InputError(f"twin: stiction {self.parameters.stiction.min():.3g}, expected at least 1")
 
     @property
     def names(self) -> tuple[str, ...]:
