@@ -100,7 +100,7 @@ def limiting(problem: Problem, x: Array) -> Mask:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
-STEP = 0.1
+STEP = 0.05
 """Finite-difference step of the logarithms; chosen"""
 
 
