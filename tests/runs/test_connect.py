@@ -12,7 +12,8 @@ import pytest
 
 import rejoint
 from hearing import Hears
-from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from madetwin import made_calibration
+from rejoint.arms import Array, Box, Displacement, clearances, mycobot280, plan, tcp_position
 from rejoint.control.controllers.posture import PlannedWay, UnloadedWay, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
@@ -100,6 +101,20 @@ def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
     assert name.startswith("move-")
     assert {tuple(np.round(place, 3)) for place in log.target} == {(0.18, 0.03, 0.21), (0.17, 0.0, 0.2)}
     assert (np.diff(log.time) > 0.0).all()
+
+
+def test_the_tool_is_where_the_calibration_puts_it() -> None:
+    displacement = replace(Displacement.none(ARM), offset=np.radians([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    settings = rejoint.Settings(calibration=made_calibration(ARM, displacement))
+    with rejoint.connect("emulated:healthy", settings=settings) as arm:
+        there = arm.move_to([0.18, 0.03, 0.21], within_m=0.002)
+        np.testing.assert_allclose(there.tool_m, displacement.tool(ARM, there.joints_rad), atol=1e-9)
+        np.testing.assert_allclose(there.tool_m, [0.18, 0.03, 0.21], atol=3e-3)
+        seen = tcp_position(ARM, there.joints_rad)
+        assert np.linalg.norm(there.tool_m - seen) > 5e-3
+        arm.move_to([0.17, 0.0, 0.2], within_m=0.003)
+        back = arm.move_to(there.tool_m, within_m=0.002)
+        np.testing.assert_allclose(tcp_position(ARM, back.joints_rad), seen, atol=4e-3)
 
 
 def test_an_arm_that_keeps_close_to_its_way_has_not_reached_its_target_yet() -> None:

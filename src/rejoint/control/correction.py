@@ -196,7 +196,7 @@ class Apparent:
         """Posture (n,) [rad] shown at ``position`` (n,)."""
         if self.shift is None:
             return position
-        place = self._tool(position)
+        place = self.tool(position)
         return self._solved(position, lambda q: place - tcp_position(self.arm, q))
 
     def measured(self, posture: Array) -> Array:
@@ -204,13 +204,13 @@ class Apparent:
         if self.shift is None:
             return posture
         place = tcp_position(self.arm, posture)
-        position = self._solved(posture, lambda q: place - self._tool(q))
+        position = self._solved(posture, lambda q: place - self.tool(q))
         return np.clip(position, self.arm.lower, self.arm.upper)
 
-    def _tool(self, position: Array) -> Array:
-        """Return the true place (3,) [m] at ``position`` (n,) [rad]."""
-        assert self.shift is not None  # noqa: S101 - for the type checker
-        return tcp_position(self.arm, position) + self.shift(position)
+    def tool(self, position: Array) -> Array:
+        """Return the true place (3,) [m] at ``position`` (n,) [rad]; without a shift that by the encoders."""
+        place = tcp_position(self.arm, position)
+        return place if self.shift is None else place + self.shift(position)
 
     def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
         """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""

@@ -66,7 +66,7 @@ class ArmState(Readable):
     joints_rad: Array
     """(n,) measured"""
     tool_m: Array
-    """(3,) tool centre point by the encoders"""
+    """(3,) tool centre point: by the calibration, else by the encoders"""
     moving: bool
     """whether a motion is under way"""
     target_m: Array | None = None
@@ -497,15 +497,15 @@ class ArmSession(ArmDriver):
 
     def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
         joints, sent = newest.position[0], self._last
-        tool, target, error, turned = tcp_position(self.arm, joints), None, None, None
+        target, error, turned = None, None, None
         if sent is not None and np.isfinite(sent.aim[0]).all():
-            target, error = sent.target[0].copy(), float(np.linalg.norm(sent.aim[0] - tool))
+            target, error = sent.target[0].copy(), float(np.linalg.norm(sent.aim[0] - tcp_position(self.arm, joints)))
         if sent is not None and np.isfinite(sent.turned[0]):
             turned = float(sent.turned[0])
         return ArmState(
             time_s=float(newest.time[0]),
             joints_rad=joints.copy(),
-            tool_m=tool,
+            tool_m=self.apparent.tool(joints),
             moving=moving,
             target_m=target,
             error_m=error,
