@@ -153,6 +153,16 @@ def test_the_gate_refuses_to_correct_noise():
     assert refused >= 6
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_few_points_help_where_the_links_are_not_as_described(seed):
+    twist = np.random.default_rng([seed, 2]).normal(0.0, [1e-3] * 3 + [np.radians(0.3)] * 3, (7, 6))
+    truth = replace(worn(seed), twist=twist)
+    found, q = fit(ARM, measured(truth, 3, seed=seed)), postures(40, 100 + seed)
+    assert found.used
+    off = np.linalg.norm(truth.tool(ARM, q) - found.displacement.tool(ARM, q), axis=1)
+    assert off.mean() < 0.4 * np.linalg.norm(truth.tool(ARM, q) - tcp_position(ARM, q), axis=1).mean()
+
+
 def test_a_wrong_point_is_named_and_right_ones_are_not():
     named = accused = 0
     for seed in range(5):

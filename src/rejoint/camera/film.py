@@ -142,7 +142,7 @@ class Film:
                 f"camera: the board is not flat: its corners stand by {1e3 * height:.1f} mm or more out of its plane; "
                 "glue it on something flat and stiff, and take the pictures again"
             )
-        problem, fitted = likeliest(problem, beliefs_of(arm, problem.posture, prior, outside))
+        problem, fitted = likeliest(problem, beliefs_of(arm, prior, outside))
         measured = Measurements(
             position=problem.position,
             point=problem.tool(fitted.vector)[:, :3, 3],

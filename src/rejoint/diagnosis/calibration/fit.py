@@ -239,10 +239,9 @@ DISTURBED = (
 def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool:
     """Whether the correction is clearly better at points left out: errors (M,) [m] without and with it."""
     numbers = np.unique(measured.posture)
-    gain = np.array([(before - after)[measured.posture == number].mean() for number in numbers])
+    gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
     noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
-    spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
-    return not astray(arm, after) and bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
+    return not astray(arm, after) and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
 
 
 def suspects_of(surprise: Array, known: Mask) -> tuple[int, ...]:
@@ -296,9 +295,6 @@ CASES = (
 AGE = 0.3
 """Change since an earlier calibration, in sigmas of the prior; chosen"""
 
-LINKS_FROM = 5
-"""Postures from which links are fitted; chosen"""
-
 
 def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = "") -> Calibration:
     """Fit a displacement to ``measurements`` and test it on points left out.
@@ -315,7 +311,7 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     measurements, foreign = merge_repeats(measurements), measurements.frame != "base"
     seen = np.tile(np.eye(4), (len(measurements), 1, 1))
     seen[:, :3, 3] = np.nan_to_num(measurements.point)
-    beliefs = beliefs_of(arm, measurements.posture, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
+    beliefs = beliefs_of(arm, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
     problem = ToolProblem(
         arm=arm,
         belief=beliefs[0],
@@ -331,13 +327,12 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
     return judged(*likeliest(problem, beliefs), measurements, date)
 
 
-def beliefs_of(arm: Arm, posture: NDArray[np.int64], prior: Calibration | None, outside: Array) -> list[Belief]:
-    """Priors for rows of numbered postures (M,); ``outside``: see `belief`."""
+def beliefs_of(arm: Arm, prior: Calibration | None, outside: Array) -> list[Belief]:
+    """Priors of an arm: an earlier calibration, or every case; ``outside``: see `belief`."""
     if prior is not None:
         prior.require(arm)
         return [earlier(arm, prior, outside)]
-    few = len(np.unique(posture)) < LINKS_FROM
-    return [belief(arm, case, outside) for case in CASES if not (case.twist and few)]
+    return [belief(arm, case, outside) for case in CASES]
 
 
 def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
