@@ -65,6 +65,13 @@ def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path, wrong, why):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_training_that_cannot_be_is_no_quick_try(tmp_path):
+    run = Run.create(tmp_path / "run", NOBODY, mycobot280(), 0)
+    with pytest.raises(rejoint.InputError, match="no preset is called 'nope'"):
+        rejoint.train(run=run, preset="nope", quick=True, settings=rejoint.TrainSettings(generic=True))
+    assert not run.folder.quick.exists()
+
+
 def test_an_arm_without_the_wire_that_is_served(tmp_path):
     run = Run.create(tmp_path / "run", "feetech://127.0.0.1:1", so101(), 0).path
     with pytest.raises(rejoint.InputError, match="not of so101; for joint goals line by line take --stdio"):

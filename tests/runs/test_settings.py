@@ -1,5 +1,7 @@
 """Settings: refused where they cannot be meant, kept by a run, and the same words at the command line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from hearing import Hears
 from rejoint.arms import Box, mycobot280
 from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.runs.run import Run, mark_quick
+from rejoint.session.driver import RehearsedRobot
 from rejoint.session.inputs import keep, settled
 from runs.test_connect import a_twin
 
@@ -54,6 +57,17 @@ def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run
     assert own.payload is own.tool is None, "an open robot has its own"
     assert own.period == GIVEN.period
     assert settled(GIVEN, None, "emulated:worn") == (GIVEN, "")
+
+
+def test_a_rehearsal_gathers_speed_as_the_twin_does():
+    robot, ways = rejoint.open_robot("emulated:worn"), []
+    for acceleration in (np.inf, 5.0):
+        rehearsed = RehearsedRobot(robot, replace(a_twin(), acceleration=acceleration), None)
+        start = rehearsed.read().position
+        for cycle in range(10):
+            state = rehearsed.step(start + 0.02 * cycle)
+        ways.append(np.abs(state.position - start).max())
+    assert ways[1] < 0.7 * ways[0]
 
 
 def test_kept_settings_drive_the_arm_and_are_named(run):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -135,7 +135,7 @@ class CameraGauge:
     """by the tool: ``board`` or ``camera``"""
     postures: int = CHOSEN
     """after those about rest"""
-    scouts: int = SCOUTS
+    scouts: ClassVar[int] = SCOUTS
     """pictures about rest"""
 
     def film(

@@ -204,9 +204,11 @@ class RehearsedRobot(WatchedRobot):
 
         check_ready(robot)
         arm, start = robot.arm, robot.read().position[0]
-        own = (nominal_parameters(arm) if twin is None else twin.parameters).repeat(1)
+        own = Draw.of(nominal_parameters(arm).repeat(1))
+        if twin is not None:
+            own = Draw.of(twin.parameters.repeat(1), twin.acceleration)
         low, high = period or PERIOD
-        draw = replace(Draw.of(own), period=np.array([(low + high) / 2]))
+        draw = replace(own, period=np.array([(low + high) / 2]))
         jitter = (high - low) / (high + low)
         simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
         super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))

@@ -383,8 +383,10 @@ DEFAULT = replace(SCRATCH, name="default", warm=WARM)
 PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH)}
 
 
-def load_preset(name: str) -> Preset:
-    """Look up a preset; InputError names the alternatives."""
-    if name not in PRESETS:
-        raise InputError(f"no preset is called {name!r}; known presets: {', '.join(sorted(PRESETS))}")
-    return PRESETS[name]
+def load_preset(preset: str | Preset) -> Preset:
+    """Look up a preset by name; InputError names the alternatives."""
+    if isinstance(preset, Preset):
+        return preset
+    if preset not in PRESETS:
+        raise InputError(f"no preset is called {preset!r}; known presets: {', '.join(sorted(PRESETS))}")
+    return PRESETS[preset]

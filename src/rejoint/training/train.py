@@ -78,7 +78,7 @@ class TrainingOptions:
     @property
     def recipe(self) -> Preset:
         """The preset with these numbers of agents and iterations."""
-        preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
+        preset = load_preset(self.preset)
         sizes = {"agents": self.agents, "iterations": self.iterations}
         given: dict[str, Any] = {name: size for name, size in sizes.items() if size is not None}
         warm = preset.warm and replace(preset.warm, **given)

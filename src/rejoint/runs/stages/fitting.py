@@ -321,6 +321,10 @@ def train(
     """
     how, servo_gains = settings or TrainSettings(), None
     with pacing(observer) as update, ExitStack() as stack:
+        if how.trainer is None:
+            from rejoint.training.task import load_preset
+
+            preset = load_preset(preset)
         if run is not None:
             if twin is not None:
                 raise InputError("training: a run has its own twin; give either a run or a twin")
