@@ -204,11 +204,9 @@ class RehearsedRobot(WatchedRobot):
 
         check_ready(robot)
         arm, start = robot.arm, robot.read().position[0]
-        own = Draw.of(nominal_parameters(arm).repeat(1))
-        if twin is not None:
-            own = Draw.of(twin.parameters.repeat(1), twin.acceleration)
+        own, limit = (nominal_parameters(arm), np.inf) if twin is None else (twin.parameters, twin.acceleration)
         low, high = period or PERIOD
-        draw = replace(own, period=np.array([(low + high) / 2]))
+        draw = replace(Draw.of(own.repeat(1), limit), period=np.array([(low + high) / 2]))
         jitter = (high - low) / (high + low)
         simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
         super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))

@@ -498,10 +498,11 @@ class ArmSession(ArmDriver):
     def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
         joints, sent = newest.position[0], self._last
         target, error, turned = None, None, None
-        if sent is not None and np.isfinite(sent.aim[0]).all():
-            target, error = sent.target[0].copy(), float(np.linalg.norm(sent.aim[0] - tcp_position(self.arm, joints)))
-        if sent is not None and np.isfinite(sent.turned[0]):
-            turned = float(sent.turned[0])
+        if sent is not None:
+            if np.isfinite(off := sent.aim[0] - tcp_position(self.arm, joints)).all():
+                target, error = sent.target[0].copy(), float(np.linalg.norm(off))
+            if np.isfinite(sent.turned[0]):
+                turned = float(sent.turned[0])
         return ArmState(
             time_s=float(newest.time[0]),
             joints_rad=joints.copy(),
