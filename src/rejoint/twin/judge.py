@@ -23,9 +23,9 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
-from rejoint.twin.chain.dynamics import GROUP
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window, at_gain
+from rejoint.twin.step import GROUP
 from rejoint.twin.twin import (
     NO_TWIN,
     Errors,

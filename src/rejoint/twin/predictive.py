@@ -17,9 +17,8 @@ from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
 from rejoint.control.controllers.catalogue import PREDICTIVE
 from rejoint.control.controllers.classical import Pace, limit_lead, limit_position
 from rejoint.control.robot import ControlInput, Controller, JointState
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.simulation import Draw, Simulation
+from rejoint.twin.simulation import ChainBatch, Draw, Simulation
 from rejoint.twin.twin import Twin
 
 

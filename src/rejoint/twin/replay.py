@@ -19,9 +19,9 @@ from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TIMESTEP, TwinParameters
 from rejoint.twin.reference import ServoReference
+from rejoint.twin.simulation import ChainBatch
 
 if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
