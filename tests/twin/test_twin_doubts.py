@@ -13,7 +13,7 @@ from rejoint.twin.identify import FREEDOM, _hard_to_follow
 from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.structure import simplest
+from rejoint.twin.structure import Structure
 from rejoint.twin.twin import smaller
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
@@ -68,7 +68,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     shaking = np.cumsum(rng.standard_normal(LOGS[0].position.shape), axis=0)
     shaking = np.radians(5.0) * (shaking - shaking.mean(axis=0)) / shaking.std(axis=0)
     logs = [*LOGS, replace(LOGS[0], label="shaken", position=LOGS[0].position + shaking)]
-    structure = simplest(unknown_prior(ARM))
+    structure = Structure(belief=unknown_prior(ARM))
     start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
     off = []
     for freedom in (FREEDOM, np.inf):
@@ -76,7 +76,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
         problem = Problem(replay, structure.prior, structure.frozen, memory=1.0, freedom=freedom)
         found = fit(problem, start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
-        named = _hard_to_follow(problem, found, logs)
+        named = _hard_to_follow(problem, found)
         assert bool(named) == (freedom < np.inf)
         if named:
             assert named[0].count("motion") + named[0].count("shaken") == 1

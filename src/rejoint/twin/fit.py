@@ -80,13 +80,11 @@ class Problem:
     ) -> None:
         self.replay, self.prior, self.freedom = replay, prior, freedom
         self.joints = replay.arm.joints
-        self.measured = np.concatenate(replay.measured())
-        lengths = [len(part) for part in replay.measured()]
-        self.window = np.repeat(np.arange(len(lengths)), lengths)
+        self.measured, self.window = replay.measured, replay.window
         silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
-        self.memory = memory * (len(self.measured) - len(lengths)) / replay.seconds  # rows
+        self.memory = memory * (len(self.measured) - len(replay.windows)) / replay.seconds  # rows
         self.layout = Layout(self.joints)
         self.owner = self.layout.owner
         self.steps = stride * self.layout.has("difference")
@@ -202,12 +200,6 @@ class Problem:
     def columns(self, joint: int) -> Index:
         """Return indices of a joint's parameters and, last, the arm's."""
         return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
-
-    def clusters(self, length: float) -> Index:
-        """(rows,) number of each stretch of about ``length`` [s]."""
-        time = np.concatenate([self.replay.times(i) for i in range(len(self.replay.windows))])
-        keys = np.stack([self.window, (time // length).astype(int)], axis=1)
-        return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
     def _scaled(self) -> list[int]:
         return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]

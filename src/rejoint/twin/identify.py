@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,7 +25,6 @@ from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
     contact_windows,
-    durations,
     fastest,
     free_windows,
     part,
@@ -40,7 +40,6 @@ from rejoint.twin.parameters import (
     is_hobby,
     pack,
     prior,
-    unknown_prior,
     unpack,
 )
 from rejoint.twin.replay import (
@@ -49,7 +48,7 @@ from rejoint.twin.replay import (
     Window,
     at_gain,
     cut,
-    divide,
+    durations,
     measured_velocity,
     powered,
     recorded_gain,
@@ -64,8 +63,6 @@ from rejoint.twin.structure import (
     find_structure,
     given,
     rough_fit,
-    simplest,
-    without,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
@@ -138,9 +135,6 @@ class LogSettings:
     threads: int = 2
 
 
-DEFAULT_LOG_SETTINGS = LogSettings()
-
-
 # Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis
 # or near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`load_slopes`)
 # is stiffness over largest torque, within some percent. Equal motors share a scale. Stall torques in data sheets
@@ -203,8 +197,9 @@ def identify(
             f"expected at least {SHORTEST_EXCITATION:.0f} s and {HOLD_OUT} windows, one held out; record a longer log"
         )
     by_loads = prior_by_loads(arm, logs)
-    belief = prior(arm) if by_loads is None else without(by_loads, UNSEEN)
-    pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
+    belief = prior(arm) if by_loads is None else Structure(belief=by_loads, frozen=UNSEEN).prior
+    rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
+    pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
     rng = np.random.default_rng(seed)
@@ -216,7 +211,9 @@ def identify(
     found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
-    twin = fitted_twin(fine, found, fine.clusters(CLUSTER), held_out)
+    stretches = np.stack([fine.window, (fine.replay.time // CLUSTER).astype(int)], axis=1)
+    clusters = np.unique(stretches, axis=0, return_inverse=True)[1].ravel()
+    twin = fitted_twin(fine, found, clusters, held_out)
     on_progress(1.0, "done")
     return twin
 
@@ -230,9 +227,9 @@ def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Ar
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
-    arm, measured = replay.arm, np.concatenate(replay.measured())
+    arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    predicted = [np.concatenate(replay.commands()), *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
+    predicted = [replay.commands, *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
     no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
@@ -297,7 +294,7 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
 def identify_logs(
     arm: Arm,
     logs: Sequence[RunLog],
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    settings: LogSettings,
     on_progress: Progress = no_progress,
     beside: Sequence[Candidate] = (),
 ) -> Twin:
@@ -312,12 +309,12 @@ def identify_logs(
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
     logs = at_gain(logs, gain)
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
-    every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
-    height = table_height(arm, seen)
-    excluded = find_exclusions(arm, seen, height)
+    motions = Motions(arm, seen, settings, table_height(arm, seen))
     on_progress(0.0, "search")
-    problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
-    table = _fit_table(problem, found, excluded, height, settings)
+    structure, start = motions.find_structure(on_progress)
+    on_progress(0.5, "fit")
+    problem, found = motions.settle(structure, start)
+    table = motions.fit_table(problem, found)
     on_progress(0.7, "held-out motions")
     own = Candidate(
         name=FITTED,
@@ -327,118 +324,112 @@ def identify_logs(
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
     judgement = judge(
-        arm, [own, *healthy, *beside], unseen, table=height, timestep=settings.timestep, threads=settings.threads
+        arm,
+        [own, *healthy, *beside],
+        unseen,
+        table=motions.height,
+        timestep=settings.timestep,
+        threads=settings.threads,
     )
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
     if settings.hold_out != ():
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
-        note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
-        excluded = find_exclusions(arm, every, height)
-        belief = decide_compensation(unknown_prior(arm), arm, every, excluded)
-        structure = replace(structure, prior=without(belief, structure.frozen))
-        problem, found = settle(arm, every, excluded, structure, found.vector, settings)
+        note, missing = REFITTED, [*judgement.doubts, *[REPEATED] * alike]
+        motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
+        problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
     return replace(
         twin,
         gain=gain,
-        notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
-        fitted=fitted,
+        notes=(*twin.notes, *_hard_to_follow(problem, found), note),
+        fitted=tuple(log.label for log in seen),
         judgement=replace(judgement, doubts=tuple(missing)),
     )
 
 
-def fit_motions(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
-    on_progress: Progress = no_progress,
-) -> tuple[Problem, Fit, Structure]:
-    """Find a twin's structure, and fit it; InputError for too little motion."""
-    windows = free_windows(logs, excluded, settings.window)
-    seconds = float(durations(windows, logs).sum())
-    if seconds < SHORTEST:
-        raise InputError(
-            f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and more, "
-            f"expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
-        )
-    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
+@dataclass(frozen=True)
+class Motions:
+    """Motions to which one twin is fitted, off table and stops."""
 
-    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
-        return _problem(arm, logs, chosen, structure, settings)
+    arm: Arm
+    logs: Sequence[RunLog]
+    settings: LogSettings
+    height: float | None = None
+    """[m] of the tip on a table; None without contact"""
 
-    fast = fastest(windows, logs, settings.fast_seconds)
-    slow = thin(windows, logs, settings.coarse_seconds)
-    simple = simplest(belief, arm.servo_acceleration)
-    x = rough_fit(problem(slow, simple))
-    on_progress(0.3, "structure")
-    expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
-    if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
-        x = rough_fit(problem(slow, simple))
-    usable = expressible(problem(sorted({*slow, *fast}), simple), x)
-    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, x)
-    on_progress(0.5, "fit")
-    return *settle(arm, logs, excluded, structure, x, settings), structure
+    @cached_property
+    def excluded(self) -> Sequence[Exclusions]:
+        """Contacts, stops and dead readings in each log."""
+        return find_exclusions(self.arm, self.logs, self.height)
 
+    @cached_property
+    def windows(self) -> list[Window]:
+        """Free motion."""
+        return free_windows(self.logs, self.excluded, self.settings.window)
 
-def settle(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    structure: Structure,
-    start: Array,
-    settings: LogSettings,
-) -> tuple[Problem, Fit]:
-    """Fit windows from all logs, from ``start`` (k,)."""
-    windows = free_windows(logs, excluded, settings.window)
-    fast = fastest(windows, logs, settings.fast_seconds)
-    every = sorted({*thin(windows, logs, settings.fit_seconds), *fast})
-    problem = _problem(arm, logs, every, structure, settings, stride=1.0)
-    return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+    @cached_property
+    def fast(self) -> list[Window]:
+        """The fastest free motion."""
+        return fastest(self.windows, self.logs, self.settings.fast_seconds)
 
+    @property
+    def belief(self) -> Prior:
+        """Prior by what the sag in these motions tells."""
+        return decide_compensation(self.arm, self.logs, self.excluded)
 
-def _problem(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    windows: Sequence[Window],
-    structure: Structure,
-    settings: LogSettings,
-    stride: float = STRIDE,
-) -> Problem:
-    timestep, threads = settings.timestep, settings.threads
-    replay = Replay(arm, logs, windows, timestep, threads, structure.acceleration)
-    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+    def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
+        """Make the problem of some windows."""
+        settings = self.settings
+        replay = Replay(self.arm, self.logs, windows, settings.timestep, settings.threads, structure.acceleration)
+        return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+
+    def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:
+        """Find a twin's structure, and its optimum (k,) on few windows; InputError for too little motion."""
+        seconds = float(durations(self.windows, self.logs).sum())
+        if seconds < SHORTEST:
+            raise InputError(
+                f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
+                f"more, expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
+            )
+        slow = thin(self.windows, self.logs, self.settings.coarse_seconds)
+        simple = Structure(belief=self.belief, acceleration=self.arm.servo_acceleration)
+        x = rough_fit(self.problem(slow, simple))
+        on_progress(0.3, "structure")
+        expected, simple = simple, find_acceleration(partial(self.problem, self.fast), simple, x)
+        if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
+            x = rough_fit(self.problem(slow, simple))
+        usable = expressible(self.problem(sorted({*slow, *self.fast}), simple), x)
+        return find_structure(partial(self.problem, usable), simple, x)
+
+    def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
+        """Fit windows from all logs, from ``start`` (k,)."""
+        every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.fast})
+        problem = self.problem(every, structure, stride=1.0)
+        return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+
+    def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
+        """Fit the table to the motion in contact; None where that is too little."""
+        length = self.settings.window
+        windows = [] if self.height is None else contact_windows(self.logs, self.excluded, length)
+        if self.height is None or durations(windows, self.logs).sum() < LEAST_CONTACT:
+            return None
+        from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
+
+        touching = replace(problem.replay, windows=thin(windows, self.logs, self.settings.contact_seconds))
+        return fit_table(touching, unpack(found.vector, problem.joints), self.height)
 
 
 def independent(problem: Problem) -> Index:
     """(rows,) numbers of independent motions, or of windows where there are few."""
-    logs = np.array([w.log for w in problem.replay.windows])[problem.window]
-    motion = np.unique(logs, return_inverse=True)[1].ravel()
+    motion = np.unique(problem.replay.motion, return_inverse=True)[1].ravel()
     return motion if motion.max() + 1 >= CLUSTERED else problem.window
 
 
-def _fit_table(
-    problem: Problem,
-    found: Fit,
-    excluded: Sequence[Exclusions],
-    height: float | None,
-    settings: LogSettings,
-) -> TablePlane | None:
-    replay = problem.replay
-    windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
-    if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
-        return None
-    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
-
-    touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
-    return fit_table(touching, unpack(found.vector, problem.joints), height)
-
-
-def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
-    motion = np.array([w.log for w in problem.replay.windows])[problem.window]
+def _hard_to_follow(problem: Problem, found: Fit) -> list[str]:
+    logs, motion = problem.replay.logs, problem.replay.motion
     weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}
     if not low:

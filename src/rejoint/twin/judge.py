@@ -24,7 +24,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import Replay, Window, at_gain
+from rejoint.twin.replay import Replay, Window, at_gain, in_force
 from rejoint.twin.step import GROUP
 from rejoint.twin.twin import (
     NO_TWIN,
@@ -98,8 +98,9 @@ def predict_logs(
     """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
         log.require(arm)
-    still = [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]  # row k is sent after its answer
-    return {NO_TWIN: still} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
+    return {NO_TWIN: [in_force(log) for log in logs]} | {
+        c.name: _paths(arm, c, logs, timestep, threads) for c in candidates
+    }
 
 
 def judge_paths(

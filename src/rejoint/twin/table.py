@@ -209,7 +209,7 @@ STEPS, SMALL = 12, 0.5
 
 def fit_table(replay: Replay, parameters: TwinParameters, height: float) -> TablePlane:
     """Fit the table from level at ``height`` [m], by Gauss-Newton with pseudo-Huber loss."""
-    measured, noise = np.concatenate(replay.measured()), NOISE * ROWS**0.5
+    measured, noise = replay.measured, NOISE * ROWS**0.5
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
     x, step = mean, _SIGMA
     for _ in range(STEPS):
