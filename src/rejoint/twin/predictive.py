@@ -37,10 +37,10 @@ class HandOver:
     """[m] tool to target, by encoders"""
     late: float = 1.0
     """[s] since the target was set"""
-    lost: float = 0.010
-    """[m] tool prediction error"""
-    memory: float = 0.1
-    """[s] over which it is averaged"""
+
+
+LOST, MEMORY = 0.010, 0.1
+"""[m] tool prediction error of a lost plan, and [s] over which it is averaged; chosen"""
 
 
 class PredictiveController:
@@ -113,10 +113,10 @@ class PredictiveController:
         until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
-        share = np.clip((inputs.state.time - self._time) / until.memory, 0.0, 1.0)
+        share = np.clip((inputs.state.time - self._time) / MEMORY, 0.0, 1.0)
         self._wrong, self._time = self._wrong + share * (wrong - self._wrong), inputs.state.time.copy()
         near = np.linalg.norm(inputs.target - tcp, axis=-1) < until.near
-        over: Mask = near | (inputs.since_target > until.late) | (self._wrong > until.lost)
+        over: Mask = near | (inputs.since_target > until.late) | (self._wrong > LOST)
         return over
 
 
@@ -131,30 +131,27 @@ class PlanSettings:
 
     samples: int = 32
     """per arm and cycle"""
-    timestep: float = 0.008
-    """[s] of the rollouts"""
-    horizon: float = 0.28
-    """[s] beyond the delay"""
-    bend: float = 0.12
-    """[s] from first to last command"""
-    spread_floor: float = float(np.radians(0.15))
-    """[rad] of random candidates"""
-    spread_slope: float = 0.25
-    """their growth with the largest joint error"""
-    temperature: float = 0.1
-    """relative to the spread of the costs"""
-    near: float = 0.003
-    """[m] distance of half the cost"""
-    effort: float = 0.3
-    """[1/rad] cost of a change of command"""
     correction: float = 0.4
     """of the prediction error, per cycle"""
     offset_rate: float = 1.0
     """[1/s] the same for the offset of the commands"""
-    lead: float = float(np.radians(20.0))
-    """[rad] largest following error"""
-    offset_limit: float = float(np.radians(30.0))
     seed: int = 0
+
+
+TIMESTEP, HORIZON = 0.008, 0.28
+"""[s] of the rollouts, and beyond the delay; chosen"""
+BEND = 0.12
+"""[s] from first to last command; chosen"""
+SPREAD_FLOOR, SPREAD_SLOPE = float(np.radians(0.15)), 0.25
+"""[rad] of random candidates, and their growth with the largest joint error; chosen"""
+TEMPERATURE = 0.1
+"""Relative to the spread of the costs; chosen"""
+NEAR = 0.003
+"""[m] distance of half the cost; chosen"""
+EFFORT = 0.3
+"""[1/rad] cost of a change of command; chosen"""
+LEAD, MOST_OFFSET = float(np.radians(20.0)), float(np.radians(30.0))
+"""[rad] largest following error, and offset of the commands; chosen"""
 
 
 class Planner:
@@ -191,7 +188,7 @@ class Planner:
         costs = self._costs(inputs, candidates)
         best = costs.min(axis=1, keepdims=True)
         spread = np.maximum(costs.std(axis=1, keepdims=True), 1e-9)
-        weights = np.exp(-(costs - best) / (self._settings.temperature * spread))
+        weights = np.exp(-(costs - best) / (TEMPERATURE * spread))
         weights /= weights.sum(axis=1, keepdims=True)
         self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
         return limit_position(self._arm, self._plan[:, 0])
@@ -210,7 +207,7 @@ class Planner:
         shadow.twins.qpos[:] += settings.correction * missed
         shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
         learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
-        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
+        self._offset = np.clip(learned, -MOST_OFFSET, MOST_OFFSET)
         return missed
 
     def _begin(self, inputs: ControlInput) -> None:
@@ -221,7 +218,7 @@ class Planner:
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
+        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=TIMESTEP)
         samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
         self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
         self._jacobian = np.zeros((self._count, 3, n))
@@ -230,44 +227,39 @@ class Planner:
 
     def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
-        settings, measured = self._settings, inputs.state.position
+        measured = inputs.state.position
         way = self._goal - self.shadow.twins.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
-        count = settings.samples - len(_OVERDRIVE) - 1
-        spread = settings.spread_floor + settings.spread_slope * np.abs(way).max(axis=1)
+        count = self._settings.samples - len(_OVERDRIVE) - 1
+        spread = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(way).max(axis=1)
         noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
         random = self._plan[:, None] + spread[:, None, None, None] * noise
         every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
-        return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
+        return limit_position(self._arm, limit_lead(every, measured[:, None, None], LEAD))
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
-        settings, samples = self._settings, self._settings.samples
+        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
+        samples, delay = self._settings.samples, self._twin.delay
         count, n = inputs.sent.shape
-        delay, timestep = self._twin.delay, settings.timestep
-        steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
-        ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
+        steps = int(np.ceil((float(delay.max()) + HORIZON) / TIMESTEP))
+        ahead = np.linspace(0.0, (steps - 1) * TIMESTEP, steps)
         sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
-        share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
+        share = np.clip(since / BEND, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
         each, now = np.repeat(np.arange(count), samples), self.shadow.twins
-        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
+        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), TIMESTEP)
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
-        return self._judge(inputs, candidates, passed)
-
-    def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
-        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
-        settings = self._settings
         miss = passed - self._goal[:, None, None]
         error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
         distance = np.sqrt((error**2).sum(axis=-1))
-        ahead = distance / (distance + settings.near) + 10.0 * distance
+        far = distance / (distance + NEAR) + 10.0 * distance
         rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
         change = np.abs(candidates[:, :, 0] - inputs.sent[:, None]).mean(axis=-1)
         posture = (miss[:, :, -1] ** 2).sum(axis=-1)  # the null space, which the distance does not see
-        return ahead.mean(axis=-1) + 2.0 * rest + settings.effort * change + posture
+        return far.mean(axis=-1) + 2.0 * rest + EFFORT * change + posture
