@@ -52,17 +52,14 @@ class TableBatch:
     ) -> None:
         """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
         count = twins.shape[0]
-        plain = (twins.stiction == 1.0).all() and not twins.load_friction.any()
-        self._terms = None if plain else friction_terms(twins)
+        self._terms = friction_terms(twins)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
         self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self._ctrl: Array = self._batch.bind("ctrl")
-        gain, bias = (
-            np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN)),
-            np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS)),
-        )
+        gain = np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN))
+        bias = np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS))
         gain[..., 0], beside = twins.stiffness, back_emf(arm, twins)
         bias[..., 0], bias[..., 1] = twins.stiffness * twins.offset, -twins.stiffness
         bias[..., 2] = beside - twins.damping
@@ -101,8 +98,6 @@ class TableBatch:
 
     def rollout(self, control: Array) -> Array:
         """Advance by ``control`` (m, steps, n) [rad]; return such positions."""
-        if self._terms is None:
-            return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
         path = np.empty_like(control)
         for k in range(control.shape[1]):
             self._ctrl[:] = control[:, k]
@@ -111,10 +106,6 @@ class TableBatch:
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path
-
-    def model(self, index: int) -> mujoco.MjModel:
-        """Copy of one simulation's model."""
-        return self._batch.get_model(index)
 
 
 def friction_solref(timestep: Array) -> Array:
