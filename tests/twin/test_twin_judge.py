@@ -7,7 +7,8 @@ import pytest
 from motion_logs import ARM, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.twin.judge import Candidate, judge, read_published
+from rejoint.system.errors import InputError
+from rejoint.twin.judge import Candidate, judge, predict_logs, read_published
 from rejoint.twin.parameters import healthy_parameters
 from rejoint.twin.twin import NO_TWIN, TablePlane
 
@@ -55,6 +56,12 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert press.errors["truth on its table"].contact.tcp < 0.002
     assert press.errors["truth on its table"].all.tcp < 0.2 * press.errors["truth"].all.tcp
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
+
+
+@pytest.mark.parametrize("names", [(), ("truth", "truth"), (NO_TWIN,)])
+def test_every_prediction_has_a_name_of_its_own(logs, names):
+    with pytest.raises(InputError, match="a name of its own"):
+        predict_logs(ARM, [Candidate(name=name, parameters=TRUTH) for name in names], logs[:1])
 
 
 def test_a_published_set_is_read(tmp_path):

@@ -82,20 +82,24 @@ def judge(
 ) -> Judgement:
     """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
 
-    InputError without a log or candidate, for equal names or another arm.
+    InputError as by `predict_logs`.
     """
-    names = [NO_TWIN, *(c.name for c in candidates)]
-    if not logs or not candidates or len(set(names)) != len(names):
-        raise InputError(
-            f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least"
-        )
     return judge_paths(arm, predict_logs(arm, candidates, logs, timestep, threads), logs, table=table)
 
 
 def predict_logs(
     arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
-    """Predicted positions (T, n) [rad] in each log, no twin first."""
+    """Predicted positions (T, n) [rad] in each log, no twin first.
+
+    InputError without a log or candidate, for equal names or another arm.
+    """
+    names = [NO_TWIN, *(c.name for c in candidates)]
+    if not logs or not candidates or len(set(names)) != len(names):
+        raise InputError(
+            f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least, and each "
+            f"twin a name of its own, other than {NO_TWIN!r}"
+        )
     for log in logs:
         log.require(arm)
     return {NO_TWIN: [in_force(log) for log in logs]} | {
