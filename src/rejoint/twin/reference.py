@@ -42,18 +42,15 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
 class ServoReference:
     """References of m twins for one record of commands."""
 
-    def __init__(
-        self, time: Array, command: Array, speed: Array, acceleration: float = np.inf, start: Array | None = None
-    ) -> None:
+    def __init__(self, time: Array, command: Array, speed: Array, acceleration: float = np.inf) -> None:
         """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] or a finite acceleration [rad/s^2].
 
-        One speed may serve all twins. ``start`` (n,) [rad]: the first reference, by default the first command.
+        One speed may serve all twins. The first reference is the first command.
         """
         self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
         speeds, self._which = np.unique(speed if acceleration == np.inf else np.ones_like(speed), return_inverse=True)
         self._speed = speeds[self._which]
-        first = self._command[0] if start is None else start
-        self._position, self._velocity = _states(time, self._command, speeds, acceleration, first)
+        self._position, self._velocity = _states(time, self._command, speeds, acceleration)
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
@@ -77,11 +74,11 @@ class ServoReference:
 
 
 @njit(cache=True, nogil=True)
-def _states(time, command, speed, acceleration, start):
+def _states(time, command, speed, acceleration):
     """Position and velocity (T, u, n) when each command is sent, for speeds (u,)."""
     rows, joints = command.shape
     position, velocity = np.empty((rows, len(speed), joints)), np.zeros((rows, len(speed), joints))
-    position[0] = start
+    position[0] = command[0]
     reached = False  # by all: then they are at the command, without rounding
     for k in range(rows - 1):
         elapsed, goal = time[k + 1] - time[k], command[k]
@@ -131,7 +128,7 @@ class LiveReference:
         """(N, n) [rad], [rad/s]; velocity only with limited acceleration"""
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
-    def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
+    def restart(self, where: Mask | slice, position: Array, *, speed: Array, acceleration: Array) -> None:
         """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
@@ -190,7 +187,7 @@ class Latency:
         self._positions = np.zeros((count, 2 * substeps + 1, joints))  # oldest first
         self._times = np.zeros((count, 2 * substeps + 1))
 
-    def clear(self, where: Mask, command: Array, position: Array) -> None:
+    def clear(self, where: Mask | slice, command: Array, position: Array) -> None:
         """Restart at time 0 in ``where`` (N,) with constant ``command``, ``position`` (m, n)."""
         self._commands[where] = command[:, None]
         self._sent[where] = -np.inf

@@ -19,7 +19,7 @@ from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, fri
 from rejoint.twin.reference import Latency, LiveReference
 from rejoint.twin.step import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION, advance, workspace
 
-Ids = Index | Mask | None
+ALL = slice(None)
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
 """Rows of parameters for `rejoint.twin.step`, before the share of the damping within the limit"""
@@ -43,41 +43,39 @@ class ChainBatch:
         groups = -(-nsim // GROUP)
         bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
-        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
+        self._each = ThreadPoolExecutor(len(self._parts)).map if len(self._parts) > 1 else map
         self.write(nominal_parameters(arm))
 
     def write(
         self,
         parameters: TwinParameters,
-        ids: Ids = None,
+        ids: Mask | slice = ALL,
         *,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Set parameters (m,) of the simulations ``ids`` (indices or mask; default: all), not their state.
+        """Set parameters (m,) of the simulations ``ids`` (a mask or slice), not their state.
 
         ``gravity_scale``: a number or (m,).
         """
-        chosen = slice(None) if ids is None else ids
         *rows, gain = self._parameters
         for row, name in zip(rows, ROWS, strict=True):
-            row[chosen] = getattr(parameters, name)
-        gain[chosen] = parameters.damping - back_emf(self.arm, parameters)
+            row[ids] = getattr(parameters, name)
+        gain[ids] = parameters.damping - back_emf(self.arm, parameters)
         for row, term in zip(self._terms, friction_terms(parameters), strict=True):
-            row[chosen] = term
-        self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)
+            row[ids] = term
+        self._gravity[ids] = np.multiply.outer(gravity_scale, GRAVITY)
 
-    def loosen(self, backlash: Array, grease: Array, ids: Ids = None) -> None:
+    def loosen(self, backlash: Array, grease: Array, ids: Mask | slice = ALL) -> None:
         """Put motors in the middle of the ``backlash`` (m, n) [rad], in joints that no load presses to a flank.
 
         ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
         """
-        chosen = slice(None) if ids is None else ids
         half = np.zeros_like(backlash)
         if backlash.any():
             half = 0.5 * backlash * unloaded_joints(self.arm)
             self._carried[:] = link_inertia(self.arm, self.arm.rest)
         still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
-        self._gear[:, chosen] = np.stack([half, still, still, flank, still + grease[:, None]])
+        self._gear[:, ids] = np.stack([half, still, still, flank, still + grease[:, None]])
 
     def rollout(self, control: Array) -> Array:
         """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
@@ -86,17 +84,13 @@ class ChainBatch:
         motors, state = (self._parameters, self._terms), (self.qpos, self.qvel, self._impulse)
         gears = (self._gear, self._carried, bool(self._gear[0].any()))
         arrays = (self._links, motors, gears, (self._gravity, self.timestep), control, state, path)
-        if self._pool is None:
-            advance(*arrays, self._parts[0])
-        else:
-            list(self._pool.map(lambda part: advance(*arrays, part), self._parts))
+        list(self._each(lambda part: advance(*arrays, part), self._parts))
         return path
 
-    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
+    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Mask | slice = ALL) -> None:
         """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
-        chosen = slice(None) if ids is None else ids
-        self.qpos[chosen] = position
-        self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
+        self.qpos[ids] = position
+        self.qvel[ids], self._impulse[ids] = velocity, 0.0
 
 
 def chain_links(arm: Arm) -> Array:
@@ -181,12 +175,11 @@ class Simulation:
         """(N, n) [rad] newest readings, in encoder steps"""
         self._feed = np.zeros((count, n))
 
-    def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
+    def place(self, draw: Draw, position: Array, command: Array, where: Mask | slice = ALL) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
 
         At ``position`` with constant ``command`` (m, n) [rad].
         """
-        where = np.ones(len(self.time), dtype=bool) if where is None else where
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
         self.twins.restart(position, ids=where)
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
@@ -209,14 +202,10 @@ class Simulation:
         references = self.reference.follow(self.latency, starts, step)
         if self._feed.any():
             references = references + self._feed[:, None] * gravity_torque(self.arm, references)
-        passed = self.rollout(references if offset is None else references + offset[:, None])
+        passed = self.twins.rollout(references if offset is None else references + offset[:, None])
         self.latency.record(starts + step[:, None], passed)
         self.time = self.time + period
         self.measured = self._quantised(self.latency.read(self.time))
-
-    def rollout(self, reference: Array) -> Array:
-        """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
-        return self.twins.rollout(reference)
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
