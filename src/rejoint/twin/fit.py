@@ -15,7 +15,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rejoint.arms import Array, Index, Mask, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
-from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
+from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
@@ -85,10 +85,10 @@ class Problem:
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
         self.memory = memory * (len(self.measured) - len(replay.windows)) / replay.seconds  # rows
-        self.layout = Layout(self.joints)
+        self.layout = prior.layout
         self.owner = self.layout.owner
         self.steps = stride * self.layout.has("difference")
-        self.group = prior.groups(self.joints)
+        self.group = prior.groups
         self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 

@@ -34,7 +34,6 @@ from rejoint.twin.motionfit import (
 from rejoint.twin.parameters import TIMESTEP as FINE
 from rejoint.twin.parameters import (
     UNKNOWN_PARAMETERS,
-    Layout,
     Prior,
     healthy_parameters,
     is_hobby,
@@ -156,8 +155,8 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
     slopes = load_slopes(arm, logs) if alike else None
     if slopes is None:
         return None
-    belief, layout = prior(arm, OPEN), Layout(arm.joints)
-    limits, gains = layout.at("torque_limit"), layout.at("stiffness")
+    belief = prior(arm, OPEN)
+    limits, gains = belief.layout.at("torque_limit"), belief.layout.at("stiffness")
     mean, covariance = belief.mean.copy(), np.diag(belief.sigma**2)
     for group in alike:
         place = np.arange(limits.start, limits.stop)[group]
@@ -219,10 +218,10 @@ def identify(
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
+    layout = belief.layout
+    drawn = belief.mean + belief.sigma * layout.normal(rng, max(count - 2, 1))
     starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
-    of_arm = Layout(arm.joints).of_arm
-    starts[2:, of_arm] = belief.mean[of_arm]
+    starts[2:, layout.of_arm] = belief.mean[layout.of_arm]
     return np.clip(starts, belief.lower, belief.upper)
 
 

@@ -16,7 +16,7 @@ from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import Layout, Prior, is_hobby, number, unknown_prior, unpack
+from rejoint.twin.parameters import Prior, is_hobby, number, unknown_prior, unpack
 from rejoint.twin.replay import Window
 
 LIMITS = ("torque_limit", "ramp_speed")
@@ -85,7 +85,7 @@ class Structure:
     @property
     def prior(self) -> Prior:
         """Belief without what is frozen; dry friction is less known where it may grow with load."""
-        belief, kind = self.belief, Layout.of_length(len(self.belief.mean)).kind
+        belief, kind = self.belief, self.belief.layout.kind
         off = np.isin(kind, [number(name) for name in self.frozen if name in LIMITS])
         changed, factor = ("load_friction", ABSENT) if "load_friction" in self.frozen else ("coulomb", EITHER)
         return replace(
@@ -114,7 +114,7 @@ def decide_compensation(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exc
     belief = known = unknown_prior(arm)
     if is_hobby(arm):
         return belief
-    data, layout = join_logs(arm, logs, excluded), Layout(arm.joints)
+    data, layout = join_logs(arm, logs, excluded), belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
     for joint in range(arm.joints):
