@@ -1,6 +1,7 @@
 """The reference ramp and the delay, against hand-worked numbers and against small steps."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,6 +30,18 @@ def test_delay_shifts(delay, speed, seed):
     at = np.linspace(time[0], time[-1] + 0.1, 57)
     both = r.sample(at, np.array([0.0, delay]))
     np.testing.assert_allclose(both[1], r.sample(at - delay, np.array([0.0, 0.0]))[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 30.0])
+def test_one_speed_serves_twins_of_any_delay(acceleration):
+    time, command = commands(3)
+    r = ServoReference(time, command, np.array([2.0]), acceleration)
+    at, delay = np.linspace(time[0], time[-1] + 0.1, 57), np.linspace(0.0, 0.05, 12)
+    alone = np.concatenate([r.sample(at, delay[i : i + 1]) for i in range(12)])
+    np.testing.assert_array_equal(r.sample(at, delay), alone)
+    if acceleration == np.inf:
+        alone = np.concatenate([r.mean(at, delay[i : i + 1], 0.01) for i in range(12)])
+        np.testing.assert_allclose(r.mean(at, delay, 0.01), alone, atol=1e-12)
 
 
 def test_skipping_what_is_reached_changes_nothing():

@@ -48,25 +48,25 @@ class ServoReference:
         One speed may serve all twins. The first reference is the first command.
         """
         self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
-        speeds, self._which = np.unique(speed if acceleration == np.inf else np.ones_like(speed), return_inverse=True)
-        self._speed = speeds[self._which]
-        self._position, self._velocity = _states(time, self._command, speeds, acceleration)
+        self._speeds, self._which = np.unique(speed, return_inverse=True)
+        self._position, self._velocity = _states(time, self._command, self._speeds, acceleration)
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
-        which, limits = np.resize(self._which, len(late)), (self._speed, self._acceleration)
+        which, limits = np.resize(self._which, len(late)), (self._speeds, self._acceleration)
         return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
         """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s]."""
         late = np.append(time - 0.5 * width, time[-1] + 0.5 * width) - delay[:, None]
-        row, twin, speed = self._rows(late), self._which[:, None], self._speed[:, None, None]
+        row, twin = self._rows(late), self._which[:, None]
         position, command = self._position[:-1], self._command[:-1, None]
-        areas = _area(position, command, np.unique(self._speed)[:, None], np.diff(self._time)[:, None, None])
+        areas = _area(position, command, self._speeds[:, None], np.diff(self._time)[:, None, None])
         before = np.concatenate([np.zeros_like(self._position[:1]), np.cumsum(areas, axis=0)])
         since = (late - self._time[row])[..., None]
-        area = before[row, twin] + _area(self._position[row, twin], self._command[row], speed, since)
+        since_sent = _area(self._position[row, twin], self._command[row], self._speeds[twin][..., None], since)
+        area = before[row, twin] + since_sent
         return np.diff(area, axis=1) / width
 
     def _rows(self, late: Array) -> Index:
@@ -99,7 +99,7 @@ def _states(time, command, speed, acceleration):
 
 @njit(cache=True, nogil=True)
 def _sample(late, row, which, time, command, position, velocity, limits):
-    speed, acceleration = limits
+    speeds, acceleration = limits
     twins, instants = late.shape
     path = np.empty((twins, instants, command.shape[1]))
     for i in range(twins):
@@ -108,7 +108,7 @@ def _sample(late, row, which, time, command, position, velocity, limits):
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
                 now, v = position[k, u, j], velocity[k, u, j]
-                path[i, s, j] = move(now, v, command[k, j], speed[i] * elapsed, acceleration, elapsed)[0]
+                path[i, s, j] = move(now, v, command[k, j], speeds[u] * elapsed, acceleration, elapsed)[0]
     return path
 
 
