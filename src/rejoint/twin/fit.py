@@ -191,15 +191,11 @@ class Problem:
         k = len(self.prior.mean)
         curvature, gradient = np.zeros((k, k)), np.zeros(k)
         for joint in range(self.joints):
-            place = self.columns(joint)
+            place = np.flatnonzero(np.isin(self.owner, [joint, -1]))  # its parameters and, last, the arm's
             scaled = jacobian[:, joint].T * weight[:, joint]
             curvature[np.ix_(place, place)] += scaled @ jacobian[:, joint]
             gradient[place] += scaled @ residual[:, joint]
         return curvature, gradient
-
-    def columns(self, joint: int) -> Index:
-        """Return indices of a joint's parameters and, last, the arm's."""
-        return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
 
     def _scaled(self) -> list[int]:
         return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]

@@ -127,9 +127,9 @@ class Replay:
     @cached_property
     def _start(self) -> Array:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
-        first = [(self.logs[w.log], np.array([w.first])) for w in self.windows]
-        parts = [(log.position[row[0]], measured_velocity(log, row)[0], gains(log)) for log, row in first]
-        return np.stack(parts, axis=1)
+        of_logs = {i: (log.position, measured_velocity(log), gains(log)) for i, log in self._shown.items()}
+        starts = [(w.first, *of_logs[w.log]) for w in self.windows]
+        return np.stack([(position[k], velocity[k], gain) for k, position, velocity, gain in starts], axis=1)
 
     @cached_property
     def _even(self) -> set[int]:
@@ -225,9 +225,9 @@ class Replay:
         return self._known[key]
 
 
-def measured_velocity(log: RunLog, rows: Index | None = None) -> Array:
-    """(T, n) [rad/s] in ``rows`` (T,), default all, by central differences over two rows to either side."""
-    rows = np.arange(len(log)) if rows is None else rows
+def measured_velocity(log: RunLog) -> Array:
+    """(T, n) [rad/s] by central differences over two rows to either side."""
+    rows = np.arange(len(log))
     before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
     return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
 

@@ -234,12 +234,11 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = drive_torque(problem, x)
-        values = [np.log(share * torque) for share in _TORQUES]
+        values = np.log(np.outer(_TORQUES, drive_torque(problem, x)))
     elif limit == "load_friction":
-        values = [np.full(problem.joints, share) for share in _SHARES]
+        values = np.array(_SHARES)
     else:
-        values = [np.full(1, np.log(speed)) for speed in _RAMPS]
+        values = np.log(_RAMPS)
     instead = problem.layout.at("coulomb" if limit == "load_friction" else "damping")
     for value in values:
         for less in (0.0, np.log(2.0)):  # this has stood for the limit so far

@@ -86,7 +86,9 @@ class TableBatch:
         tip, d = self._batch.model.geom(TIP), IMPEDANCE
         inverse_mass = self._batch.expand("body_invweight0")[i, tip.bodyid[0], 0]
         k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)
-        self._batch.bind("mocap_pos")[i, 0], self._batch.bind("mocap_quat")[i, 0] = table_pose(table)
+        normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
+        self._batch.bind("mocap_pos")[i, 0] = np.array([0.0, 0.0, table.height]) - RADIUS * normal
+        mujoco.mju_quatZ2Vec(self._batch.bind("mocap_quat")[i, 0], normal)
         self._batch.expand("geom_solref")[i, tip.id] = -k * d, -2 * np.sqrt(k) * d
         self._batch.expand("geom_friction")[i, tip.id] = table.friction, 0.0, 0.0
 
@@ -169,14 +171,6 @@ def _add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> Non
         mass=0.0,
         solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0),
     )
-
-
-def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of the plane."""
-    normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
-    turn = np.zeros(4)
-    mujoco.mju_quatZ2Vec(turn, normal)
-    return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
 
 
 # height [m], slopes, log stiffness [N/m], log friction
