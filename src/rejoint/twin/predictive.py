@@ -8,7 +8,7 @@ AIChE Journal 49(2), 2003).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -29,18 +29,13 @@ class Holder(Controller, Protocol):
         """Continue from the last command of the arms in ``where`` (B,)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class HandOver:
-    """When the holder takes over; chosen."""
-
-    near: float = 0.5e-3
-    """[m] tool to target, by encoders"""
-    late: float = 1.0
-    """[s] since the target was set"""
-
-
+# The holder takes over; chosen.
+AT_TARGET = 0.5e-3
+"""[m] tool to target, by encoders"""
+LATE = 1.0
+"""[s] since the target was set"""
 LOST, MEMORY = 0.010, 0.1
-"""[m] tool prediction error of a lost plan, and [s] over which it is averaged; chosen"""
+"""[m] tool prediction error, and [s] over which it is averaged"""
 
 
 class PredictiveController:
@@ -48,17 +43,9 @@ class PredictiveController:
 
     name = PREDICTIVE
 
-    def __init__(
-        self,
-        arm: Arm,
-        twins: Draw,
-        holder: Holder,
-        settings: PlanSettings | None = None,
-        hand_over: HandOver | None = None,
-    ) -> None:
+    def __init__(self, arm: Arm, twins: Draw, holder: Holder) -> None:
         """Take twins (B,), or one for all, and the holder."""
-        self._arm, self._holder = arm, holder
-        self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
+        self._arm, self._holder, self._planner = arm, holder, Planner(arm, twins)
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
         self._begin(0)
 
@@ -110,13 +97,12 @@ class PredictiveController:
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
         """Whose plan (B,) is over, by the prediction error ``missed`` (B, n) [rad]."""
-        until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
         share = np.clip((inputs.state.time - self._time) / MEMORY, 0.0, 1.0)
         self._wrong, self._time = self._wrong + share * (wrong - self._wrong), inputs.state.time.copy()
-        near = np.linalg.norm(inputs.target - tcp, axis=-1) < until.near
-        over: Mask = near | (inputs.since_target > until.late) | (self._wrong > LOST)
+        near = np.linalg.norm(inputs.target - tcp, axis=-1) < AT_TARGET
+        over: Mask = near | (inputs.since_target > LATE) | (self._wrong > LOST)
         return over
 
 
@@ -125,19 +111,10 @@ _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
 _SHADOW_STEPS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlanSettings:
-    """Settings of the plan; chosen."""
-
-    samples: int = 32
-    """per arm and cycle"""
-    correction: float = 0.4
-    """of the prediction error, per cycle"""
-    offset_rate: float = 1.0
-    """[1/s] the same for the offset of the commands"""
-    seed: int = 0
-
-
+SAMPLES = 32
+"""Candidates per arm and cycle; chosen"""
+CORRECTION, OFFSET_RATE = 0.4, 1.0
+"""Of the prediction error, per cycle, and [1/s] for the offset of the commands; chosen"""
 TIMESTEP, HORIZON = 0.008, 0.28
 """[s] of the rollouts, and beyond the delay; chosen"""
 BEND = 0.12
@@ -157,13 +134,13 @@ LEAD, MOST_OFFSET = float(np.radians(20.0)), float(np.radians(30.0))
 class Planner:
     """Plans for B arms, with their simulation ``shadow``."""
 
-    def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
+    def __init__(self, arm: Arm, twins: Draw, seed: int = 0) -> None:
         """Take the twins of B arms, or one for all."""
-        self._arm, self._given, self._settings = arm, twins, settings or PlanSettings()
+        self._arm, self._given = arm, twins
         self._pace = Pace()
         self._count = 0
         self._offset: Array = np.zeros((0, arm.joints))
-        self._rng = np.random.default_rng(self._settings.seed)
+        self._rng = np.random.default_rng(seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
@@ -195,7 +172,7 @@ class Planner:
 
     def follow(self, inputs: ControlInput) -> Array:
         """Advance the twins to now and learn from their errors (B, n) [rad]."""
-        settings, now = self._settings, inputs.state.time
+        now = inputs.state.time
         elapsed = self._pace.tick(now)
         shadow = self.shadow
         if (now <= shadow.time).all():
@@ -204,22 +181,22 @@ class Planner:
         shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
         shadow.time = now.copy()
         missed = inputs.state.position - shadow.twins.qpos
-        shadow.twins.qpos[:] += settings.correction * missed
-        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
-        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
+        shadow.twins.qpos[:] += CORRECTION * missed
+        shadow.twins.qvel[:] += 0.5 * CORRECTION**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        learned = self._offset + OFFSET_RATE * elapsed[:, None] * missed
         self._offset = np.clip(learned, -MOST_OFFSET, MOST_OFFSET)
         return missed
 
     def _begin(self, inputs: ControlInput) -> None:
         self._count, n = inputs.sent.shape
-        settings, given = self._settings, self._given
+        given = self._given
         arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
         self._twin, start = arms.twin, inputs.state.position
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=TIMESTEP)
-        samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
+        self._rollouts = ChainBatch(self._arm, self._count * SAMPLES, timestep=TIMESTEP)
+        samples = arms.rows(np.repeat(np.arange(self._count), SAMPLES))
         self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
@@ -232,7 +209,7 @@ class Planner:
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
-        count = self._settings.samples - len(_OVERDRIVE) - 1
+        count = SAMPLES - len(_OVERDRIVE) - 1
         spread = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(way).max(axis=1)
         noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
         random = self._plan[:, None] + spread[:, None, None, None] * noise
@@ -241,7 +218,7 @@ class Planner:
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
         """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
-        samples, delay = self._settings.samples, self._twin.delay
+        delay = self._twin.delay
         count, n = inputs.sent.shape
         steps = int(np.ceil((float(delay.max()) + HORIZON) / TIMESTEP))
         ahead = np.linspace(0.0, (steps - 1) * TIMESTEP, steps)
@@ -250,11 +227,11 @@ class Planner:
         share = np.clip(since / BEND, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
-        each, now = np.repeat(np.arange(count), samples), self.shadow.twins
+        each, now = np.repeat(np.arange(count), SAMPLES), self.shadow.twins
         control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), TIMESTEP)
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
-        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
+        passed = self._rollouts.rollout(control).reshape(count, SAMPLES, steps, n)
         miss = passed - self._goal[:, None, None]
         error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
         distance = np.sqrt((error**2).sum(axis=-1))
