@@ -229,29 +229,13 @@ class TwinRobot:
 
         ``copies``: repeats of all arms, with the same jitter.
         """
-        count = len(draw.period)
-        self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
-        self._rng, self._address = np.random.default_rng(seed), address
-        self.simulation = Simulation(arm, count)
-        position = np.tile(arm.rest if posture is None else posture, (count, 1))
+        self.arm, self.address, self.count = arm, address, len(draw.period)
+        self._period, self._jitter, self._copies, self._rng = draw.period, jitter, copies, np.random.default_rng(seed)
+        self.simulation = Simulation(arm, self.count)
+        position = np.tile(arm.rest if posture is None else posture, (self.count, 1))
         held = gravity_torque(arm, position) / draw.twin.stiffness
         held = (draw.gravity_scale[:, None] - draw.twin.compensation) * held - draw.twin.offset
         self.simulation.place(draw, position, position + held)
-
-    @property
-    def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
-        return self._arm
-
-    @property
-    def address(self) -> str:
-        """Label."""
-        return self._address
-
-    @property
-    def count(self) -> int:
-        """Number B of twins."""
-        return len(self._period)
 
     def read(self) -> JointState:
         """Newest joint state."""
@@ -270,7 +254,7 @@ class TwinRobot:
 
     def true_tcp(self) -> Array:
         """(B, 3) [m] of the twins' links, without backlash."""
-        return tcp_position(self._arm, self.simulation.twins.qpos)
+        return tcp_position(self.arm, self.simulation.twins.qpos)
 
     def stop(self) -> None:
         """Hold position; stopped twins are not read."""
