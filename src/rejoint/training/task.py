@@ -198,20 +198,15 @@ class ReachTask:
         return residual_reward(distance, speed, action) - self.settings.posture_weight * homing, none, none
 
     def _inputs(self) -> ControlInput:
-        now = self.simulation
+        now, goal, target, moving = self.simulation, self._goal, self._aim, self._since < self._travel
+        if moving.any():
+            goal, target = goal.copy(), target.copy()
+            left = 1.0 - self._since[moving] / self._travel[moving]
+            goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
+            target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
         state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
-        goal, target, since = self._setpoint()
+        since = np.maximum(self._since - self._travel, 0.0)
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
-
-    def _setpoint(self) -> tuple[Array, Array, Array]:
-        moving = self._since < self._travel
-        if not moving.any():
-            return self._goal, self._aim, self._since - self._travel
-        goal, target = self._goal.copy(), self._aim.copy()
-        left = 1.0 - self._since[moving] / self._travel[moving]
-        goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
-        target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
-        return goal, target, np.maximum(self._since - self._travel, 0.0)
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
