@@ -226,6 +226,11 @@ class Twin(Readable):
         if not (self.parameters.stiction >= 1.0).all():
             raise InputError(f"twin: stiction {self.parameters.stiction.min():.3g}, expected at least 1")
 
+    @cached_property
+    def layout(self) -> Layout:
+        """Of the vectors."""
+        return Layout(len(self.joint_names))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names (k,) of the parameters."""
@@ -235,20 +240,20 @@ class Twin(Readable):
     def interval(self) -> tuple[TwinParameters, TwinParameters]:
         """Ends of the 95 % intervals, within the bounds."""
         mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
-        n = len(self.joint_names)
+        n = self.layout.joints
         low, high = np.maximum(mean - NORMAL95 * sigma, self.lower), np.minimum(mean + NORMAL95 * sigma, self.upper)
         return unpack(low, n), unpack(high, n)
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
         """Joints with torques and inertia known up to a factor."""
-        told = self.identified[Layout(len(self.joint_names)).at("stiffness")]
+        told = self.identified[self.layout.at("stiffness")]
         return tuple(name for name, known in zip(self.joint_names, told, strict=True) if not known)
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
-        layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
+        layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
         # else the prior settles it, or no data could
         free = layout.is_fitted & (sigma > layout.has("difference")) & (sigma > layout.has("beside"))
         known = self.identified | ~free
@@ -266,7 +271,7 @@ class Twin(Readable):
     @cached_property
     def _root(self) -> Array:
         """Matrix square root (k, k) of the covariance of `sample`."""
-        covariance = self.covariance + np.diag(np.where(Layout(len(self.joint_names)).is_log, LEAST_SPREAD**2, 0.0))
+        covariance = self.covariance + np.diag(np.where(self.layout.is_log, LEAST_SPREAD**2, 0.0))
         values, vectors = np.linalg.eigh(covariance)
         root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
         return root
@@ -349,7 +354,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         "narrowing": twin.narrowing,
     }
     for p in PARAMETERS:
-        here = Layout(len(twin.joint_names)).at(p.name)
+        here = twin.layout.at(p.name)
         table = tomlkit.item({name: column[here].tolist() for name, column in columns.items()})
         table.comment(f"{p.unit}: {p.meaning}; lower and upper are {'logarithms' if p.log else 'as they are'}")
         document.add(p.name, table)
