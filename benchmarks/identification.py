@@ -27,7 +27,7 @@ from rejoint.logs.importing import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs
-from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge, predict_logs
 from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
@@ -116,14 +116,8 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
         delay=base.delay,
         ramp_speed=base.ramp_speed,
     )
-    judgement = judge(
-        arm,
-        [
-            Candidate(name="ours", parameters=ours),
-            Candidate(name="sysid", parameters=theirs),
-        ],
-        unseen,
-    )
+    both = [Candidate(name="ours", parameters=ours), Candidate(name="sysid", parameters=theirs)]
+    judgement = judge(arm, predict_logs(arm, both, unseen), unseen)
     print(f"{len(windows)} windows, {problem.replay.seconds:.0f} s")
     for name, taken in (("ours", ours_s), ("sysid", sysid_s)):
         print(f"{name:6} {taken:6.1f} s of one core | held out: {mm_deg(judgement.mean[name])}")

@@ -10,7 +10,7 @@ from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.identify import FREEDOM, _hard_to_follow
-from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judge import Candidate, judge, predict_logs
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import Structure
@@ -18,6 +18,10 @@ from rejoint.twin.twin import smaller
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
 TWIN = Candidate(name="twin", parameters=TRUTH)
+
+
+def judged(candidate, logs):
+    return judge(ARM, predict_logs(ARM, [candidate], logs, STEP), logs)
 
 
 def shifted(log, rows):
@@ -46,7 +50,7 @@ CASES = {
 
 @pytest.mark.parametrize("says", CASES)
 def test_what_is_missing_is_said_in_place_of_trust(says):
-    judgement = judge(ARM, [TWIN], [CASES[says](log) for log in LOGS], timestep=STEP)
+    judgement = judged(TWIN, [CASES[says](log) for log in LOGS])
     assert len(judgement.doubts) >= 1
     first = answer(judgement)[0]
     assert first.startswith("Trust none of them: ")
@@ -54,11 +58,11 @@ def test_what_is_missing_is_said_in_place_of_trust(says):
 
 
 def test_a_twin_that_beats_the_commands_is_trusted_and_one_that_does_not_is_not():
-    good = judge(ARM, [TWIN], LOGS, timestep=STEP)
+    good = judged(TWIN, LOGS)
     assert good.doubts == ()
     assert answer(good)[0].startswith("Trust “twin”")
     healthy = replace(TWIN, parameters=replace(healthy_parameters(ARM), offset=np.full(ARM.joints, 0.05)))
-    bad = judge(ARM, [healthy], LOGS, timestep=STEP)
+    bad = judged(healthy, LOGS)
     assert any("no twin predicts measurably better than the command" in doubt for doubt in bad.doubts)
 
 

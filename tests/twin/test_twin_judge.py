@@ -29,7 +29,7 @@ def judgement(logs):
     truth = Candidate(name="truth", parameters=TRUTH)
     tabled = Candidate(name="truth on its table", parameters=TRUTH, table=TABLE)
     healthy = Candidate(name="healthy", parameters=healthy_parameters(ARM))
-    return judge(ARM, [truth, tabled, healthy], logs)
+    return judge(ARM, predict_logs(ARM, [truth, tabled, healthy], logs), logs)
 
 
 def test_the_truth_predicts_to_the_encoder_step(judgement):
@@ -79,5 +79,5 @@ def test_a_published_set_is_read(tmp_path):
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "docs" / "published").glob("*.toml")), ids=str)
 def test_the_published_sets_of_the_documentation_are_usable(path, logs):
     found = read_published(path, ARM)
-    judgement = judge(ARM, [found], logs[:1])
+    judgement = judge(ARM, predict_logs(ARM, [found], logs[:1]), logs[:1])
     assert 1e-3 < judgement.mean[found.name].all.tcp < 0.2  # another arm's numbers: neither right nor absurd

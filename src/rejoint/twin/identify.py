@@ -20,7 +20,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit, search
-from rejoint.twin.judge import TIMESTEP, Candidate, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
@@ -322,14 +322,8 @@ def identify_logs(
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
-    judgement = judge(
-        arm,
-        [own, *healthy, *beside],
-        unseen,
-        table=motions.height,
-        timestep=settings.timestep,
-        threads=settings.threads,
-    )
+    paths = predict_logs(arm, [own, *healthy, *beside], unseen, settings.timestep, settings.threads)
+    judgement = judge(arm, paths, unseen, table=motions.height)
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
     if settings.hold_out != ():

@@ -71,22 +71,6 @@ class Candidate:
         )
 
 
-def judge(
-    arm: Arm,
-    candidates: Sequence[Candidate],
-    logs: Sequence[RunLog],
-    *,
-    table: float | None = None,
-    timestep: float = TIMESTEP,
-    threads: int = 1,
-) -> Judgement:
-    """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
-
-    InputError as by `predict_logs`.
-    """
-    return judge_paths(arm, predict_logs(arm, candidates, logs, timestep, threads), logs, table=table)
-
-
 def predict_logs(
     arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
@@ -107,10 +91,8 @@ def predict_logs(
     }
 
 
-def judge_paths(
-    arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None
-) -> Judgement:
-    """Compare the result of `predict_logs` with the measurement."""
+def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None) -> Judgement:
+    """Compare the result of `predict_logs` with whole logs; ``table`` [m] is its height, default: found."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
     names = list(paths)
