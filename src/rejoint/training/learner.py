@@ -172,23 +172,17 @@ class RolloutWorker:
     def __init__(self, task: ReachTask, *, seed: int) -> None:
         self.task = task
         self._exploration = torch.Generator().manual_seed(seed)
-        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
+        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
 
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
         rows = []
         for _ in range(cycles):
-            action, density = actor.sample(self._observation, self._exploration)
-            seen = {
-                "observations": self._observation,
-                "states": self._privileged,
-                "actions": action,
-                "log_prob": density,
-            }
-            found = step(self.task, action)
-            rows.append(seen | found)
-            self._observation, self._privileged = found["observation"], found["privileged"]
+            seen = {"observations": self._seen["observation"], "states": self._seen["privileged"]}
+            action, density = actor.sample(seen["observations"], self._exploration)
+            self._seen = step(self.task, action)
+            rows.append(seen | {"actions": action, "log_prob": density} | self._seen)
         rollout = stacked(rows)
         late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
         final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))

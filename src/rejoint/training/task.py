@@ -60,8 +60,6 @@ class TaskSettings:
 
     layout: Layout = "residual"
     law: CommandLaw = field(default_factory=CommandLaw)
-    posture_weight: float = 0.2
-    """[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
     anywhere: float = 0.0
     """share of targets in the whole workspace, with a trajectory there; others are in the target region"""
     hold_steps: int = 120
@@ -79,6 +77,9 @@ class TaskSettings:
     start_sag: bool = True
     """whether the first command leads by part of the sag"""
 
+
+POSTURE_WEIGHT = 0.2
+"""[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
 
 DRAWN = 16
 """Postures that are drawn until an arm lifts one; chosen"""
@@ -195,7 +196,7 @@ class ReachTask:
         """
         homing = (self.observer.view.homing**2).sum(axis=-1)
         none = np.zeros(self.agents, dtype=bool)
-        return residual_reward(distance, speed, action) - self.settings.posture_weight * homing, none, none
+        return residual_reward(distance, speed, action) - POSTURE_WEIGHT * homing, none, none
 
     def _inputs(self) -> ControlInput:
         now, goal, target, moving = self.simulation, self._goal, self._aim, self._since < self._travel
