@@ -78,6 +78,9 @@ STILL_SPEED = 0.03
 SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
 """[s] least motion, and least free motion; chosen"""
 
+WINDOW = 8.0
+"""[s] between restarts from the measured state in logs of any motion; measured: 1 to 50 s are equal"""
+
 EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
 """[s] between restarts, the same in the first fit, and one of how many windows is held out; chosen"""
 
@@ -120,8 +123,6 @@ class LogSettings:
     """labels of motions; empty: none; None: drawn"""
     seed: int = 0
     """of the drawn ones"""
-    window: float = 8.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_seconds: float = 50.0
     """[s] for the structure; measured: 100 s are equal"""
     fit_seconds: float = 200.0
@@ -361,7 +362,7 @@ class Motions:
     @cached_property
     def windows(self) -> list[Window]:
         """Free motion."""
-        return free_windows(self.logs, self.excluded, self.settings.window)
+        return free_windows(self.logs, self.excluded, WINDOW)
 
     @cached_property
     def fast(self) -> list[Window]:
@@ -405,8 +406,7 @@ class Motions:
 
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
         """Fit the table to the motion in contact; None where that is too little."""
-        length = self.settings.window
-        windows = [] if self.height is None else contact_windows(self.logs, self.excluded, length)
+        windows = [] if self.height is None else contact_windows(self.logs, self.excluded, WINDOW)
         if self.height is None or durations(windows, self.logs).sum() < LEAST_CONTACT:
             return None
         from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo

@@ -95,11 +95,9 @@ def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, ta
     """Compare the result of `predict_logs` with whole logs; ``table`` [m] is its height, default: found."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
+    by_log = [{name: path[i] for name, path in paths.items()} for i in range(len(logs))]
+    found = tuple(_motion(arm, *one) for one in zip(logs, rows, by_log, strict=True))
     names = list(paths)
-    found = tuple(
-        _motion(arm, log, excluded, {name: path[i] for name, path in paths.items()})
-        for i, (log, excluded) in enumerate(zip(logs, rows, strict=True))
-    )
     first = [motion.errors[names[1]] for motion in found]
     worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
     return Judgement(
@@ -109,21 +107,20 @@ def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, ta
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
         doubts=tuple(_doubts(arm, logs, rows, found)),
-        worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
+        worst=_trace(arm, logs[worst], rows[worst], by_log[worst]),
     )
 
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
     logs = at_gain(logs, candidate.gain)
-    windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
     tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
     order = sorted(range(len(logs)), key=lambda i: logs[i].duration)
     for start in range(0, len(order), GROUP * threads):
         part = order[start : start + GROUP * threads]
-        chosen = [windows[i] for i in part]
-        replay = Replay(arm, logs, chosen, timestep, threads, candidate.acceleration)
+        windows = [Window(log=i, first=0, last=len(logs[i])) for i in part]
+        replay = Replay(arm, logs, windows, timestep, threads, candidate.acceleration)
         found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]

@@ -300,9 +300,6 @@ class Twin(Readable):
 
 FORMAT = 2
 
-ERRORS = ("no_twin", "healthy_twin", "twin")
-"""Rms errors on held-out motion"""
-
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin, atomically."""
@@ -328,7 +325,11 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     low, high = twin.interval
     document = tomlkit.document()
     document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
-    errors = {name: error for name in ERRORS if (error := getattr(twin.held_out, name)) is not None}
+    errors = {
+        name: error
+        for name in ("no_twin", "healthy_twin", "twin")
+        if (error := getattr(twin.held_out, name)) is not None
+    }
     told = {
         "format": FORMAT,
         "arm": twin.arm,
