@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import compress
 
 import numpy as np
 
@@ -281,8 +282,7 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
         )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
-    pressed = [name for name, at in zip(twin.names, found.at_bound, strict=True) if at]
-    if pressed:
+    if pressed := list(compress(twin.names, found.at_bound)):
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
     if held_out.twin.joint > min(rival.joint for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
         notes.append(

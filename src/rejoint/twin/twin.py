@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import asdict, astuple, dataclass, field
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -247,8 +248,7 @@ class Twin(Readable):
     @property
     def unknown_scale(self) -> tuple[str, ...]:
         """Joints with torques and inertia known up to a factor."""
-        told = self.identified[self.layout.at("stiffness")]
-        return tuple(name for name, known in zip(self.joint_names, told, strict=True) if not known)
+        return tuple(compress(self.joint_names, ~self.identified[self.layout.at("stiffness")]))
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -256,8 +256,7 @@ class Twin(Readable):
         layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
         # else the prior settles it, or no data could
         free = layout.is_fitted & (sigma > layout.has("difference")) & (sigma > layout.has("beside"))
-        known = self.identified | ~free
-        return tuple(name for name, told in zip(self.names, known, strict=True) if not told)
+        return tuple(compress(self.names, free & ~self.identified))
 
     def sample(self, rng: np.random.Generator, count: int) -> TwinParameters:
         """Draw ``count`` twins from the covariance, within the physical bounds.
