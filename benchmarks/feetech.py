@@ -35,7 +35,7 @@ from rejoint.robots.feetech.bus import FRAME, MEASURED, FeetechBus
 from rejoint.robots.wireserver import Finder
 from rejoint.runs.repair import connect
 from rejoint.system.errors import NoReplyError
-from rejoint.twin.judge import judge_paths
+from rejoint.twin.judge import judge
 from rejoint.twin.twin import NO_TWIN
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import FORMAT, StsArm, encode
@@ -130,7 +130,7 @@ def predict(folder):
     paths = {NO_TWIN: [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]}
     for name, kind in (("linear servo", Plant), ("law of the firmware", StsPlant)):
         paths[name] = [replay(kind(ARM, [wear], seed=0), log) for log in logs]
-    found = judge_paths(ARM, paths, logs)
+    found = judge(ARM, paths, logs)
     print(f"{len(logs)} motions; free space, means over motions")
     for name, errors in found.mean.items():
         print(f"{name:20s} tool {1e3 * errors.free.tcp:.2f} mm, joints {np.degrees(errors.free.joint):.2f} deg")

@@ -27,12 +27,12 @@ from rejoint.logs.importing import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs
-from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge, predict_logs
 from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
-from rejoint.twin.structure import OPTIONAL, rough_fit, simplest
+from rejoint.twin.structure import OPTIONAL, Structure, rough_fit
 from rejoint.twin.table import friction_solref, twin_spec
 
 
@@ -88,7 +88,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
     windows = thin(free_windows(seen, excluded, 8.0), seen, seconds)
-    structure = simplest(unknown_prior(arm))
+    structure = Structure(belief=unknown_prior(arm))
     frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
     mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0
     problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1), structure.prior, frozen)
@@ -116,15 +116,9 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
         delay=base.delay,
         ramp_speed=base.ramp_speed,
     )
-    judgement = judge(
-        arm,
-        [
-            Candidate(name="ours", parameters=ours),
-            Candidate(name="sysid", parameters=theirs),
-        ],
-        unseen,
-    )
-    print(f"{len(windows)} windows, {sum(float(problem.replay.times(i)[-1]) for i in range(len(windows))):.0f} s")
+    both = [Candidate(name="ours", parameters=ours), Candidate(name="sysid", parameters=theirs)]
+    judgement = judge(arm, predict_logs(arm, both, unseen), unseen)
+    print(f"{len(windows)} windows, {problem.replay.seconds:.0f} s")
     for name, taken in (("ours", ours_s), ("sysid", sysid_s)):
         print(f"{name:6} {taken:6.1f} s of one core | held out: {mm_deg(judgement.mean[name])}")
     losses = problem.residuals(np.vstack([pack(ours), pack(theirs)]))
@@ -176,12 +170,13 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
     sequences = ([], [], [], [])
     for index, w in enumerate(replay.windows):
         log = replay.logs[w.log]
-        grid = np.arange(int(replay.times(index)[-1] / TIMESTEP)) * TIMESTEP
+        time = replay.time[replay.window == index]
+        grid = np.arange(int(time[-1] / TIMESTEP)) * TIMESTEP
         row = np.clip(np.searchsorted(log.time, log.time[w.first] + grid, side="right") - 1, 0, len(log) - 1)
         velocity = (log.position[min(w.first + 2, len(log) - 1)] - log.position[max(w.first - 2, 0)]) / (
             log.time[min(w.first + 2, len(log) - 1)] - log.time[max(w.first - 2, 0)]
         )
-        measured = tool.TimeSeries.from_names(replay.times(index), log.position[w.first : w.last], model)
+        measured = tool.TimeSeries.from_names(time, log.position[w.first : w.last], model)
         parts = (
             f"window{index}",
             tool.create_initial_state(model, log.position[w.first], velocity, np.zeros(0)),

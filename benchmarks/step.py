@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.simulation import SUBSTEPS
+from rejoint.twin.simulation import SUBSTEPS, ChainBatch
 from rejoint.twin.table import TableBatch
 
 ROUNDS, CYCLES = 9, 8

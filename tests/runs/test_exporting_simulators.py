@@ -46,7 +46,7 @@ def predicted(path, log, window):
 
 
 def rms(paths, measured):
-    return np.sqrt(np.mean((np.concatenate(paths) - np.concatenate(measured)) ** 2))
+    return np.sqrt(np.mean((np.concatenate(paths) - measured) ** 2))
 
 
 @pytest.mark.parametrize("address", ["emulated:worn", "emulated:so101"])
@@ -59,14 +59,14 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     path, _ = export_run(run, "mjcf")
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
     replay = Replay(arm, logs, windows)
-    measured = replay.measured()
-    p, load = twin.parameters, np.abs(gravity_torque(arm, np.concatenate(measured))).max(axis=0)
+    measured = replay.measured
+    p, load = twin.parameters, np.abs(gravity_torque(arm, measured)).max(axis=0)
     # A weaker joint breaks loose, or does not, by the least difference.
     starts = p.torque_limit > load + p.stiction * p.coulomb
     assert starts.sum() >= arm.joints - 1
-    ours = rms([path[0][:, starts] for path in replay.predict(p.repeat(1))], [m[:, starts] for m in measured])
+    ours = rms([path[0][:, starts] for path in replay.predict(p.repeat(1))], measured[:, starts])
     alone = [predicted(path, logs[window.log], window)[:, starts] for window in windows]
-    assert rms(alone, [m[:, starts] for m in measured]) < 1.1 * ours
+    assert rms(alone, measured[:, starts]) < 1.1 * ours
 
 
 def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):

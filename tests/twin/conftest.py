@@ -38,8 +38,8 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     control = reference.sample(grid, np.atleast_1d(truth.delay))
     simulation = Simulation(arm, 1)
     simulation.place(Draw.of(truth.repeat(1)), command[:1], command[:1])
-    simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
-    path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
+    simulation.twins.rollout(np.repeat(control[:, :1], 400, axis=1))
+    path = np.vstack([simulation.twins.qpos.copy(), simulation.twins.rollout(control)[0]])
     clock = time[0] + np.arange(len(path)) * timestep
     read = np.clip(time + rng.uniform(-jitter, jitter, len(time)), clock[0], clock[-1])
     position = np.stack([np.interp(read, clock, column) for column in path.T], axis=1)

@@ -6,9 +6,9 @@ import numpy as np
 
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import ServoReference
+from rejoint.twin.simulation import ChainBatch
 from rejoint.twin.table import TableBatch
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself

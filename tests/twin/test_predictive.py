@@ -11,13 +11,20 @@ from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.loop import Schedule, run
 from rejoint.training.ranges import BroadRanges
-from rejoint.twin.predictive import HandOver, Planner, PlanSettings, PredictiveController
+from rejoint.twin import predictive
+from rejoint.twin.predictive import LATE, Planner, PredictiveController
 from rejoint.twin.simulation import Draw, TwinRobot
 
 ARM = mycobot280()
 RANGES = BroadRanges(arm=ARM, weak_joints=0.0, torque_limit=(2.0, 3.0), coulomb=(0.0, 0.4), period=(0.024, 0.026))
 TARGETS = ARM.targets.sample(np.random.default_rng(3), (2, 1))
-FEW = PlanSettings(samples=12)
+
+
+@pytest.fixture(autouse=True)
+def changed(monkeypatch):
+    """Change constants of the plan; few candidates are enough for the tests."""
+    monkeypatch.setattr(predictive, "SAMPLES", 12)
+    return lambda **values: [monkeypatch.setattr(predictive, name, value) for name, value in values.items()]
 
 
 class PlanAlone:
@@ -57,25 +64,26 @@ def wrong_twins(twins, factor):
 
 def test_with_the_right_model_the_plan_settles_at_the_target():
     draw, twins = drawn()
-    assert final_error(draw, PlanAlone(Planner(ARM, twins, FEW))).max() < 1.0e-3
+    assert final_error(draw, PlanAlone(Planner(ARM, twins))).max() < 1.0e-3
 
 
-def test_a_wrong_model_leaves_no_lasting_error():
+def test_a_wrong_model_leaves_no_lasting_error(changed):
     draw, twins = drawn()
     wrong = wrong_twins(twins, 1.25)
-    quick = replace(FEW, offset_rate=4.0)  # nobody takes over here
-    assert final_error(draw, PlanAlone(Planner(ARM, wrong, quick))).max() < 1.5e-3
-    forgetful = replace(FEW, offset_rate=0.0)
-    assert final_error(draw, PlanAlone(Planner(ARM, wrong, forgetful))).max() > 3.0e-3
+    changed(OFFSET_RATE=4.0)  # no holder takes over here
+    assert final_error(draw, PlanAlone(Planner(ARM, wrong))).max() < 1.5e-3
+    changed(OFFSET_RATE=0.0)
+    assert final_error(draw, PlanAlone(Planner(ARM, wrong))).max() > 3.0e-3
 
 
-def test_the_shadow_of_the_right_model_is_the_arm():
+def test_the_shadow_of_the_right_model_is_the_arm(changed):
+    changed(CORRECTION=0.0, OFFSET_RATE=0.0)
     draw, twins = drawn()
     none = 0.0 * draw.twin.coulomb
     draw = replace(draw, twin=replace(draw.twin, coulomb=none), gravity_scale=np.ones(2))
     twins = replace(twins, twin=replace(twins.twin, coulomb=none))
     robot = TwinRobot(ARM, draw, seed=0)
-    planner = Planner(ARM, twins, replace(FEW, correction=0.0, offset_rate=0.0))
+    planner = Planner(ARM, twins)
     missed = []
 
     def watch(cycle):
@@ -91,9 +99,7 @@ def test_the_shadow_of_the_right_model_is_the_arm():
 
 def test_the_plan_is_a_function_of_the_seed():
     draw, twins = drawn()
-    commands = [
-        drive(draw, PlanAlone(Planner(ARM, twins, replace(FEW, seed=seed))), dwell=0.2).command for seed in (0, 0, 1)
-    ]
+    commands = [drive(draw, PlanAlone(Planner(ARM, twins, seed)), dwell=0.2).command for seed in (0, 0, 1)]
     np.testing.assert_array_equal(commands[0], commands[1])
     assert np.abs(commands[0] - commands[2]).max() > 1e-6
 
@@ -125,19 +131,19 @@ class Spy:
 def test_the_last_millimetres_are_left_to_another_without_a_jump(holder):
     draw, twins = drawn()
     spy = Spy(holder(ARM))
-    error = final_error(draw, PredictiveController(ARM, twins, spy, FEW))
+    error = final_error(draw, PredictiveController(ARM, twins, spy))
     assert error.max() < 2.5e-3
     assert set(spy.taken) == {0, 1}
-    assert max(spy.taken.values()) < HandOver().late + 0.05
+    assert max(spy.taken.values()) < LATE + 0.05
     assert max(spy.jump) < np.radians(1.0)  # of a command that has led by some ten degrees
 
 
-def test_a_plan_that_is_lost_is_left_at_once():
+def test_a_plan_that_is_lost_is_left_at_once(changed):
     draw, twins = drawn()
-    never = HandOver(near=0.0, late=np.inf)
+    changed(AT_TARGET=0.0, LATE=np.inf)
     right, lost = Spy(FeedforwardController(ARM)), Spy(FeedforwardController(ARM))
-    drive(draw, PredictiveController(ARM, twins, right, FEW, never), dwell=1.0)
-    drive(draw, PredictiveController(ARM, wrong_twins(twins, 0.2), lost, FEW, never), dwell=1.0)
+    drive(draw, PredictiveController(ARM, twins, right), dwell=1.0)
+    drive(draw, PredictiveController(ARM, wrong_twins(twins, 0.2), lost), dwell=1.0)
     assert not right.taken
     assert set(lost.taken) == {0, 1}
     assert max(lost.taken.values()) < 0.6

@@ -7,8 +7,8 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.training.ranges import BroadRanges
-from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.chain.step import RESTITUTION, cross
+from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.step import RESTITUTION, cross
 
 ARM = mycobot280()
 MS = 0.001

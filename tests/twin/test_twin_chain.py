@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280, so101
-from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.chain.dynamics import GROUP, LANES, turn
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.step import GROUP, LANES, turn
 from rejoint.twin.table import TableBatch
 
 ARMS = {"mycobot280": mycobot280(), "so101": so101()}

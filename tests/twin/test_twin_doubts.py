@@ -10,14 +10,18 @@ from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.identify import FREEDOM, _hard_to_follow
-from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judge import Candidate, judge, predict_logs
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.structure import simplest
+from rejoint.twin.structure import Structure
 from rejoint.twin.twin import smaller
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
 TWIN = Candidate(name="twin", parameters=TRUTH)
+
+
+def judged(candidate, logs):
+    return judge(ARM, predict_logs(ARM, [candidate], logs, STEP), logs)
 
 
 def shifted(log, rows):
@@ -46,7 +50,7 @@ CASES = {
 
 @pytest.mark.parametrize("says", CASES)
 def test_what_is_missing_is_said_in_place_of_trust(says):
-    judgement = judge(ARM, [TWIN], [CASES[says](log) for log in LOGS], timestep=STEP)
+    judgement = judged(TWIN, [CASES[says](log) for log in LOGS])
     assert len(judgement.doubts) >= 1
     first = answer(judgement)[0]
     assert first.startswith("Trust none of them: ")
@@ -54,11 +58,11 @@ def test_what_is_missing_is_said_in_place_of_trust(says):
 
 
 def test_a_twin_that_beats_the_commands_is_trusted_and_one_that_does_not_is_not():
-    good = judge(ARM, [TWIN], LOGS, timestep=STEP)
+    good = judged(TWIN, LOGS)
     assert good.doubts == ()
     assert answer(good)[0].startswith("Trust “twin”")
     healthy = replace(TWIN, parameters=replace(healthy_parameters(ARM), offset=np.full(ARM.joints, 0.05)))
-    bad = judge(ARM, [healthy], LOGS, timestep=STEP)
+    bad = judged(healthy, LOGS)
     assert any("no twin predicts measurably better than the command" in doubt for doubt in bad.doubts)
 
 
@@ -68,7 +72,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     shaking = np.cumsum(rng.standard_normal(LOGS[0].position.shape), axis=0)
     shaking = np.radians(5.0) * (shaking - shaking.mean(axis=0)) / shaking.std(axis=0)
     logs = [*LOGS, replace(LOGS[0], label="shaken", position=LOGS[0].position + shaking)]
-    structure = simplest(unknown_prior(ARM))
+    structure = Structure(belief=unknown_prior(ARM))
     start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
     off = []
     for freedom in (FREEDOM, np.inf):
@@ -76,7 +80,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
         problem = Problem(replay, structure.prior, structure.frozen, memory=1.0, freedom=freedom)
         found = fit(problem, start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
-        named = _hard_to_follow(problem, found, logs)
+        named = _hard_to_follow(problem, found)
         assert bool(named) == (freedom < np.inf)
         if named:
             assert named[0].count("motion") + named[0].count("shaken") == 1

@@ -13,7 +13,7 @@ from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identi
 from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.structure import EARLIER, find_acceleration, simplest
+from rejoint.twin.structure import EARLIER, Structure, find_acceleration
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin, write_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
@@ -98,7 +98,7 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
             return Problem(replay, structure.prior, structure.frozen)
 
         for known, expected in found.items():
-            simple = simplest(unknown_prior(ARM), known)
+            simple = Structure(belief=unknown_prior(ARM), acceleration=known)
             truth = replace(TRUTH, delay=TRUTH.delay - (EARLIER if known < np.inf else 0.0))
             start = np.clip(pack(truth), simple.prior.lower, simple.prior.upper)
             assert find_acceleration(problem, simple, start).acceleration == expected

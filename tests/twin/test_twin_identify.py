@@ -35,8 +35,10 @@ def test_held_out_motion_decides(twin, arm, truth, log):
     assert held.seconds + twin.fit_seconds == pytest.approx(log.time[-1] - log.time[0], abs=0.5)
 
 
-def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin):
-    drawn = pack(twin.sample(np.random.default_rng(0), 4000, least_spread=0.0))
+def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("rejoint.twin.twin.LEAST_SPREAD", 0.0)
+        drawn = pack(replace(twin).sample(np.random.default_rng(0), 4000))
     assert (drawn >= twin.lower - 1e-12).all()
     assert (drawn <= twin.upper + 1e-12).all()
     inside = (pack(twin.parameters) - 4 * np.sqrt(np.diag(twin.covariance)) > twin.lower) & twin.identified

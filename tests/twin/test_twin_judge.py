@@ -7,7 +7,8 @@ import pytest
 from motion_logs import ARM, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.twin.judge import Candidate, judge, read_published
+from rejoint.system.errors import InputError
+from rejoint.twin.judge import Candidate, judge, predict_logs, read_published
 from rejoint.twin.parameters import healthy_parameters
 from rejoint.twin.twin import NO_TWIN, TablePlane
 
@@ -28,7 +29,7 @@ def judgement(logs):
     truth = Candidate(name="truth", parameters=TRUTH)
     tabled = Candidate(name="truth on its table", parameters=TRUTH, table=TABLE)
     healthy = Candidate(name="healthy", parameters=healthy_parameters(ARM))
-    return judge(ARM, [truth, tabled, healthy], logs)
+    return judge(ARM, predict_logs(ARM, [truth, tabled, healthy], logs), logs)
 
 
 def test_the_truth_predicts_to_the_encoder_step(judgement):
@@ -57,6 +58,12 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
 
 
+@pytest.mark.parametrize("names", [(), ("truth", "truth"), (NO_TWIN,)])
+def test_every_prediction_has_a_name_of_its_own(logs, names):
+    with pytest.raises(InputError, match="a name of its own"):
+        predict_logs(ARM, [Candidate(name=name, parameters=TRUTH) for name in names], logs[:1])
+
+
 def test_a_published_set_is_read(tmp_path):
     path = tmp_path / "maker.toml"
     path.write_text("stiffness = 17.0\ndamping = [1, 2, 3, 4, 5]\ncoulomb = 0.05\narmature = 0.028\n")
@@ -72,5 +79,5 @@ def test_a_published_set_is_read(tmp_path):
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "docs" / "published").glob("*.toml")), ids=str)
 def test_the_published_sets_of_the_documentation_are_usable(path, logs):
     found = read_published(path, ARM)
-    judgement = judge(ARM, [found], logs[:1])
+    judgement = judge(ARM, predict_logs(ARM, [found], logs[:1]), logs[:1])
     assert 1e-3 < judgement.mean[found.name].all.tcp < 0.2  # another arm's numbers: neither right nor absurd

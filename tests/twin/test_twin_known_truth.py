@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
-from rejoint.logs.exclusions import find_exclusions
-from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, fit_motions, identify_logs, independent
+from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, Motions, identify_logs, independent
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.twin import NO_TWIN
 from rejoint.twin.uncertainty import uncertainty
@@ -59,7 +58,8 @@ def distances():
             centre = (0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0)
             log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth, own=links)
             logs.append(disturbed(log, rng))
-        problem, fit, _ = fit_motions(ARM, logs, find_exclusions(ARM, logs), SETTINGS)
+        motions = Motions(ARM, logs, SETTINGS)
+        problem, fit = motions.settle(*motions.find_structure())
         sigma = np.sqrt(np.diag(uncertainty(problem, fit, independent(problem))))
         known = (sigma < IDENTIFIED * problem.prior.sigma) & ~fit.at_bound & ~problem.frozen
         names = np.array(vector_names(ARM.joint_names))[known]

@@ -6,7 +6,7 @@ from motion_logs import ARM, STEP, TRUTH, record, wandering
 from rejoint.twin.fit import Fit, Problem, fit, influence
 from rejoint.twin.parameters import Layout, pack, unknown_prior
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.structure import simplest
+from rejoint.twin.structure import Structure
 from rejoint.twin.uncertainty import COMMON, _central_differences, fixed_covariance, others
 from rejoint.twin.uncertainty import STEP as CHANGE
 
@@ -15,7 +15,7 @@ LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]
 
 
 def problem(arm=ARM):
-    structure = simplest(unknown_prior(arm))
+    structure = Structure(belief=unknown_prior(arm))
     replay = Replay(arm, LOGS, cut(LOGS, 8.0), STEP, 1)
     return Problem(replay, structure.prior, structure.frozen, memory=1.0)
 

@@ -64,7 +64,7 @@ def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
         simulation.place(
             Draw.of(replace(parameters, stiction=np.full(6, stiction)).repeat(1)), arm.rest[None], arm.rest[None]
         )
-        moved.append(np.abs(simulation.rollout(np.tile(arm.rest + lead, (1, 100, 1)))[0, -1, 5] - arm.rest[5]))
+        moved.append(np.abs(simulation.twins.rollout(np.tile(arm.rest + lead, (1, 100, 1)))[0, -1, 5] - arm.rest[5]))
     assert moved[0] > 1e-3
     assert moved[1] < 1e-5
 

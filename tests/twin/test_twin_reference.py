@@ -1,6 +1,7 @@
 """The reference ramp and the delay, against hand-worked numbers and against small steps."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,14 +32,26 @@ def test_delay_shifts(delay, speed, seed):
     np.testing.assert_allclose(both[1], r.sample(at - delay, np.array([0.0, 0.0]))[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("acceleration", [np.inf, 30.0])
+def test_one_speed_serves_twins_of_any_delay(acceleration):
+    time, command = commands(3)
+    r = ServoReference(time, command, np.array([2.0]), acceleration)
+    at, delay = np.linspace(time[0], time[-1] + 0.1, 57), np.linspace(0.0, 0.05, 12)
+    alone = np.concatenate([r.sample(at, delay[i : i + 1]) for i in range(12)])
+    np.testing.assert_array_equal(r.sample(at, delay), alone)
+    if acceleration == np.inf:
+        alone = np.concatenate([r.mean(at, delay[i : i + 1], 0.01) for i in range(12)])
+        np.testing.assert_allclose(r.mean(at, delay, 0.01), alone, atol=1e-12)
+
+
 def test_skipping_what_is_reached_changes_nothing():
     rng = np.random.default_rng(3)
     time = np.cumsum(rng.uniform(0.01, 0.03, 400))
     command = np.cumsum(rng.normal(0, 0.02, (400, 3)), axis=0) + np.repeat(rng.normal(0, 0.2, (8, 3)), 50, axis=0)
     speeds = np.array([5.0, 1.5, 5.0, 40.0])
-    r = ServoReference(time, command, speeds, start=command[0] + 0.1)
+    r = ServoReference(time, command, speeds)
     expected = np.empty((400, 4, 3))
-    expected[0] = command[0] + 0.1
+    expected[0] = command[0]
     for k in range(399):
         reach = speeds[:, None] * (time[k + 1] - time[k])
         expected[k + 1] = expected[k] + np.clip(command[k] - expected[k], -reach, reach)
@@ -49,7 +62,7 @@ def test_skipping_what_is_reached_changes_nothing():
 @given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 50.0), seed=st.integers(0, 99))
 def test_means_over_steps_are_those_of_many_samples(delay, speed, seed):
     time, command = commands(seed)
-    r = ServoReference(time, command, np.array([speed, 2 * speed]), start=command[0] + 0.1)
+    r = ServoReference(time, command, np.array([speed, 2 * speed]))
     width, fine = 0.01, (np.arange(400) + 0.5) / 400 - 0.5
     at = time[0] + width * np.arange(30)
     delays = np.array([delay, 0.0])

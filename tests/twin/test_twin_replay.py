@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, TRUTH, as_log, wandering
 
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.replay import Replay, cut
 from twinmodel import predict
 
 
@@ -22,3 +24,13 @@ def test_a_coarse_step_adds_no_lag(delay, jitter):
     behind = np.sum(np.where(moving, (fine - predict(ARM, twin, log, PERIOD / 2)) * speed, 0.0), axis=0)
     lag = behind / np.sum(np.where(moving, speed**2, 0.0), axis=0)
     assert np.abs(lag).max() < 0.001  # of a step of 10 ms
+
+
+def test_twins_that_differ_in_their_delay_alone_are_replayed_as_each_by_itself():
+    """Also where readings are uneven, so that references are sampled."""
+    time, command = wandering(0, 12.0)
+    time = 1.6 * time + np.random.default_rng(0).uniform(0.0, 0.004, len(time))
+    log = as_log("uneven", time, command, command)
+    twins = [replace(TRUTH, delay=delay) for delay in np.linspace(0.0, 0.03, 9)]
+    together = Replay(ARM, [log], cut([log], 100.0), 0.01).predict(TwinParameters.stacked(twins))[0]
+    np.testing.assert_array_equal(together, [predict(ARM, twin, log, 0.01) for twin in twins])

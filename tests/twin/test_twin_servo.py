@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.replay import GAIN, TORQUE_OFF, Replay, at_gain, cut, gains, powered, recorded_gain
+from rejoint.twin.simulation import ChainBatch
 from rejoint.twin.table import TableBatch
 
 ARM = mycobot280()

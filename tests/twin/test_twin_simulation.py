@@ -50,7 +50,7 @@ def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(accele
     replayed = Simulation(ARM, 1)
     replayed.place(draw, start, start)
     replayed.twins.timestep[:] = STEP
-    path = replayed.rollout(reference)[0, SUBSTEPS - 1 :: SUBSTEPS]
+    path = replayed.twins.rollout(reference)[0, SUBSTEPS - 1 :: SUBSTEPS]
     np.testing.assert_allclose(passed, path, atol=1e-5)
     assert np.ptp(path, axis=0).max() > 0.3
 

@@ -139,7 +139,7 @@ class Ppo(PPO):  # type: ignore[misc]
                 ratio_clip=settings.clip,
                 value_clip=0.0,
                 entropy_loss_scale=0.0,
-                value_loss_scale=settings.value_weight,
+                value_loss_scale=1.0,
                 time_limit_bootstrap=True,
                 experiment={"write_interval": 0, "checkpoint_interval": 0},
             ),
@@ -172,23 +172,17 @@ class RolloutWorker:
     def __init__(self, task: ReachTask, *, seed: int) -> None:
         self.task = task
         self._exploration = torch.Generator().manual_seed(seed)
-        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
+        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
 
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
         rows = []
         for _ in range(cycles):
-            action, density = actor.sample(self._observation, self._exploration)
-            seen = {
-                "observations": self._observation,
-                "states": self._privileged,
-                "actions": action,
-                "log_prob": density,
-            }
-            found = step(self.task, action)
-            rows.append(seen | found)
-            self._observation, self._privileged = found["observation"], found["privileged"]
+            seen = {"observations": self._seen["observation"], "states": self._seen["privileged"]}
+            action, density = actor.sample(seen["observations"], self._exploration)
+            self._seen = step(self.task, action)
+            rows.append(seen | {"actions": action, "log_prob": density} | self._seen)
         rollout = stacked(rows)
         late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
         final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))
@@ -226,6 +220,9 @@ def on_threads(count: int) -> AbstractContextManager[None]:
     """Let torch compute on ``count`` threads within the block."""
     return setting(torch.get_num_threads, torch.set_num_threads, count)
 
+
+CEILING_FALLS = 0.8
+"""Share of a training at whose end the ceiling of the noise is lowest; chosen"""
 
 REACHED_DISTANCE = 0.010
 """[m] of a reached target at its end; Park et al. 2024, section IV-A"""
@@ -294,14 +291,14 @@ class Learner:
         """
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
-        self.settings, self.agents = settings, sum(task.agents for task in tasks)
+        self.settings = settings
         self.ends_on_success = tasks[0].ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
         if start is not None:
             torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())
         self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
         self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
-        self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
+        self.ppo = Ppo(self.actor, self.critic, settings, agents=sum(task.agents for task in tasks))
         self.curve: list[CurvePoint] = []
 
     @property
@@ -312,7 +309,7 @@ class Learner:
     def iterate(self) -> CurvePoint:
         """Run one rollout and one update."""
         start, s, done = time.perf_counter(), self.settings, self.iteration
-        self.actor.ceiling = float(np.interp(done, (0.0, max(s.ceiling_falls * s.iterations, 1.0)), s.log_std_ceiling))
+        self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
         with precision, on_threads(LEARNING_THREADS):

@@ -21,6 +21,9 @@ Interval = tuple[float, float]
 TWIN_SHARE = 0.5
 """Fraction of arms drawn around the identified twin; chosen: steadier with backlash than 0.8"""
 
+OUTWARD: Interval = (0.3, 0.7)
+"""Share of the command delay in a twin's delay; chosen"""
+
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
 """[rad] of arms whose motors cross backlash slowly, as an SO-101; chosen: new servos show about a degree"""
 
@@ -139,13 +142,11 @@ class IdentifiedRanges:
 
     broad: BroadRanges
     twin: Twin
-    outward: Interval = (0.3, 0.7)
-    """share of the command delay in the total"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count)
-        share, acceleration = rng.uniform(*self.outward, count), np.full(count, np.inf)
+        share, acceleration = rng.uniform(*OUTWARD, count), np.full(count, np.inf)
         weakened = twins.torque_limit * self.broad.weaken(rng, count)
         if self.twin.acceleration < np.inf:  # else nothing is drawn: other numbers stay what they were
             acceleration = self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))

@@ -60,8 +60,6 @@ class TaskSettings:
 
     layout: Layout = "residual"
     law: CommandLaw = field(default_factory=CommandLaw)
-    posture_weight: float = 0.2
-    """[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
     anywhere: float = 0.0
     """share of targets in the whole workspace, with a trajectory there; others are in the target region"""
     hold_steps: int = 120
@@ -80,13 +78,11 @@ class TaskSettings:
     """whether the first command leads by part of the sag"""
 
 
+POSTURE_WEIGHT = 0.2
+"""[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
+
 DRAWN = 16
 """Postures that are drawn until an arm lifts one; chosen"""
-
-
-def lifted(draw: Draw) -> Array:
-    """Torques (m, n) [N m] that the motors of arms lift."""
-    return lifting_torque(draw.twin) / draw.gravity_scale[:, None]
 
 
 @lru_cache(maxsize=4)
@@ -144,7 +140,9 @@ class ReachTask:
         self._since, self._period, self._middle = np.zeros((3, agents))
         self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._aim, self._travel, self._far = np.zeros((agents, 3)), np.zeros(agents), np.zeros(agents, dtype=bool)
-        self._goal, self._start, self._lifts = np.zeros((3, agents, n))
+        self._goal, self._start = np.zeros((2, agents, n))
+        self._lifts = np.zeros((agents, n))
+        """(N, n) [N m] torques that the motors lift"""
         self._step, self._count = np.zeros((2, agents), dtype=np.int64)
         self._constants = np.zeros((agents, 4 + 6 * n), dtype=np.float32)
 
@@ -160,19 +158,26 @@ class ReachTask:
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
-        applied = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
-        self._command(applied)
+        s, inputs = self.settings, self._inputs()
+        asked = np.asarray(action, dtype=float)
+        applied = np.clip(asked, -1.0, 1.0)
+        self.observer.acted(applied)
+        wanted = self.commander.commands(inputs, self.observer.view, applied)
+        self._sent = guard(self._limits, wanted, self._sent, self._no_speed, inputs.state, self._period).command
+        self.simulation.send(self._sent)
         before = self.simulation.twins.qpos.copy()
-        self._advance()
-        position = self.simulation.twins.qpos
-        tcp = tcp_position(self.arm, position)
+        spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
+        self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
+        self.simulation.advance(self._period)
+        self._since = self._since + self._period
+        tcp = tcp_position(self.arm, self.simulation.twins.qpos)
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
         distance = np.linalg.norm(self._aim - tcp, axis=-1)
         self._step += 1
         final, final_privileged = self.observer.observe(self._inputs()), self._privileged(speed)
-        late = self._step >= self.settings.hold_steps
-        reward, reached, collided = self.judge(np.asarray(action, dtype=float), before, distance, speed, late)
+        late = self._step >= s.hold_steps
+        reward, reached, collided = self.judge(asked, before, distance, speed, late)
         cut = (late | collided) & ~reached
         observation, privileged = self._renew(reached | cut, collided, final, final_privileged)
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
@@ -191,37 +196,18 @@ class ReachTask:
         """
         homing = (self.observer.view.homing**2).sum(axis=-1)
         none = np.zeros(self.agents, dtype=bool)
-        return residual_reward(distance, speed, action) - self.settings.posture_weight * homing, none, none
+        return residual_reward(distance, speed, action) - POSTURE_WEIGHT * homing, none, none
 
     def _inputs(self) -> ControlInput:
-        now = self.simulation
+        now, goal, target, moving = self.simulation, self._goal, self._aim, self._since < self._travel
+        if moving.any():
+            goal, target = goal.copy(), target.copy()
+            left = 1.0 - self._since[moving] / self._travel[moving]
+            goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
+            target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
         state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
-        goal, target, since = self._setpoint()
+        since = np.maximum(self._since - self._travel, 0.0)
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
-
-    def _setpoint(self) -> tuple[Array, Array, Array]:
-        moving = self._since < self._travel
-        if not moving.any():
-            return self._goal, self._aim, self._since - self._travel
-        goal, target = self._goal.copy(), self._aim.copy()
-        left = 1.0 - self._since[moving] / self._travel[moving]
-        goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
-        target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
-        return goal, target, np.maximum(self._since - self._travel, 0.0)
-
-    def _command(self, action: Array) -> None:
-        inputs, observer = self._inputs(), self.observer
-        observer.acted(action)
-        wanted = self.commander.commands(inputs, observer.view, action)
-        self._sent = guard(self._limits, wanted, self._sent, self._no_speed, inputs.state, self._period).command
-        self.simulation.send(self._sent)
-
-    def _advance(self) -> None:
-        s = self.settings
-        spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
-        self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
-        self.simulation.advance(self._period)
-        self._since = self._since + self._period
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
@@ -283,12 +269,13 @@ class ReachTask:
         position = np.clip(position, limits.lower, limits.upper)
         low = tcp_position(arm, position)[:, 2:] < 3.0 * arm.floor
         command = position = np.where(low, arm.rest, position)
-        if s.start_sag and s.law.lead_limit > 0.0:
+        if s.start_sag:
             sag = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
             lead = np.clip(sag, -s.law.lead_limit, s.law.lead_limit)
             command = position + lead * self._rng.uniform(0.0, 1.0, (count, 1))
         self.simulation.place(draw, position, command, where)
-        self._lifts[where], self._sent[where] = lifted(draw), command
+        self._lifts[where] = lifting_torque(draw.twin) / draw.gravity_scale[:, None]
+        self._sent[where] = command
         self._tcp[where] = tcp_position(arm, position)
         self._middle[where] = self._period[where] = draw.period
         self._count[where] = 0
@@ -326,14 +313,12 @@ class PpoSettings:
     discount: float = 0.98
     gae_lambda: float = 0.95
     gradient_clip: float = 1.0
-    value_weight: float = 1.0
     reward_scale: float = 0.1
     """to scale returns to about one"""
     log_std: float = -0.7
     """initial log exploration noise"""
     log_std_ceiling: tuple[float, float] = (-0.4, -2.0)
-    """its upper bound at the start, and at ``ceiling_falls`` of the training: deployment has no noise"""
-    ceiling_falls: float = 0.8
+    """its upper bound at the start, and at `rejoint.training.learner.CEILING_FALLS`: deployment has no noise"""
     critic_first: int = 0
     """first updates of the critic alone: an untrained one would spoil a good actor"""
     actor_layers: tuple[int, ...] = (128, 64)

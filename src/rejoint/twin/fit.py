@@ -15,7 +15,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rejoint.arms import Array, Index, Mask, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
-from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
+from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
@@ -80,17 +80,15 @@ class Problem:
     ) -> None:
         self.replay, self.prior, self.freedom = replay, prior, freedom
         self.joints = replay.arm.joints
-        self.measured = np.concatenate(replay.measured())
-        lengths = [len(part) for part in replay.measured()]
-        self.window = np.repeat(np.arange(len(lengths)), lengths)
+        self.measured, self.window = replay.measured, replay.window
         silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
-        self.memory = memory * (len(self.measured) - len(lengths)) / replay.seconds  # rows
-        self.layout = Layout(self.joints)
+        self.memory = memory * (len(self.measured) - len(replay.windows)) / replay.seconds  # rows
+        self.layout = prior.layout
         self.owner = self.layout.owner
         self.steps = stride * self.layout.has("difference")
-        self.group = prior.groups(self.joints)
+        self.group = prior.groups
         self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
@@ -193,21 +191,11 @@ class Problem:
         k = len(self.prior.mean)
         curvature, gradient = np.zeros((k, k)), np.zeros(k)
         for joint in range(self.joints):
-            place = self.columns(joint)
+            place = np.flatnonzero(np.isin(self.owner, [joint, -1]))  # its parameters and, last, the arm's
             scaled = jacobian[:, joint].T * weight[:, joint]
             curvature[np.ix_(place, place)] += scaled @ jacobian[:, joint]
             gradient[place] += scaled @ residual[:, joint]
         return curvature, gradient
-
-    def columns(self, joint: int) -> Index:
-        """Return indices of a joint's parameters and, last, the arm's."""
-        return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
-
-    def clusters(self, length: float) -> Index:
-        """(rows,) number of each stretch of about ``length`` [s]."""
-        time = np.concatenate([self.replay.times(i) for i in range(len(self.replay.windows))])
-        keys = np.stack([self.window, (time // length).astype(int)], axis=1)
-        return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
     def _scaled(self) -> list[int]:
         return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]

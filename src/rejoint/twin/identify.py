@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import compress
 
 import numpy as np
 
@@ -19,12 +21,11 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit, search
-from rejoint.twin.judge import TIMESTEP, Candidate, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
     contact_windows,
-    durations,
     fastest,
     free_windows,
     part,
@@ -34,13 +35,11 @@ from rejoint.twin.motionfit import (
 from rejoint.twin.parameters import TIMESTEP as FINE
 from rejoint.twin.parameters import (
     UNKNOWN_PARAMETERS,
-    Layout,
     Prior,
     healthy_parameters,
     is_hobby,
     pack,
     prior,
-    unknown_prior,
     unpack,
 )
 from rejoint.twin.replay import (
@@ -49,7 +48,7 @@ from rejoint.twin.replay import (
     Window,
     at_gain,
     cut,
-    divide,
+    durations,
     measured_velocity,
     powered,
     recorded_gain,
@@ -64,8 +63,6 @@ from rejoint.twin.structure import (
     find_structure,
     given,
     rough_fit,
-    simplest,
-    without,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
@@ -81,6 +78,9 @@ STILL_SPEED = 0.03
 
 SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
 """[s] least motion, and least free motion; chosen"""
+
+WINDOW = 8.0
+"""[s] between restarts from the measured state in logs of any motion; measured: 1 to 50 s are equal"""
 
 EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
 """[s] between restarts, the same in the first fit, and one of how many windows is held out; chosen"""
@@ -124,8 +124,6 @@ class LogSettings:
     """labels of motions; empty: none; None: drawn"""
     seed: int = 0
     """of the drawn ones"""
-    window: float = 8.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_seconds: float = 50.0
     """[s] for the structure; measured: 100 s are equal"""
     fit_seconds: float = 200.0
@@ -136,9 +134,6 @@ class LogSettings:
     """[s] of contact for the table; measured: 80 s are a fifth worse"""
     timestep: float = TIMESTEP
     threads: int = 2
-
-
-DEFAULT_LOG_SETTINGS = LogSettings()
 
 
 # Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis
@@ -162,8 +157,8 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
     slopes = load_slopes(arm, logs) if alike else None
     if slopes is None:
         return None
-    belief, layout = prior(arm, OPEN), Layout(arm.joints)
-    limits, gains = layout.at("torque_limit"), layout.at("stiffness")
+    belief = prior(arm, OPEN)
+    limits, gains = belief.layout.at("torque_limit"), belief.layout.at("stiffness")
     mean, covariance = belief.mean.copy(), np.diag(belief.sigma**2)
     for group in alike:
         place = np.arange(limits.start, limits.stop)[group]
@@ -203,8 +198,9 @@ def identify(
             f"expected at least {SHORTEST_EXCITATION:.0f} s and {HOLD_OUT} windows, one held out; record a longer log"
         )
     by_loads = prior_by_loads(arm, logs)
-    belief = prior(arm) if by_loads is None else without(by_loads, UNSEEN)
-    pieces = divide(seen, round(PIECE * sum(len(log) - 1 for log in logs) / seconds))
+    belief = prior(arm) if by_loads is None else Structure(belief=by_loads, frozen=UNSEEN).prior
+    rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
+    pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
     rng = np.random.default_rng(seed)
@@ -216,23 +212,25 @@ def identify(
     found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
-    twin = fitted_twin(fine, found, fine.clusters(CLUSTER), held_out)
+    stretches = np.stack([fine.window, (fine.replay.time // CLUSTER).astype(int)], axis=1)
+    clusters = np.unique(stretches, axis=0, return_inverse=True)[1].ravel()
+    twin = fitted_twin(fine, found, clusters, held_out)
     on_progress(1.0, "done")
     return twin
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
+    layout = belief.layout
+    drawn = belief.mean + belief.sigma * layout.normal(rng, max(count - 2, 1))
     starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
-    of_arm = Layout(arm.joints).of_arm
-    starts[2:, of_arm] = belief.mean[of_arm]
+    starts[2:, layout.of_arm] = belief.mean[layout.of_arm]
     return np.clip(starts, belief.lower, belief.upper)
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
-    arm, measured = replay.arm, np.concatenate(replay.measured())
+    arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    predicted = [np.concatenate(replay.commands()), *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
+    predicted = [replay.commands, *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
     no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
@@ -284,8 +282,7 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
         )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
-    pressed = [name for name, at in zip(twin.names, found.at_bound, strict=True) if at]
-    if pressed:
+    if pressed := list(compress(twin.names, found.at_bound)):
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
     if held_out.twin.joint > min(rival.joint for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
         notes.append(
@@ -297,7 +294,7 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
 def identify_logs(
     arm: Arm,
     logs: Sequence[RunLog],
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    settings: LogSettings,
     on_progress: Progress = no_progress,
     beside: Sequence[Candidate] = (),
 ) -> Twin:
@@ -312,12 +309,12 @@ def identify_logs(
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
     logs = at_gain(logs, gain)
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
-    every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
-    height = table_height(arm, seen)
-    excluded = find_exclusions(arm, seen, height)
+    motions = Motions(arm, seen, settings, table_height(arm, seen))
     on_progress(0.0, "search")
-    problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
-    table = _fit_table(problem, found, excluded, height, settings)
+    structure, start = motions.find_structure(on_progress)
+    on_progress(0.5, "fit")
+    problem, found = motions.settle(structure, start)
+    table = motions.fit_table(problem, found)
     on_progress(0.7, "held-out motions")
     own = Candidate(
         name=FITTED,
@@ -326,119 +323,106 @@ def identify_logs(
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
-    judgement = judge(
-        arm, [own, *healthy, *beside], unseen, table=height, timestep=settings.timestep, threads=settings.threads
-    )
+    paths = predict_logs(arm, [own, *healthy, *beside], unseen, settings.timestep, settings.threads)
+    judgement = judge(arm, paths, unseen, table=motions.height)
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
     if settings.hold_out != ():
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
-        note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
-        excluded = find_exclusions(arm, every, height)
-        belief = decide_compensation(unknown_prior(arm), arm, every, excluded)
-        structure = replace(structure, prior=without(belief, structure.frozen))
-        problem, found = settle(arm, every, excluded, structure, found.vector, settings)
+        note, missing = REFITTED, [*judgement.doubts, *[REPEATED] * alike]
+        motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
+        problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
     return replace(
         twin,
         gain=gain,
-        notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
-        fitted=fitted,
+        notes=(*twin.notes, *_hard_to_follow(problem, found), note),
+        fitted=tuple(log.label for log in seen),
         judgement=replace(judgement, doubts=tuple(missing)),
     )
 
 
-def fit_motions(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
-    on_progress: Progress = no_progress,
-) -> tuple[Problem, Fit, Structure]:
-    """Find a twin's structure, and fit it; InputError for too little motion."""
-    windows = free_windows(logs, excluded, settings.window)
-    seconds = float(durations(windows, logs).sum())
-    if seconds < SHORTEST:
-        raise InputError(
-            f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and more, "
-            f"expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
-        )
-    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
+@dataclass(frozen=True)
+class Motions:
+    """Motions to which one twin is fitted, off table and stops."""
 
-    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
-        return _problem(arm, logs, chosen, structure, settings)
+    arm: Arm
+    logs: Sequence[RunLog]
+    settings: LogSettings
+    height: float | None = None
+    """[m] of the tip on a table; None without contact"""
 
-    fast = fastest(windows, logs, settings.fast_seconds)
-    slow = thin(windows, logs, settings.coarse_seconds)
-    simple = simplest(belief, arm.servo_acceleration)
-    x = rough_fit(problem(slow, simple))
-    on_progress(0.3, "structure")
-    expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
-    if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
-        x = rough_fit(problem(slow, simple))
-    usable = expressible(problem(sorted({*slow, *fast}), simple), x)
-    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, x)
-    on_progress(0.5, "fit")
-    return *settle(arm, logs, excluded, structure, x, settings), structure
+    @cached_property
+    def excluded(self) -> Sequence[Exclusions]:
+        """Contacts, stops and dead readings in each log."""
+        return find_exclusions(self.arm, self.logs, self.height)
 
+    @cached_property
+    def windows(self) -> list[Window]:
+        """Free motion."""
+        return free_windows(self.logs, self.excluded, WINDOW)
 
-def settle(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    structure: Structure,
-    start: Array,
-    settings: LogSettings,
-) -> tuple[Problem, Fit]:
-    """Fit windows from all logs, from ``start`` (k,)."""
-    windows = free_windows(logs, excluded, settings.window)
-    fast = fastest(windows, logs, settings.fast_seconds)
-    every = sorted({*thin(windows, logs, settings.fit_seconds), *fast})
-    problem = _problem(arm, logs, every, structure, settings, stride=1.0)
-    return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+    @cached_property
+    def fast(self) -> list[Window]:
+        """The fastest free motion."""
+        return fastest(self.windows, self.logs, self.settings.fast_seconds)
 
+    @property
+    def belief(self) -> Prior:
+        """Prior by what the sag in these motions tells."""
+        return decide_compensation(self.arm, self.logs, self.excluded)
 
-def _problem(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    windows: Sequence[Window],
-    structure: Structure,
-    settings: LogSettings,
-    stride: float = STRIDE,
-) -> Problem:
-    timestep, threads = settings.timestep, settings.threads
-    replay = Replay(arm, logs, windows, timestep, threads, structure.acceleration)
-    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+    def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
+        """Make the problem of some windows."""
+        settings = self.settings
+        replay = Replay(self.arm, self.logs, windows, settings.timestep, settings.threads, structure.acceleration)
+        return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+
+    def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:
+        """Find a twin's structure, and its optimum (k,) on few windows; InputError for too little motion."""
+        seconds = float(durations(self.windows, self.logs).sum())
+        if seconds < SHORTEST:
+            raise InputError(
+                f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
+                f"more, expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
+            )
+        slow = thin(self.windows, self.logs, self.settings.coarse_seconds)
+        simple = Structure(belief=self.belief, acceleration=self.arm.servo_acceleration)
+        x = rough_fit(self.problem(slow, simple))
+        on_progress(0.3, "structure")
+        expected, simple = simple, find_acceleration(partial(self.problem, self.fast), simple, x)
+        if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
+            x = rough_fit(self.problem(slow, simple))
+        usable = expressible(self.problem(sorted({*slow, *self.fast}), simple), x)
+        return find_structure(partial(self.problem, usable), simple, x)
+
+    def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
+        """Fit windows from all logs, from ``start`` (k,)."""
+        every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.fast})
+        problem = self.problem(every, structure, stride=1.0)
+        return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+
+    def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
+        """Fit the table to the motion in contact; None where that is too little."""
+        windows = [] if self.height is None else contact_windows(self.logs, self.excluded, WINDOW)
+        if self.height is None or durations(windows, self.logs).sum() < LEAST_CONTACT:
+            return None
+        from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
+
+        touching = replace(problem.replay, windows=thin(windows, self.logs, self.settings.contact_seconds))
+        return fit_table(touching, unpack(found.vector, problem.joints), self.height)
 
 
 def independent(problem: Problem) -> Index:
     """(rows,) numbers of independent motions, or of windows where there are few."""
-    logs = np.array([w.log for w in problem.replay.windows])[problem.window]
-    motion = np.unique(logs, return_inverse=True)[1].ravel()
+    motion = np.unique(problem.replay.motion, return_inverse=True)[1].ravel()
     return motion if motion.max() + 1 >= CLUSTERED else problem.window
 
 
-def _fit_table(
-    problem: Problem,
-    found: Fit,
-    excluded: Sequence[Exclusions],
-    height: float | None,
-    settings: LogSettings,
-) -> TablePlane | None:
-    replay = problem.replay
-    windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
-    if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
-        return None
-    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
-
-    touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
-    return fit_table(touching, unpack(found.vector, problem.joints), height)
-
-
-def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
-    motion = np.array([w.log for w in problem.replay.windows])[problem.window]
+def _hard_to_follow(problem: Problem, found: Fit) -> list[str]:
+    logs, motion = problem.replay.logs, problem.replay.motion
     weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}
     if not low:

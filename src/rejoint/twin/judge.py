@@ -23,9 +23,9 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
-from rejoint.twin.chain.dynamics import GROUP
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import Replay, Window, at_gain
+from rejoint.twin.replay import Replay, Window, at_gain, in_force
+from rejoint.twin.step import GROUP
 from rejoint.twin.twin import (
     NO_TWIN,
     Errors,
@@ -71,48 +71,33 @@ class Candidate:
         )
 
 
-def judge(
-    arm: Arm,
-    candidates: Sequence[Candidate],
-    logs: Sequence[RunLog],
-    *,
-    table: float | None = None,
-    timestep: float = TIMESTEP,
-    threads: int = 1,
-) -> Judgement:
-    """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
+def predict_logs(
+    arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
+) -> dict[str, list[Array]]:
+    """Predicted positions (T, n) [rad] in each log, no twin first.
 
     InputError without a log or candidate, for equal names or another arm.
     """
     names = [NO_TWIN, *(c.name for c in candidates)]
     if not logs or not candidates or len(set(names)) != len(names):
         raise InputError(
-            f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least"
+            f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least, and each "
+            f"twin a name of its own, other than {NO_TWIN!r}"
         )
-    return judge_paths(arm, predict_logs(arm, candidates, logs, timestep, threads), logs, table=table)
-
-
-def predict_logs(
-    arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
-) -> dict[str, list[Array]]:
-    """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
         log.require(arm)
-    still = [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]  # row k is sent after its answer
-    return {NO_TWIN: still} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
+    return {NO_TWIN: [in_force(log) for log in logs]} | {
+        c.name: _paths(arm, c, logs, timestep, threads) for c in candidates
+    }
 
 
-def judge_paths(
-    arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None
-) -> Judgement:
-    """Compare the result of `predict_logs` with the measurement."""
+def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None) -> Judgement:
+    """Compare the result of `predict_logs` with whole logs; ``table`` [m] is its height, default: found."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
+    by_log = [{name: path[i] for name, path in paths.items()} for i in range(len(logs))]
+    found = tuple(_motion(arm, *one) for one in zip(logs, rows, by_log, strict=True))
     names = list(paths)
-    found = tuple(
-        _motion(arm, log, excluded, {name: path[i] for name, path in paths.items()})
-        for i, (log, excluded) in enumerate(zip(logs, rows, strict=True))
-    )
     first = [motion.errors[names[1]] for motion in found]
     worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
     return Judgement(
@@ -122,21 +107,20 @@ def judge_paths(
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
         doubts=tuple(_doubts(arm, logs, rows, found)),
-        worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
+        worst=_trace(arm, logs[worst], rows[worst], by_log[worst]),
     )
 
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
     logs = at_gain(logs, candidate.gain)
-    windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
     tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
     order = sorted(range(len(logs)), key=lambda i: logs[i].duration)
     for start in range(0, len(order), GROUP * threads):
         part = order[start : start + GROUP * threads]
-        chosen = [windows[i] for i in part]
-        replay = Replay(arm, logs, chosen, timestep, threads, candidate.acceleration)
+        windows = [Window(log=i, first=0, last=len(logs[i])) for i in part]
+        replay = Replay(arm, logs, windows, timestep, threads, candidate.acceleration)
         found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]

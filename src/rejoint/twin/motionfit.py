@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,7 +15,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, tabl
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.judge import MOVED
-from rejoint.twin.replay import Window
+from rejoint.twin.replay import Window, durations
 
 SHORTEST_STRETCH = 2.0
 """[s] least free motion of a window; chosen"""
@@ -27,26 +26,27 @@ LEAD = 1.0
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut free motion into windows of at most about ``length`` [s]."""
-    pairs = enumerate(zip(logs, excluded, strict=True))
-    runs = ((i, log, run) for i, (log, rows) in pairs for run in free_runs(rows.free, log.time, SHORTEST_STRETCH))
-    return [window for one in runs for window in _pieces(*one, length)]
+    return _windows(logs, excluded, [rows.free for rows in excluded], length)
 
 
 def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
     """Cut the surroundings of contacts into windows of about ``length`` [s]."""
+    return _windows(logs, excluded, [rows.contact & rows.readable for rows in excluded], length, LEAD)
+
+
+def _windows(
+    logs: Sequence[RunLog], excluded: Sequence[Exclusions], wanted: Sequence[Mask], length: float, lead: float = 0.0
+) -> list[Window]:
+    """Cut the ``wanted`` rows (T,) of each log into windows, with readable rows up to ``lead`` [s] before them."""
     windows = []
-    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        for first, last in free_runs(rows.contact & rows.readable, log.time, SHORTEST_STRETCH):
-            early = int(np.searchsorted(log.time, log.time[first] - LEAD))
+    for index, (log, rows, mask) in enumerate(zip(logs, excluded, wanted, strict=True)):
+        for first, last in free_runs(mask, log.time, SHORTEST_STRETCH):
+            early = int(np.searchsorted(log.time, log.time[first] - lead))
             while not rows.readable[early:first].all():
                 early += 1
-            windows += _pieces(index, log, (early, last), length)
+            count = max(1, int(np.ceil(float(log.time[last - 1] - log.time[early]) / length - 0.05)))
+            windows += Window(log=index, first=early, last=last).split(count)
     return windows
-
-
-def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
-    """Lengths (w,) [s] of windows."""
-    return np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
 
 
 def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
@@ -74,13 +74,6 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
     order = np.argsort([-acceleration(w) for w in windows], kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])
     return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
-
-
-def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> list[Window]:
-    first, last = run
-    count = max(1, int(np.ceil(float(log.time[last - 1] - log.time[first]) / length - 0.05)))
-    edges = np.linspace(first, last, count + 1).astype(int).tolist()
-    return [Window(log=index, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
 
 
 FEW_MOTIONS = 4

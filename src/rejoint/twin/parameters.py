@@ -195,11 +195,6 @@ class Layout:
 
     joints: int
 
-    @staticmethod
-    def of_length(length: int) -> Layout:
-        """Layout of vectors of length k."""
-        return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
-
     @cached_property
     def kind(self) -> Index:
         """(k,) number in `PARAMETERS`."""
@@ -264,20 +259,28 @@ def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
+def flat(parameters: TwinParameters) -> Array:
+    """Values (..., k) in the order of the vector."""
+    parts = [(p, getattr(parameters, p.name)) for p in PARAMETERS]
+    return np.concatenate([values if p.per_joint else values[..., None] for p, values in parts], -1)
+
+
+def shaped(values: Array, joints: int) -> TwinParameters:
+    """Inverse of `flat` for ``values`` (..., k)."""
+    parts = {p.name: values[..., Layout(joints).at(p.name)] for p in PARAMETERS}
+    return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
+
+
 def pack(parameters: TwinParameters) -> Array:
     """Parameter vector (..., k), with logarithms of the positive quantities."""
-    parts = [getattr(parameters, p.name) for p in PARAMETERS]
-    values = np.concatenate([v if p.per_joint else v[..., None] for p, v in zip(PARAMETERS, parts, strict=True)], -1)
-    log = Layout(parameters.joints).is_log
+    values, log = flat(parameters), Layout(parameters.joints).is_log
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
 def unpack(vector: Array, joints: int) -> TwinParameters:
     """Inverse of `pack` for ``vector`` (..., k)."""
-    layout = Layout(joints)
-    values = np.where(layout.is_log, np.exp(np.where(layout.is_log, vector, 0.0)), vector)
-    parts = {p.name: values[..., layout.at(p.name)] for p in PARAMETERS}
-    return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
+    log = Layout(joints).is_log
+    return shaped(np.where(log, np.exp(np.where(log, vector, 0.0)), vector), joints)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -296,10 +299,17 @@ class Prior:
     told: Array | None = None
     """(k,) sigma before the logs told a stiffness; None: ``sigma``"""
 
-    def groups(self, joints: int) -> Index:
+    @cached_property
+    def layout(self) -> Layout:
+        """Of the vectors."""
+        return Layout((len(self.mean) - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
+
+    @cached_property
+    def groups(self) -> Index:
         """(n,) number of each joint's group."""
-        owner, related = Layout(joints).owner, self.precision != 0.0
-        return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
+        owner, related = self.layout.owner, self.precision != 0.0
+        joints = range(self.layout.joints)
+        return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in joints])
 
     @cached_property
     def precision(self) -> Array:

@@ -8,7 +8,7 @@ AIChE Journal 49(2), 2003).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -17,9 +17,8 @@ from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
 from rejoint.control.controllers.catalogue import PREDICTIVE
 from rejoint.control.controllers.classical import Pace, limit_lead, limit_position
 from rejoint.control.robot import ControlInput, Controller, JointState
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.simulation import Draw, Simulation
+from rejoint.twin.simulation import ChainBatch, Draw, Simulation
 from rejoint.twin.twin import Twin
 
 
@@ -30,18 +29,13 @@ class Holder(Controller, Protocol):
         """Continue from the last command of the arms in ``where`` (B,)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class HandOver:
-    """When the holder takes over; chosen."""
-
-    near: float = 0.5e-3
-    """[m] tool to target, by encoders"""
-    late: float = 1.0
-    """[s] since the target was set"""
-    lost: float = 0.010
-    """[m] tool prediction error"""
-    memory: float = 0.1
-    """[s] over which it is averaged"""
+# The holder takes over; chosen.
+AT_TARGET = 0.5e-3
+"""[m] tool to target, by encoders"""
+LATE = 1.0
+"""[s] since the target was set"""
+LOST, MEMORY = 0.010, 0.1
+"""[m] tool prediction error, and [s] over which it is averaged"""
 
 
 class PredictiveController:
@@ -49,17 +43,9 @@ class PredictiveController:
 
     name = PREDICTIVE
 
-    def __init__(
-        self,
-        arm: Arm,
-        twins: Draw,
-        holder: Holder,
-        settings: PlanSettings | None = None,
-        hand_over: HandOver | None = None,
-    ) -> None:
+    def __init__(self, arm: Arm, twins: Draw, holder: Holder) -> None:
         """Take twins (B,), or one for all, and the holder."""
-        self._arm, self._holder = arm, holder
-        self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
+        self._arm, self._holder, self._planner = arm, holder, Planner(arm, twins)
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
         self._begin(0)
 
@@ -111,13 +97,12 @@ class PredictiveController:
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
         """Whose plan (B,) is over, by the prediction error ``missed`` (B, n) [rad]."""
-        until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
-        share = np.clip((inputs.state.time - self._time) / until.memory, 0.0, 1.0)
+        share = np.clip((inputs.state.time - self._time) / MEMORY, 0.0, 1.0)
         self._wrong, self._time = self._wrong + share * (wrong - self._wrong), inputs.state.time.copy()
-        near = np.linalg.norm(inputs.target - tcp, axis=-1) < until.near
-        over: Mask = near | (inputs.since_target > until.late) | (self._wrong > until.lost)
+        near = np.linalg.norm(inputs.target - tcp, axis=-1) < AT_TARGET
+        over: Mask = near | (inputs.since_target > LATE) | (self._wrong > LOST)
         return over
 
 
@@ -126,48 +111,36 @@ _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
 _SHADOW_STEPS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlanSettings:
-    """Settings of the plan; chosen."""
-
-    samples: int = 32
-    """per arm and cycle"""
-    timestep: float = 0.008
-    """[s] of the rollouts"""
-    horizon: float = 0.28
-    """[s] beyond the delay"""
-    bend: float = 0.12
-    """[s] from first to last command"""
-    spread_floor: float = float(np.radians(0.15))
-    """[rad] of random candidates"""
-    spread_slope: float = 0.25
-    """their growth with the largest joint error"""
-    temperature: float = 0.1
-    """relative to the spread of the costs"""
-    near: float = 0.003
-    """[m] distance of half the cost"""
-    effort: float = 0.3
-    """[1/rad] cost of a change of command"""
-    correction: float = 0.4
-    """of the prediction error, per cycle"""
-    offset_rate: float = 1.0
-    """[1/s] the same for the offset of the commands"""
-    lead: float = float(np.radians(20.0))
-    """[rad] largest following error"""
-    offset_limit: float = float(np.radians(30.0))
-    seed: int = 0
+SAMPLES = 32
+"""Candidates per arm and cycle; chosen"""
+CORRECTION, OFFSET_RATE = 0.4, 1.0
+"""Of the prediction error, per cycle, and [1/s] for the offset of the commands; chosen"""
+TIMESTEP, HORIZON = 0.008, 0.28
+"""[s] of the rollouts, and beyond the delay; chosen"""
+BEND = 0.12
+"""[s] from first to last command; chosen"""
+SPREAD_FLOOR, SPREAD_SLOPE = float(np.radians(0.15)), 0.25
+"""[rad] of random candidates, and their growth with the largest joint error; chosen"""
+TEMPERATURE = 0.1
+"""Relative to the spread of the costs; chosen"""
+NEAR = 0.003
+"""[m] distance of half the cost; chosen"""
+EFFORT = 0.3
+"""[1/rad] cost of a change of command; chosen"""
+LEAD, MOST_OFFSET = float(np.radians(20.0)), float(np.radians(30.0))
+"""[rad] largest following error, and offset of the commands; chosen"""
 
 
 class Planner:
     """Plans for B arms, with their simulation ``shadow``."""
 
-    def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
+    def __init__(self, arm: Arm, twins: Draw, seed: int = 0) -> None:
         """Take the twins of B arms, or one for all."""
-        self._arm, self._given, self._settings = arm, twins, settings or PlanSettings()
+        self._arm, self._given = arm, twins
         self._pace = Pace()
         self._count = 0
         self._offset: Array = np.zeros((0, arm.joints))
-        self._rng = np.random.default_rng(self._settings.seed)
+        self._rng = np.random.default_rng(seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
@@ -192,14 +165,14 @@ class Planner:
         costs = self._costs(inputs, candidates)
         best = costs.min(axis=1, keepdims=True)
         spread = np.maximum(costs.std(axis=1, keepdims=True), 1e-9)
-        weights = np.exp(-(costs - best) / (self._settings.temperature * spread))
+        weights = np.exp(-(costs - best) / (TEMPERATURE * spread))
         weights /= weights.sum(axis=1, keepdims=True)
         self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
         return limit_position(self._arm, self._plan[:, 0])
 
     def follow(self, inputs: ControlInput) -> Array:
         """Advance the twins to now and learn from their errors (B, n) [rad]."""
-        settings, now = self._settings, inputs.state.time
+        now = inputs.state.time
         elapsed = self._pace.tick(now)
         shadow = self.shadow
         if (now <= shadow.time).all():
@@ -208,22 +181,22 @@ class Planner:
         shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
         shadow.time = now.copy()
         missed = inputs.state.position - shadow.twins.qpos
-        shadow.twins.qpos[:] += settings.correction * missed
-        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
-        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
-        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
+        shadow.twins.qpos[:] += CORRECTION * missed
+        shadow.twins.qvel[:] += 0.5 * CORRECTION**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        learned = self._offset + OFFSET_RATE * elapsed[:, None] * missed
+        self._offset = np.clip(learned, -MOST_OFFSET, MOST_OFFSET)
         return missed
 
     def _begin(self, inputs: ControlInput) -> None:
         self._count, n = inputs.sent.shape
-        settings, given = self._settings, self._given
+        given = self._given
         arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
         self._twin, start = arms.twin, inputs.state.position
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
-        samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
+        self._rollouts = ChainBatch(self._arm, self._count * SAMPLES, timestep=TIMESTEP)
+        samples = arms.rows(np.repeat(np.arange(self._count), SAMPLES))
         self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
@@ -231,44 +204,39 @@ class Planner:
 
     def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
-        settings, measured = self._settings, inputs.state.position
+        measured = inputs.state.position
         way = self._goal - self.shadow.twins.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
-        count = settings.samples - len(_OVERDRIVE) - 1
-        spread = settings.spread_floor + settings.spread_slope * np.abs(way).max(axis=1)
+        count = SAMPLES - len(_OVERDRIVE) - 1
+        spread = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(way).max(axis=1)
         noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
         random = self._plan[:, None] + spread[:, None, None, None] * noise
         every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
-        return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
+        return limit_position(self._arm, limit_lead(every, measured[:, None, None], LEAD))
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
-        settings, samples = self._settings, self._settings.samples
+        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
+        delay = self._twin.delay
         count, n = inputs.sent.shape
-        delay, timestep = self._twin.delay, settings.timestep
-        steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
-        ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
+        steps = int(np.ceil((float(delay.max()) + HORIZON) / TIMESTEP))
+        ahead = np.linspace(0.0, (steps - 1) * TIMESTEP, steps)
         sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
-        share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
+        share = np.clip(since / BEND, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
-        each, now = np.repeat(np.arange(count), samples), self.shadow.twins
-        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
+        each, now = np.repeat(np.arange(count), SAMPLES), self.shadow.twins
+        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), TIMESTEP)
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
-        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
-        return self._judge(inputs, candidates, passed)
-
-    def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
-        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
-        settings = self._settings
+        passed = self._rollouts.rollout(control).reshape(count, SAMPLES, steps, n)
         miss = passed - self._goal[:, None, None]
         error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
         distance = np.sqrt((error**2).sum(axis=-1))
-        ahead = distance / (distance + settings.near) + 10.0 * distance
+        far = distance / (distance + NEAR) + 10.0 * distance
         rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
         change = np.abs(candidates[:, :, 0] - inputs.sent[:, None]).mean(axis=-1)
         posture = (miss[:, :, -1] ** 2).sum(axis=-1)  # the null space, which the distance does not see
-        return ahead.mean(axis=-1) + 2.0 * rest + settings.effort * change + posture
+        return far.mean(axis=-1) + 2.0 * rest + EFFORT * change + posture

@@ -42,34 +42,31 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
 class ServoReference:
     """References of m twins for one record of commands."""
 
-    def __init__(
-        self, time: Array, command: Array, speed: Array, acceleration: float = np.inf, start: Array | None = None
-    ) -> None:
+    def __init__(self, time: Array, command: Array, speed: Array, acceleration: float = np.inf) -> None:
         """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] or a finite acceleration [rad/s^2].
 
-        One speed may serve all twins. ``start`` (n,) [rad]: the first reference, by default the first command.
+        One speed may serve all twins. The first reference is the first command.
         """
         self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
-        speeds, self._which = np.unique(speed if acceleration == np.inf else np.ones_like(speed), return_inverse=True)
-        self._speed = speeds[self._which]
-        first = self._command[0] if start is None else start
-        self._position, self._velocity = _states(time, self._command, speeds, acceleration, first)
+        self._speeds, self._which = np.unique(speed, return_inverse=True)
+        self._position, self._velocity = _states(time, self._command, self._speeds, acceleration)
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
-        which, limits = np.resize(self._which, len(late)), (self._speed, self._acceleration)
+        which, limits = np.resize(self._which, len(late)), (self._speeds, self._acceleration)
         return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
         """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s]."""
         late = np.append(time - 0.5 * width, time[-1] + 0.5 * width) - delay[:, None]
-        row, twin, speed = self._rows(late), self._which[:, None], self._speed[:, None, None]
+        row, twin = self._rows(late), self._which[:, None]
         position, command = self._position[:-1], self._command[:-1, None]
-        areas = _area(position, command, np.unique(self._speed)[:, None], np.diff(self._time)[:, None, None])
+        areas = _area(position, command, self._speeds[:, None], np.diff(self._time)[:, None, None])
         before = np.concatenate([np.zeros_like(self._position[:1]), np.cumsum(areas, axis=0)])
         since = (late - self._time[row])[..., None]
-        area = before[row, twin] + _area(self._position[row, twin], self._command[row], speed, since)
+        since_sent = _area(self._position[row, twin], self._command[row], self._speeds[twin][..., None], since)
+        area = before[row, twin] + since_sent
         return np.diff(area, axis=1) / width
 
     def _rows(self, late: Array) -> Index:
@@ -77,11 +74,11 @@ class ServoReference:
 
 
 @njit(cache=True, nogil=True)
-def _states(time, command, speed, acceleration, start):
+def _states(time, command, speed, acceleration):
     """Position and velocity (T, u, n) when each command is sent, for speeds (u,)."""
     rows, joints = command.shape
     position, velocity = np.empty((rows, len(speed), joints)), np.zeros((rows, len(speed), joints))
-    position[0] = start
+    position[0] = command[0]
     reached = False  # by all: then they are at the command, without rounding
     for k in range(rows - 1):
         elapsed, goal = time[k + 1] - time[k], command[k]
@@ -102,7 +99,7 @@ def _states(time, command, speed, acceleration, start):
 
 @njit(cache=True, nogil=True)
 def _sample(late, row, which, time, command, position, velocity, limits):
-    speed, acceleration = limits
+    speeds, acceleration = limits
     twins, instants = late.shape
     path = np.empty((twins, instants, command.shape[1]))
     for i in range(twins):
@@ -111,7 +108,7 @@ def _sample(late, row, which, time, command, position, velocity, limits):
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
                 now, v = position[k, u, j], velocity[k, u, j]
-                path[i, s, j] = move(now, v, command[k, j], speed[i] * elapsed, acceleration, elapsed)[0]
+                path[i, s, j] = move(now, v, command[k, j], speeds[u] * elapsed, acceleration, elapsed)[0]
     return path
 
 
@@ -131,7 +128,7 @@ class LiveReference:
         """(N, n) [rad], [rad/s]; velocity only with limited acceleration"""
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
-    def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
+    def restart(self, where: Mask | slice, position: Array, *, speed: Array, acceleration: Array) -> None:
         """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
@@ -190,7 +187,7 @@ class Latency:
         self._positions = np.zeros((count, 2 * substeps + 1, joints))  # oldest first
         self._times = np.zeros((count, 2 * substeps + 1))
 
-    def clear(self, where: Mask, command: Array, position: Array) -> None:
+    def clear(self, where: Mask | slice, command: Array, position: Array) -> None:
         """Restart at time 0 in ``where`` (N,) with constant ``command``, ``position`` (m, n)."""
         self._commands[where] = command[:, None]
         self._sent[where] = -np.inf

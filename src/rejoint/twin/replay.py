@@ -7,7 +7,7 @@ Windows start from the measured state and run as one batch. The delay contains t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,9 +19,9 @@ from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.parameters import TIMESTEP, TwinParameters
 from rejoint.twin.reference import ServoReference
+from rejoint.twin.simulation import ChainBatch
 
 if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
@@ -39,6 +39,10 @@ class Window:
     first: int
     last: int
 
+    def split(self, count: int) -> list[Window]:
+        """Split it into ``count`` windows of equal length."""
+        return _between(self.log, np.linspace(self.first, self.last, count + 1).astype(int).tolist())
+
 
 def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
     """Cut logs into windows of about ``length`` [s]."""
@@ -46,18 +50,22 @@ def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
     for index, log in enumerate(logs):
         count = max(1, round(log.duration / length))
         edges = np.searchsorted(log.time, log.time[0] + log.duration * np.arange(1, count) / count)
-        bounds = [0, *edges.tolist(), len(log)]
-        windows += [Window(log=index, first=a, last=b) for a, b in pairwise(bounds) if b - a > 2]
+        windows += _between(index, [0, *edges.tolist(), len(log)])
     return windows
 
 
-def divide(windows: Sequence[Window], rows: int) -> list[Window]:
-    """Divide windows into pieces of about ``rows``."""
-    pieces = []
-    for w in windows:
-        edges = np.linspace(w.first, w.last, max(1, round((w.last - w.first) / rows)) + 1).astype(int).tolist()
-        pieces += [Window(log=w.log, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
-    return pieces
+def _between(log: int, edges: Sequence[int]) -> list[Window]:
+    return [Window(log=log, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
+
+
+def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
+    """Lengths (w,) [s] of windows."""
+    return np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
+
+
+def in_force(log: RunLog) -> Array:
+    """Commands (T, n) [rad] in force at each reading: row k is sent after its answer."""
+    return log.command[np.maximum(np.arange(len(log)) - 1, 0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +92,44 @@ class Replay:
     @cached_property
     def seconds(self) -> float:
         """[s] of motion in all windows."""
-        return sum(float(self.times(i)[-1]) for i in range(len(self.windows)))
+        return float(sum(durations(self.windows, self.logs)))
+
+    @cached_property
+    def window(self) -> Index:
+        """(rows,) number of each row's window."""
+        return np.repeat(np.arange(len(self.windows)), [w.last - w.first for w in self.windows])
+
+    @cached_property
+    def motion(self) -> Index:
+        """(rows,) number of each row's log."""
+        return np.array([w.log for w in self.windows])[self.window]
+
+    @cached_property
+    def time(self) -> Array:
+        """(rows,) [s] since the start of each row's window."""
+        start = np.array([self.logs[w.log].time[w.first] for w in self.windows])
+        return self._rows(lambda log: log.time) - start[self.window]
+
+    @cached_property
+    def measured(self) -> Array:
+        """(rows, n) [rad] measured positions."""
+        return self._rows(lambda log: log.position)
+
+    @cached_property
+    def commands(self) -> Array:
+        """(rows, n) [rad] commands in force."""
+        return self._rows(in_force)
+
+    def _rows(self, values: Callable[[RunLog], Array]) -> Array:
+        """Rows of all windows, one after the other, of a log's ``values`` (T, ...)."""
+        return np.concatenate([values(self.logs[w.log])[w.first : w.last] for w in self.windows])
 
     @cached_property
     def _start(self) -> Array:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
-        first = [(self.logs[w.log], np.array([w.first])) for w in self.windows]
-        parts = [(log.position[row[0]], measured_velocity(log, row)[0], gains(log)) for log, row in first]
-        return np.stack(parts, axis=1)
+        of_logs = {i: (log.position, measured_velocity(log), gains(log)) for i, log in self._shown.items()}
+        starts = [(w.first, *of_logs[w.log]) for w in self.windows]
+        return np.stack([(position[k], velocity[k], gain) for k, position, velocity, gain in starts], axis=1)
 
     @cached_property
     def _even(self) -> set[int]:
@@ -101,7 +139,7 @@ class Replay:
     @cached_property
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
-        longest = max(self.times(i)[-1] for i in range(len(self.windows)))
+        longest = durations(self.windows, self.logs).max()
         return np.asarray(np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep, dtype=np.float64)
 
     @cached_property
@@ -134,36 +172,16 @@ class Replay:
         passed = twins.rollout(self._control(parameters))
         path = np.concatenate([start[:, None], passed], axis=1)
         return [
-            _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
+            _interpolate(path[i * m : (i + 1) * m], self.timestep, self.logs[w.log].time[w.first : w.last])
             for i, w in enumerate(self.windows)
         ]
 
-    def measured(self) -> list[Array]:
-        """Measured positions (rows, n) [rad] of each window."""
-        return [self._log(w).position[w.first : w.last] for w in self.windows]
-
-    def commands(self) -> list[Array]:
-        """Commands (rows, n) [rad] in force at each window's readings."""
-        return [
-            self._log(w).command[np.maximum(np.arange(w.first, w.last) - 1, 0)]  # row k is sent after its answer
-            for w in self.windows
-        ]
-
-    def references(self, parameters: TwinParameters) -> list[Array]:
-        """One twin's references (rows, n) [rad] at each window's readings."""
-        references = self._references(np.atleast_1d(self._speed(parameters)))
-        return [
-            references[w.log].sample(self._log(w).time[w.first : w.last], np.atleast_1d(parameters.delay))[0]
-            for w in self.windows
-        ]
-
-    def times(self, window: int) -> Array:
-        """Return times (rows,) [s] since the start of a window."""
-        w = self.windows[window]
-        return self._log(w).time[w.first : w.last] - self._log(w).time[w.first]
-
-    def _log(self, window: Window) -> RunLog:
-        return self.logs[window.log]
+    def references(self, parameters: TwinParameters) -> Array:
+        """One twin's references (rows, n) [rad] at the readings."""
+        one = parameters.repeat(1)
+        references = self._references(self._speed(one))
+        times = [(w, self.logs[w.log].time[w.first : w.last]) for w in self.windows]
+        return np.concatenate([references[w.log].sample(time, one.delay)[0] for w, time in times])
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
@@ -175,7 +193,7 @@ class Replay:
         references, grid = self._references(speed if np.ptp(speed) else speed[:1]), self._grid
         control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
-            reference, times = references[w.log], self._log(w).time[w.first] + grid
+            reference, times = references[w.log], self.logs[w.log].time[w.first] + grid
             if w.log in self._even and self.acceleration == np.inf:
                 part[:] = reference.mean(times, delay, self.timestep)[which]
             else:
@@ -188,7 +206,7 @@ class Replay:
 
     def _gravity(self, window: Window) -> Array:
         """Gravity torques (steps, n) [N m] at the commands of a window."""
-        log = self._log(window)
+        log = self.logs[window.log]
         time, columns = log.time[window.first] + self._grid, log.command.T
         return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
@@ -207,9 +225,9 @@ class Replay:
         return self._known[key]
 
 
-def measured_velocity(log: RunLog, rows: Index | None = None) -> Array:
-    """(T, n) [rad/s] in ``rows`` (T,), default all, by central differences over two rows to either side."""
-    rows = np.arange(len(log)) if rows is None else rows
+def measured_velocity(log: RunLog) -> Array:
+    """(T, n) [rad/s] by central differences over two rows to either side."""
+    rows = np.arange(len(log))
     before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
     return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
 

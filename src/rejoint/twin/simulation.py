@@ -1,19 +1,119 @@
-"""The simulation behind training, tuning and predictive control.
+"""The simulation behind training, tuning and predictive control, and many free twins in lockstep below it.
 
 It adds late and limited commands (`rejoint.twin.reference`), backlash and delayed readings. Each arm has its own clock.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, link_inertia, tcp_position
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
-from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
 from rejoint.twin.reference import Latency, LiveReference
+from rejoint.twin.step import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION, advance, workspace
+
+ALL = slice(None)
+
+ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
+"""Rows of parameters for `rejoint.twin.step`, before the share of the damping within the limit"""
+
+
+class ChainBatch:
+    """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
+
+    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
+        self.arm, self.nsim = arm, nsim
+        shape = (nsim, arm.joints)
+        self.qpos, self.qvel = np.zeros((2, *shape))
+        self.timestep = np.full(nsim, float(timestep))
+        """(nsim,) [s]"""
+        self._links = chain_links(arm)
+        self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS) + 1, *shape))
+        self._terms = np.zeros((len(DRY), *shape))
+        self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
+        self._gear = np.zeros((5, *shape))
+        """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
+        groups = -(-nsim // GROUP)
+        bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
+        self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
+        self._each = ThreadPoolExecutor(len(self._parts)).map if len(self._parts) > 1 else map
+        self.write(nominal_parameters(arm))
+
+    def write(
+        self,
+        parameters: TwinParameters,
+        ids: Mask | slice = ALL,
+        *,
+        gravity_scale: float | Array = 1.0,
+    ) -> None:
+        """Set parameters (m,) of the simulations ``ids`` (a mask or slice), not their state.
+
+        ``gravity_scale``: a number or (m,).
+        """
+        *rows, gain = self._parameters
+        for row, name in zip(rows, ROWS, strict=True):
+            row[ids] = getattr(parameters, name)
+        gain[ids] = parameters.damping - back_emf(self.arm, parameters)
+        for row, term in zip(self._terms, friction_terms(parameters), strict=True):
+            row[ids] = term
+        self._gravity[ids] = np.multiply.outer(gravity_scale, GRAVITY)
+
+    def loosen(self, backlash: Array, grease: Array, ids: Mask | slice = ALL) -> None:
+        """Put motors in the middle of the ``backlash`` (m, n) [rad], in joints that no load presses to a flank.
+
+        ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
+        """
+        half = np.zeros_like(backlash)
+        if backlash.any():
+            half = 0.5 * backlash * unloaded_joints(self.arm)
+            self._carried[:] = link_inertia(self.arm, self.arm.rest)
+        still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
+        self._gear[:, ids] = np.stack([half, still, still, flank, still + grease[:, None]])
+
+    def rollout(self, control: Array) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
+        path = np.empty_like(control)
+        control = np.ascontiguousarray(control)
+        motors, state = (self._parameters, self._terms), (self.qpos, self.qvel, self._impulse)
+        gears = (self._gear, self._carried, bool(self._gear[0].any()))
+        arrays = (self._links, motors, gears, (self._gravity, self.timestep), control, state, path)
+        list(self._each(lambda part: advance(*arrays, part), self._parts))
+        return path
+
+    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Mask | slice = ALL) -> None:
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
+        self.qpos[ids] = position
+        self.qvel[ids], self._impulse[ids] = velocity, 0.0
+
+
+def chain_links(arm: Arm) -> Array:
+    """(n, LINK) the constants of each link, see `rejoint.twin.step`."""
+    links, before = np.zeros((arm.joints, LINK)), np.eye(3)
+    for j, row in enumerate(links):
+        turn = _z_frame(arm.axis[j])
+        place, com = before.T @ arm.offset[j, :3, 3], turn.T @ arm.com[j]
+        inertia = turn.T @ arm.inertia[j] @ turn + arm.mass[j] * (com @ com * np.eye(3) - np.outer(com, com))
+        row[ROTATION:PLACE] = (before.T @ arm.offset[j, :3, :3] @ turn).ravel()
+        row[PLACE:MASS] = place
+        row[MASS], row[MOMENT:INERTIA] = arm.mass[j], arm.mass[j] * com
+        row[INERTIA:CARRIED] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        row[CARRIED] = arm.mass[j:].sum()
+        before = turn
+    return links
+
+
+def _z_frame(axis: Array) -> Array:
+    away = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(away, axis) / np.linalg.norm(np.cross(away, axis))
+    return np.stack([x, np.cross(axis, x), axis], axis=-1)
+
 
 SUBSTEPS = 6
 """Physics steps per control cycle: 3 to 9 ms each"""
@@ -75,12 +175,11 @@ class Simulation:
         """(N, n) [rad] newest readings, in encoder steps"""
         self._feed = np.zeros((count, n))
 
-    def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
+    def place(self, draw: Draw, position: Array, command: Array, where: Mask | slice = ALL) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
 
         At ``position`` with constant ``command`` (m, n) [rad].
         """
-        where = np.ones(len(self.time), dtype=bool) if where is None else where
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
         self.twins.restart(position, ids=where)
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
@@ -103,14 +202,10 @@ class Simulation:
         references = self.reference.follow(self.latency, starts, step)
         if self._feed.any():
             references = references + self._feed[:, None] * gravity_torque(self.arm, references)
-        passed = self.rollout(references if offset is None else references + offset[:, None])
+        passed = self.twins.rollout(references if offset is None else references + offset[:, None])
         self.latency.record(starts + step[:, None], passed)
         self.time = self.time + period
         self.measured = self._quantised(self.latency.read(self.time))
-
-    def rollout(self, reference: Array) -> Array:
-        """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
-        return self.twins.rollout(reference)
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
@@ -134,29 +229,13 @@ class TwinRobot:
 
         ``copies``: repeats of all arms, with the same jitter.
         """
-        count = len(draw.period)
-        self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
-        self._rng, self._address = np.random.default_rng(seed), address
-        self.simulation = Simulation(arm, count)
-        position = np.tile(arm.rest if posture is None else posture, (count, 1))
+        self.arm, self.address, self.count = arm, address, len(draw.period)
+        self._period, self._jitter, self._copies, self._rng = draw.period, jitter, copies, np.random.default_rng(seed)
+        self.simulation = Simulation(arm, self.count)
+        position = np.tile(arm.rest if posture is None else posture, (self.count, 1))
         held = gravity_torque(arm, position) / draw.twin.stiffness
         held = (draw.gravity_scale[:, None] - draw.twin.compensation) * held - draw.twin.offset
         self.simulation.place(draw, position, position + held)
-
-    @property
-    def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
-        return self._arm
-
-    @property
-    def address(self) -> str:
-        """Label."""
-        return self._address
-
-    @property
-    def count(self) -> int:
-        """Number B of twins."""
-        return len(self._period)
 
     def read(self) -> JointState:
         """Newest joint state."""
@@ -175,7 +254,7 @@ class TwinRobot:
 
     def true_tcp(self) -> Array:
         """(B, 3) [m] of the twins' links, without backlash."""
-        return tcp_position(self._arm, self.simulation.twins.qpos)
+        return tcp_position(self.arm, self.simulation.twins.qpos)
 
     def stop(self) -> None:
         """Hold position; stopped twins are not read."""

@@ -16,7 +16,7 @@ from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import Layout, Prior, is_hobby, number, unpack
+from rejoint.twin.parameters import Prior, is_hobby, number, unknown_prior, unpack
 from rejoint.twin.replay import Window
 
 LIMITS = ("torque_limit", "ramp_speed")
@@ -74,12 +74,25 @@ _SHARES = (0.2, 0.5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Structure:
-    """What a fit may vary."""
+    """What a fit may vary; by default without limits."""
 
-    prior: Prior
-    frozen: tuple[str, ...]
+    belief: Prior
+    """of a twin with all of `OPTIONAL`"""
+    frozen: tuple[str, ...] = OPTIONAL
     acceleration: float = np.inf
     """[rad/s^2] of the reference, while commands change"""
+
+    @property
+    def prior(self) -> Prior:
+        """Belief without what is frozen; dry friction is less known where it may grow with load."""
+        belief, kind = self.belief, self.belief.layout.kind
+        off = np.isin(kind, [number(name) for name in self.frozen if name in LIMITS])
+        changed, factor = ("load_friction", ABSENT) if "load_friction" in self.frozen else ("coulomb", EITHER)
+        return replace(
+            belief,
+            mean=np.where(off, belief.upper, belief.mean),
+            sigma=np.where(kind == number(changed), factor, 1.0) * belief.sigma,
+        )
 
 
 def given(belief: Prior, row: Array, value: float, error: float) -> Prior:
@@ -93,14 +106,15 @@ def given(belief: Prior, row: Array, value: float, error: float) -> Prior:
     return replace(belief, mean=mean, sigma=sigma, correlation=covariance / np.outer(sigma, sigma))
 
 
-def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
-    """Take over the stiffness that torque or sag tells, and what it tells of equal servos, but for hobby servos.
+def decide_compensation(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
+    """Prior of an arm known by its model, with the stiffness that torque or sag tells, but for hobby servos.
 
-    Gravity that does not show in the sag is fed forward, or the model is too heavy.
+    It tells of equal servos too. Gravity that does not show in the sag is fed forward, or the model is too heavy.
     """
+    belief = known = unknown_prior(arm)
     if is_hobby(arm):
         return belief
-    data, layout, known = join_logs(arm, logs, excluded), Layout(arm.joints), belief
+    data, layout = join_logs(arm, logs, excluded), belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
     for joint in range(arm.joints):
@@ -111,16 +125,11 @@ def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], exclude
     return replace(known, mean=mean, sigma=sigma, told=belief.sigma)
 
 
-def simplest(belief: Prior, acceleration: float = np.inf) -> Structure:
-    """Structure without limits but a known ``acceleration`` [rad/s^2]."""
-    return Structure(prior=without(belief, OPTIONAL), frozen=OPTIONAL, acceleration=acceleration)
-
-
 def rough_fit(problem: Problem) -> Array:
     """Fit (k,) from the prior's median, else a random search."""
     belief, measured = problem.prior, problem.measured
     x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
-    no_twin = loss(np.concatenate(problem.replay.commands()) - measured).sum(axis=0)
+    no_twin = loss(problem.replay.commands - measured).sum(axis=0)
     if _ratio(_losses(problem, x), no_twin) < NEAR:
         return x
     rng = np.random.default_rng(0)
@@ -201,12 +210,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
     return replace(simple, acceleration=float(best))
 
 
-def find_structure(
-    make: Callable[[Structure], Problem],
-    belief: Prior,
-    structure: Structure,
-    start: Array,
-) -> tuple[Structure, Array]:
+def find_structure(make: Callable[[Structure], Problem], structure: Structure, start: Array) -> tuple[Structure, Array]:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,); returns the best's optimum too.
 
     ``make`` turns a structure into a problem.
@@ -218,7 +222,7 @@ def find_structure(
         frozen = tuple(name for name in structure.frozen if name != limit)
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
-        freed = replace(structure, prior=without(belief, frozen), frozen=frozen, acceleration=acceleration)
+        freed = replace(structure, frozen=frozen, acceleration=acceleration)
         y, losses = _with_limit(make(freed), x, limit)
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
@@ -230,12 +234,11 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
-        torque = drive_torque(problem, x)
-        values = [np.log(share * torque) for share in _TORQUES]
+        values = np.log(np.outer(_TORQUES, drive_torque(problem, x)))
     elif limit == "load_friction":
-        values = [np.full(problem.joints, share) for share in _SHARES]
+        values = np.array(_SHARES)
     else:
-        values = [np.full(1, np.log(speed)) for speed in _RAMPS]
+        values = np.log(_RAMPS)
     instead = problem.layout.at("coulomb" if limit == "load_friction" else "damping")
     for value in values:
         for less in (0.0, np.log(2.0)):  # this has stood for the limit so far
@@ -256,21 +259,9 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
 def drive_torque(problem: Problem, x: Array) -> Array:
     """(n,) [N m] servo torque without limit, exceeded in `SELDOM` of the rows."""
     parameters = unpack(x, problem.joints)
-    lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
+    lead = problem.replay.references(parameters) + parameters.offset - problem.measured
     torque = parameters.stiffness * np.maximum(np.abs(lead), problem.floor)
     return np.quantile(torque, 1.0 - SELDOM, axis=0)
-
-
-def without(belief: Prior, names: Sequence[str]) -> Prior:
-    """Belief without some of `OPTIONAL`; dry friction is less known where it may grow with load."""
-    kind = Layout.of_length(len(belief.mean)).kind
-    off = np.isin(kind, [number(name) for name in names if name in LIMITS])
-    changed, factor = ("load_friction", ABSENT) if "load_friction" in names else ("coulomb", EITHER)
-    return replace(
-        belief,
-        mean=np.where(off, belief.upper, belief.mean),
-        sigma=np.where(kind == number(changed), factor, 1.0) * belief.sigma,
-    )
 
 
 def _losses(problem: Problem, x: Array) -> Array:

@@ -1,6 +1,6 @@
 """An arm whose tip may touch a table: the plane, its fit to motion in contact, and its simulation by MuJoCo.
 
-MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q) -
+MuJoCo is also the reference for `rejoint.twin.step`. Per joint: torque = clip(stiffness (command + offset - q) -
 (damping - b) qdot, +-limit) - b qdot - dry friction with `back_emf` b, without contacts of links and joint stops.
 Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s). The Jacobian is dense (the sparse Cholesky of
 MuJoCo 4.0.0 has a fault), the solver projected Gauss-Seidel (Newton's method stops too early).
@@ -52,17 +52,14 @@ class TableBatch:
     ) -> None:
         """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
         count = twins.shape[0]
-        plain = (twins.stiction == 1.0).all() and not twins.load_friction.any()
-        self._terms = None if plain else friction_terms(twins)
+        self._terms = friction_terms(twins)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
         self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self._ctrl: Array = self._batch.bind("ctrl")
-        gain, bias = (
-            np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN)),
-            np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS)),
-        )
+        gain = np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN))
+        bias = np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS))
         gain[..., 0], beside = twins.stiffness, back_emf(arm, twins)
         bias[..., 0], bias[..., 1] = twins.stiffness * twins.offset, -twins.stiffness
         bias[..., 2] = beside - twins.damping
@@ -89,7 +86,9 @@ class TableBatch:
         tip, d = self._batch.model.geom(TIP), IMPEDANCE
         inverse_mass = self._batch.expand("body_invweight0")[i, tip.bodyid[0], 0]
         k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)
-        self._batch.bind("mocap_pos")[i, 0], self._batch.bind("mocap_quat")[i, 0] = table_pose(table)
+        normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
+        self._batch.bind("mocap_pos")[i, 0] = np.array([0.0, 0.0, table.height]) - RADIUS * normal
+        mujoco.mju_quatZ2Vec(self._batch.bind("mocap_quat")[i, 0], normal)
         self._batch.expand("geom_solref")[i, tip.id] = -k * d, -2 * np.sqrt(k) * d
         self._batch.expand("geom_friction")[i, tip.id] = table.friction, 0.0, 0.0
 
@@ -101,8 +100,6 @@ class TableBatch:
 
     def rollout(self, control: Array) -> Array:
         """Advance by ``control`` (m, steps, n) [rad]; return such positions."""
-        if self._terms is None:
-            return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
         path = np.empty_like(control)
         for k in range(control.shape[1]):
             self._ctrl[:] = control[:, k]
@@ -111,10 +108,6 @@ class TableBatch:
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path
-
-    def model(self, index: int) -> mujoco.MjModel:
-        """Copy of one simulation's model."""
-        return self._batch.get_model(index)
 
 
 def friction_solref(timestep: Array) -> Array:
@@ -180,14 +173,6 @@ def _add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> Non
     )
 
 
-def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of the plane."""
-    normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
-    turn = np.zeros(4)
-    mujoco.mju_quatZ2Vec(turn, normal)
-    return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
-
-
 # height [m], slopes, log stiffness [N/m], log friction
 _SIGMA = np.array([0.02, 0.05, 0.05, 1.0, 0.7])
 """Prior sigma; chosen: level within 3 degrees, stiffness within a factor of e"""
@@ -209,7 +194,7 @@ STEPS, SMALL = 12, 0.5
 
 def fit_table(replay: Replay, parameters: TwinParameters, height: float) -> TablePlane:
     """Fit the table from level at ``height`` [m], by Gauss-Newton with pseudo-Huber loss."""
-    measured, noise = np.concatenate(replay.measured()), NOISE * ROWS**0.5
+    measured, noise = replay.measured, NOISE * ROWS**0.5
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
     x, step = mean, _SIGMA
     for _ in range(STEPS):

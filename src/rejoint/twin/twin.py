@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict, astuple, dataclass, field
-from functools import lru_cache
+from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from rejoint.twin.parameters import (
     PARAMETERS,
     Layout,
     TwinParameters,
+    flat,
     pack,
+    shaped,
     unpack,
     vector_names,
 )
@@ -224,6 +227,11 @@ class Twin(Readable):
         if not (self.parameters.stiction >= 1.0).all():
             raise InputError(f"twin: stiction {self.parameters.stiction.min():.3g}, expected at least 1")
 
+    @cached_property
+    def layout(self) -> Layout:
+        """Of the vectors."""
+        return Layout(len(self.joint_names))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names (k,) of the parameters."""
@@ -233,34 +241,39 @@ class Twin(Readable):
     def interval(self) -> tuple[TwinParameters, TwinParameters]:
         """Ends of the 95 % intervals, within the bounds."""
         mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
-        n = len(self.joint_names)
+        n = self.layout.joints
         low, high = np.maximum(mean - NORMAL95 * sigma, self.lower), np.minimum(mean + NORMAL95 * sigma, self.upper)
         return unpack(low, n), unpack(high, n)
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
         """Joints with torques and inertia known up to a factor."""
-        told = self.identified[Layout(len(self.joint_names)).at("stiffness")]
-        return tuple(name for name, known in zip(self.joint_names, told, strict=True) if not known)
+        return tuple(compress(self.joint_names, ~self.identified[self.layout.at("stiffness")]))
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
-        layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
+        layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
         # else the prior settles it, or no data could
         free = layout.is_fitted & (sigma > layout.has("difference")) & (sigma > layout.has("beside"))
-        known = self.identified | ~free
-        return tuple(name for name, told in zip(self.names, known, strict=True) if not told)
+        return tuple(compress(self.names, free & ~self.identified))
 
-    def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
+    def sample(self, rng: np.random.Generator, count: int) -> TwinParameters:
         """Draw ``count`` twins from the covariance, within the physical bounds.
 
-        ``least_spread`` widens logarithms. Delays are not negative.
+        `LEAST_SPREAD` widens logarithms. Delays are not negative.
         """
-        root = _root(self, least_spread)
-        drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
+        drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ self._root.T
         lower = np.where(np.array(self.names) == "delay", np.maximum(self.lower, 0.0), self.lower)
         return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
+
+    @cached_property
+    def _root(self) -> Array:
+        """Matrix square root (k, k) of the covariance of `sample`."""
+        covariance = self.covariance + np.diag(np.where(self.layout.is_log, LEAST_SPREAD**2, 0.0))
+        values, vectors = np.linalg.eigh(covariance)
+        root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+        return root
 
     def require(self, arm: Arm) -> None:
         """Raise ContractError if this twin is of another arm."""
@@ -273,8 +286,7 @@ class Twin(Readable):
     def digest(self) -> str:
         """Fingerprint of what decides the twins drawn from this one."""
         h = hashlib.sha256("\n".join([self.arm, *self.names]).encode())
-        values = [getattr(self.parameters, p.name) for p in PARAMETERS]
-        for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
+        for array in (flat(self.parameters), self.covariance, self.lower, self.upper, self.identified.astype(float)):
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
@@ -285,19 +297,7 @@ class Twin(Readable):
         return h.hexdigest()[:16]
 
 
-@lru_cache(maxsize=8)
-def _root(twin: Twin, least_spread: float) -> Array:
-    """Matrix square root (k, k) of the covariance of `Twin.sample`, cached."""
-    covariance = twin.covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
-    values, vectors = np.linalg.eigh(covariance)
-    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-    return root
-
-
 FORMAT = 2
-
-ERRORS = ("no_twin", "healthy_twin", "twin")
-"""Rms errors on held-out motion"""
 
 
 def write_twin(path: Path, twin: Twin) -> None:
@@ -324,7 +324,11 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     low, high = twin.interval
     document = tomlkit.document()
     document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
-    errors = {name: error for name in ERRORS if (error := getattr(twin.held_out, name)) is not None}
+    errors = {
+        name: error
+        for name in ("no_twin", "healthy_twin", "twin")
+        if (error := getattr(twin.held_out, name)) is not None
+    }
     told = {
         "format": FORMAT,
         "arm": twin.arm,
@@ -340,18 +344,18 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         document.add(name, tomlkit.item(value))
     for name, error in errors.items():
         document["held_out"][name].comment(f"{np.degrees(error.joint):.3f} deg, {1e3 * error.tcp:.2f} mm")
+    columns = {
+        "value": flat(twin.parameters),
+        "low95": flat(low),
+        "high95": flat(high),
+        "identified": twin.identified,
+        "lower": twin.lower,
+        "upper": twin.upper,
+        "narrowing": twin.narrowing,
+    }
     for p in PARAMETERS:
-        here = Layout(len(twin.joint_names)).at(p.name)
-        values = {
-            "value": getattr(twin.parameters, p.name),
-            "low95": getattr(low, p.name),
-            "high95": getattr(high, p.name),
-            "identified": twin.identified[here],
-            "lower": twin.lower[here],
-            "upper": twin.upper[here],
-            "narrowing": twin.narrowing[here],
-        }
-        table = tomlkit.item({name: np.atleast_1d(value).tolist() for name, value in values.items()})
+        here = twin.layout.at(p.name)
+        table = tomlkit.item({name: column[here].tolist() for name, column in columns.items()})
         table.comment(f"{p.unit}: {p.meaning}; lower and upper are {'logarithms' if p.log else 'as they are'}")
         document.add(p.name, table)
     rows = tomlkit.array()
@@ -365,25 +369,23 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
 
 def _twin(data: dict[str, Any]) -> Twin:
     names = tuple(str(name) for name in data["joints"])
-    values = {p.name: np.array(data[p.name]["value"], dtype=float) for p in PARAMETERS}
-    parameters = TwinParameters(**{p.name: values[p.name] if p.per_joint else values[p.name][0] for p in PARAMETERS})
-    k = sum(len(values[p.name]) for p in PARAMETERS)
-    covariance = np.zeros((k, k))
-    for i, row in enumerate(data["covariance"]["lower_triangle"]):
-        covariance[i, : i + 1] = covariance[: i + 1, i] = row
 
-    def stacked(key: str) -> Array:
+    def column(key: str) -> Array:
         return np.concatenate([np.array(data[p.name][key], dtype=float) for p in PARAMETERS])
 
+    values = column("value")
+    covariance = np.zeros((len(values), len(values)))
+    for i, row in enumerate(data["covariance"]["lower_triangle"]):
+        covariance[i, : i + 1] = covariance[: i + 1, i] = row
     return Twin(
         arm=str(data["arm"]),
         joint_names=names,
-        parameters=parameters,
+        parameters=shaped(values, len(names)),
         covariance=covariance,
-        lower=stacked("lower"),
-        upper=stacked("upper"),
-        narrowing=stacked("narrowing"),
-        identified=stacked("identified").astype(bool),
+        lower=column("lower"),
+        upper=column("upper"),
+        narrowing=column("narrowing"),
+        identified=column("identified").astype(bool),
         held_out=msgspec.convert(data["held_out"], HeldOut),
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),

@@ -225,7 +225,7 @@ def replay(
     >>> found.positions[0] - log.position  # (T, n) radians
     >>> found.judgement.mean["twin"].free.tcp  # metres
     """
-    from rejoint.twin.judge import Candidate, judge_paths, predict_logs
+    from rejoint.twin.judge import Candidate, judge, predict_logs
 
     known = as_twin(twin)
     chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
@@ -235,7 +235,7 @@ def replay(
     page = None
     with nullcontext() if out is None else locked(RunFolder(Path(out))):
         paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
-        judgement = judge_paths(chosen, paths, motions)
+        judgement = judge(chosen, paths, motions)
         if out is not None:
             from rejoint.pages.report.page import write_replay
 

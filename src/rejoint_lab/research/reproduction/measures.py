@@ -40,7 +40,7 @@ from rejoint.system.files import read_json, read_shipped, write_json
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
-from rejoint.twin.chain.batch import ChainBatch
+from rejoint.twin.simulation import ChainBatch
 from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.reproduction.campaign import (
     HEALTHY,

@@ -1,4 +1,8 @@
-"""Compiled time steps of free serial arms with position servos.
+"""Compiled time steps of some dozen free serial arms with position servos at once.
+
+Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), about the
+base's origin, so that bodies add. Link frames have their joint as z axis. Loops over arms vectorize with arrays without
+overlap (`NoAlias`), one row per quantity, only `INLINE` calls, and an unknown number of lanes.
 
 The physics of `rejoint.twin.table`; dry friction is an impulse per joint by projected Gauss-Seidel.
 """
@@ -12,24 +16,215 @@ from pathlib import Path
 
 import numpy as np
 from numba import njit
+from numba.core.compiler import Compiler
 from numpy.typing import NDArray
 
 from rejoint.twin import parameters
-from rejoint.twin.chain import dynamics
-from rejoint.twin.chain.dynamics import (
-    ACCELERATION,
-    CARRIED,
-    GROUP,
-    KEPT_ROW,
-    LANES,
-    OPTIONS,
-    REACH_ROW,
-    TORQUE,
-    coupling,
-    forward,
-    invert,
-    turn,
+
+LANES, GROUP = 64, 8
+"""Arms stepped together, at most, and their granularity; chosen"""
+ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
+"""Indices of a link's constants: rotation and place of its joint; mass, first moment and inertia about it; the mass
+behind it; their number"""
+# Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each element: columns of its
+# rotation, place, moment of its axis about the origin, angular and linear velocity and acceleration, torque; and, of
+# all that it carries, force, moment, first moment and inertia (xx, yy, zz, xy, xz, yz).
+_ROWS = (0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 28, 31, 34, 37, 43)
+X, Y, Z, AT, AXIS, SPIN, SPEED, TURN, ACCELERATION, TORQUE, FORCE, MOMENT_OF, FIRST, SPREAD, KEPT_ROW = (
+    LANES * k for k in _ROWS
 )
+_LINEAR, _ANGULAR, REACH_ROW = 0, 3 * LANES, 6 * LANES  # momentum of a joint's unit motion
+
+
+class NoAlias(Compiler):  # type: ignore[misc]
+    """Numba's compiler for arrays that do not overlap."""
+
+    def define_pipelines(self):
+        """Set the flag that Numba's decorators lack."""
+        self.state.flags.noalias = True
+        return super().define_pipelines()
+
+
+OPTIONS = {"nogil": True, "cache": True, "pipeline_class": NoAlias, "error_model": "numpy"}
+INLINE = {"inline": "always", "error_model": "numpy"}
+
+SINE = (
+    1.58969099521155010221e-10,
+    -2.50507602534068634195e-08,
+    2.75573137070700676789e-06,
+    -1.98412698298579493134e-04,
+    8.33333333332248946124e-03,
+    -1.66666666666666324348e-01,
+)
+COSINE = (
+    -1.13596475577881948265e-11,
+    2.08757232129817482790e-09,
+    -2.75573143513906633035e-07,
+    2.48015872894767294178e-05,
+    -1.38888888888741095749e-03,
+    4.16666666666666019037e-02,
+)
+"""Coefficients of the polynomials in x^2, the highest first (fdlibm)"""
+_PI_2A, _PI_2B = 1.5707963267341256, 6.077100506506192e-11
+_TWO_OVER_PI = 0.6366197723675814
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
+
+
+@njit(**INLINE)
+def _load(row, first, l):
+    return row[first + l], row[first + LANES + l], row[first + 2 * LANES + l]
+
+
+@njit(**INLINE)
+def _store(row, first, l, a):
+    row[first + l], row[first + LANES + l], row[first + 2 * LANES + l] = a
+
+
+@njit(**INLINE)
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(**INLINE)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(**INLINE)
+def _plus(a, b, factor):
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@njit(**INLINE)
+def _combined(x, y, z, a):
+    """Turn a vector by the rotation with columns x, y and z, or multiply it by such a matrix."""
+    return (
+        x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
+        x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
+        x[2] * a[0] + y[2] * a[1] + z[2] * a[2],
+    )
+
+
+@njit(**INLINE)
+def _spun(row, l, a):
+    (xx, yy, zz), (xy, xz, yz) = _load(row, SPREAD, l), _load(row, SPREAD + 3 * LANES, l)
+    return _combined((xx, xy, xz), (xy, yy, yz), (xz, yz, zz), a)
+
+
+@njit(**OPTIONS)
+def turn(lanes, q, sine, cosine):
+    """Sine and cosine of angles (lanes,) [rad] up to some thousand, to a few 1e-16."""
+    for l in range(lanes):
+        quarter = (q[l] * _TWO_OVER_PI + _ROUND) - _ROUND
+        x = (q[l] - quarter * _PI_2A) - quarter * _PI_2B
+        s = x * x
+        sin, cos = SINE[0], COSINE[0]
+        for k in range(1, 6):
+            sin, cos = SINE[k] + s * sin, COSINE[k] + s * cos
+        sin = x + x * s * sin
+        cos = 1.0 - 0.5 * s + s * s * cos
+        half = quarter * 0.5
+        odd = abs(half - ((half + _ROUND) - _ROUND)) > 0.25  # swap
+        fourth = quarter * 0.25 - 0.125
+        turns = (fourth + _ROUND) - _ROUND
+        k = quarter - 4.0 * turns  # -1, 0, 1 or 2
+        a = cos if odd else sin
+        b = sin if odd else cos
+        sine[l] = -a if (k > 1.5 or k < -0.5) else a
+        cosine[l] = -b if k > 0.5 else b
+
+
+@njit(**OPTIONS)
+def forward(lanes, link, before, here, speed, sine, cosine):
+    """Carry motion from the joint ``before``; store the link's inertia, inertial force and moment."""
+    x0, y0, z0 = (link[0], link[3], link[6]), (link[1], link[4], link[7]), (link[2], link[5], link[8])
+    place, first = (link[PLACE], link[PLACE + 1], link[PLACE + 2]), (link[MOMENT], link[MOMENT + 1], link[MOMENT + 2])
+    xx, yy, zz = link[INERTIA], link[INERTIA + 1], link[INERTIA + 2]
+    xy, xz, yz = link[INERTIA + 3], link[INERTIA + 4], link[INERTIA + 5]
+    mass, none = link[MASS], (0.0, 0.0, 0.0)
+    for l in range(lanes):
+        s, c, v = sine[l], cosine[l], speed[l]
+        bx, by, bz = _load(before, X, l), _load(before, Y, l), _load(before, Z, l)
+        a, b, z = _combined(bx, by, bz, x0), _combined(bx, by, bz, y0), _combined(bx, by, bz, z0)
+        x, y = _plus(_plus(none, a, c), b, s), _plus(_plus(none, b, c), a, -s)
+        _store(here, X, l, x)
+        _store(here, Y, l, y)
+        _store(here, Z, l, z)
+        at = _plus(_load(before, AT, l), _combined(bx, by, bz, place), 1.0)
+        axis = _cross(at, z)
+        _store(here, AT, l, at)
+        _store(here, AXIS, l, axis)
+        w, u = _plus(_load(before, SPIN, l), z, v), _plus(_load(before, SPEED, l), axis, v)
+        _store(here, SPIN, l, w)
+        _store(here, SPEED, l, u)
+        dw = _plus(_load(before, TURN, l), _cross(w, z), v)
+        du = _plus(_plus(_load(before, ACCELERATION, l), _cross(w, axis), v), _cross(u, z), v)
+        _store(here, TURN, l, dw)
+        _store(here, ACCELERATION, l, du)
+        # First moment h; inertia: R I R', then the parallel axis.
+        h = _combined(x, y, z, first)
+        g = _plus(h, at, 0.5 * mass)
+        h = _plus(h, at, mass)
+        _store(here, FIRST, l, h)
+        a, b, d = _combined(x, y, z, (xx, xy, xz)), _combined(x, y, z, (xy, yy, yz)), _combined(x, y, z, (xz, yz, zz))
+        p, q, r = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+        e, f, t = _combined(a, b, d, p), _combined(a, b, d, q), _combined(a, b, d, r)
+        sx, sy, sz = at[0] * g[0], at[1] * g[1], at[2] * g[2]
+        _store(here, SPREAD, l, _plus((e[0], f[1], t[2]), (sy + sz, sx + sz, sx + sy), 2.0))
+        cross = at[0] * g[1] + at[1] * g[0], at[0] * g[2] + at[2] * g[0], at[1] * g[2] + at[2] * g[1]
+        _store(here, SPREAD + 3 * LANES, l, _plus((e[1], e[2], f[2]), cross, -1.0))
+        # Momentum p and k, and what changes it: force and moment.
+        p = _plus(_cross(w, h), u, mass)
+        k = _plus(_spun(here, l, w), _cross(h, u), 1.0)
+        _store(here, FORCE, l, _plus(_plus(_cross(dw, h), du, mass), _cross(w, p), 1.0))
+        moment = _plus(_spun(here, l, dw), _cross(h, du), 1.0)
+        _store(here, MOMENT_OF, l, _plus(_plus(moment, _cross(w, k), 1.0), _cross(u, p), 1.0))
+
+
+@njit(**OPTIONS)
+def coupling(lanes, mass, j, kept, reach, inertia):
+    """Fill row ``j`` of the ``inertia`` (n, n, LANES) and its torque; add what it carries to the joint before."""
+    here, before = kept[j + 1], kept[j]
+    for l in range(lanes):
+        z, axis, h = _load(here, Z, l), _load(here, AXIS, l), _load(here, FIRST, l)
+        _store(reach, _LINEAR, l, _plus(_cross(z, h), axis, mass))
+        _store(reach, _ANGULAR, l, _plus(_spun(here, l, z), _cross(h, axis), 1.0))
+        here[TORQUE + l] = _dot(z, _load(here, MOMENT_OF, l)) + _dot(axis, _load(here, FORCE, l))
+    for i in range(j + 1):
+        there, row = kept[i + 1], inertia[j, i]
+        for l in range(lanes):
+            turning = _dot(_load(there, Z, l), _load(reach, _ANGULAR, l))
+            row[l] = turning + _dot(_load(there, AXIS, l), _load(reach, _LINEAR, l))
+    for k in range(FORCE, KEPT_ROW, LANES):
+        for l in range(lanes):
+            before[k + l] += here[k + l]
+
+
+@njit(**OPTIONS)
+def invert(lanes, joints, inertia, inverse, column, factor):
+    """Invert positive definite matrices (n, n, LANES), given as lower half, by sweeps (Goodnight 1979)."""
+    for k in range(joints):
+        for l in range(lanes):
+            factor[l] = -1.0 / inertia[k, k, l]
+        for i in range(joints):
+            row = inertia[i, k] if i > k else inertia[k, i]
+            for l in range(lanes):
+                column[i, l] = row[l]
+        for i in range(joints):
+            for j in range(i + 1):
+                for l in range(lanes):
+                    inertia[i, j, l] += factor[l] * column[i, l] * column[j, l]
+        for i in range(joints):
+            row = inertia[i, k] if i > k else inertia[k, i]
+            for l in range(lanes):
+                row[l] = factor[l] if i == k else -factor[l] * column[i, l]
+    for i in range(joints):
+        for j in range(i + 1):
+            for l in range(lanes):
+                inverse[i, j, l] = -inertia[i, j, l]
+            for l in range(lanes):
+                inverse[j, i, l] = -inertia[i, j, l]
+
 
 SWEEPS = 5
 """Gauss-Seidel sweeps; chosen"""
@@ -170,8 +365,8 @@ def cross(gear, motor, lead, speed, friction, step):
     return place, v, flank, True, speed
 
 
-def _compiled(sources):
-    """Compile the loop over blocks of arms and steps; cached until this file or its ``sources`` change."""
+def _compiled(source):
+    """Compile the loop over blocks of arms and steps; cached until this file or the digest of its ``source`` change."""
 
     @njit(**OPTIONS)
     def advance(links, motors, gears, world, control, state, path, part):
@@ -238,9 +433,9 @@ def _compiled(sources):
                 for j in range(joints):
                     qpos[begin + lane, j], qvel[begin + lane, j] = position[j, lane], speed[j, lane]
                     impulse[begin + lane, j] = push[j, lane]
-        return sources
+        return source
 
     return advance
 
 
-advance = _compiled(zlib.crc32(b"".join(Path(str(part.__file__)).read_bytes() for part in (parameters, dynamics))))
+advance = _compiled(zlib.crc32(Path(str(parameters.__file__)).read_bytes()))

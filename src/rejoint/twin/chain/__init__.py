@@ -1,1 +1,0 @@
-"""The compiled step of free twins."""
