@@ -375,7 +375,6 @@ class Clients(Conversation[Frame]):
         say: Callable[[str], object],
         listener: socket.socket | None = None,
     ) -> None:
-        super().__init__()
         self._served, self._log, self._passes, self._say, self._listener = served, log, passes, say, listener
         self._number: int | None = None
         self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on

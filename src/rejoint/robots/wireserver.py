@@ -119,18 +119,8 @@ class Conversation(ABC, Generic[R]):
     tick = TICK
     clock = staticmethod(time.monotonic)
     await_data = staticmethod(await_data)
-
-    def __init__(self) -> None:
-        self._stopping = threading.Event()
-
-    @property
-    def stopping(self) -> bool:
-        """Whether the end was asked for."""
-        return self._stopping.is_set()
-
-    def end(self) -> None:
-        """Ask for the end, within a tick; thread-safe."""
-        self._stopping.set()
+    stopping = False
+    """asks for the end, within a tick; any thread may set it"""
 
     def wait(self, readable: int | None, until: float) -> bool:
         """Wait until ``until`` [s] or data on ``readable``; LinkGoneError or DeathError."""
@@ -219,7 +209,7 @@ class Server(ABC):
 
     def stop(self) -> None:
         """End serving and release the port."""
-        self._session.end()
+        self._session.stopping = True
         if self._thread.ident is not None:
             self._thread.join()
         self._close()
