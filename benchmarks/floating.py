@@ -17,8 +17,7 @@ import numpy as np
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
-from rejoint.arms.displacement import FLOATING
-from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.kinematics import FLOATING, GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller

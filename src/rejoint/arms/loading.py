@@ -17,9 +17,8 @@ import msgspec
 import numpy as np
 
 from rejoint.arms.arm import MODELS, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
-from rejoint.arms.displacement import Displacement
 from rejoint.arms.inertia import inertia_matrix, inertia_values, plausible
-from rejoint.arms.kinematics import tcp_position
+from rejoint.arms.kinematics import Displacement, tcp_position
 from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach

@@ -16,9 +16,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, Displacement, frames, jacobian, position_kinematics, tcp_pose, tcp_position
-from rejoint.arms.displacement import FLOATING
 from rejoint.arms.inertia import bare
-from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.kinematics import FLOATING, GRAVITY
 from rejoint.arms.rotations import between_directions, rotation_about, turned
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.policy import law_digests
