@@ -54,11 +54,6 @@ class Finder(Generic[R]):
         self.rest = b""
         """what may begin a frame"""
 
-    @property
-    def pending(self) -> bool:
-        """Whether bytes may begin a frame."""
-        return bool(self.rest)
-
     def feed(self, data: bytes) -> list[R]:
         """Take bytes; return completed frames."""
         self.rest += data
@@ -137,7 +132,7 @@ class Conversation(ABC, Generic[R]):
         finder = Finder(self.wire_format)
         with contextlib.suppress(OSError):  # a client that breaks the connection is gone, like one that closes it
             while not self.stopping:
-                data = self._hear(channel, HALF_FRAME if finder.pending else self.tick)
+                data = self._hear(channel, HALF_FRAME if finder.rest else self.tick)
                 if data == b"":
                     return
                 for request in finder.expire() if data is None else finder.feed(data):
