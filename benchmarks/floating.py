@@ -17,9 +17,8 @@ import numpy as np
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
-from rejoint.arms.displacement import FLOATING
-from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.kinematics import FLOATING, GRAVITY
+from rejoint.arms.rotations import turned
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
@@ -49,7 +48,7 @@ def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:
 def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     """Return what the terms of a calibration, fitted to ``beyond`` itself, leave of it (A, K, n) [rad]."""
     came = np.concatenate([np.broadcast_to(arm.rest, read[:, :1].shape), read[:, :-1]], axis=1)
-    gravity = rotation_about(np.array([1.0, 0.0, 0.0]), tilt) @ GRAVITY
+    gravity = turned(np.array([tilt, 0.0, 0.0])) @ GRAVITY
     load, left = gravity_torque(arm, read, gravity), np.empty_like(beyond)
     side = np.tanh(load / FLOATING)
     terms = np.stack([np.ones_like(load), load, side, (1.0 - side**2) * np.tanh((read - came) / CARRIED)], axis=-1)

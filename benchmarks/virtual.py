@@ -71,7 +71,7 @@ class VirtualClient:
 
     def _await(self, readable: int | None, pause: float) -> bool:
         if self.now >= self.end:
-            self.session.end()
+            self.session.stopping = True
         if readable is None:
             self.now += pause
             return False

@@ -97,6 +97,8 @@ def test_who_may_not_open_a_port_reads_which_group_may(tmp_path):
 
 MEANT = """
 /dev/ttyACM0 | feetech:///dev/ttyACM0
+/dev/ttyUSB0 | dynamixel:///dev/ttyUSB0
+bench-3:6000 | dynamixel://bench-3:6000
 192.168.1.20:9000 | tcp://192.168.1.20:9000
 192.168.1.20 | tcp://192.168.1.20:9000
 bench-3 | rejoint arms

@@ -84,12 +84,12 @@ def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:
 
 
 def chain_tcp(draft, q: np.ndarray) -> np.ndarray:
-    from rejoint.arms.rotations import rotation_about
+    from rejoint.arms.rotations import turned
 
     pose = np.eye(4)
     for offset, axis, angle in zip(draft.offset, draft.axis, q, strict=True):
         turn = np.eye(4)
-        turn[:3, :3] = rotation_about(axis, angle)
+        turn[:3, :3] = turned(angle * axis)
         pose = pose @ offset @ turn
     return (pose @ draft.tip)[:3, 3]
 

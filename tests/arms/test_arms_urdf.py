@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import Displacement, load_arm, tcp_pose
 from rejoint.arms.loading import unit_arm, write_urdf
-from rejoint.arms.rotations import roll_pitch_yaw, rotation_about
+from rejoint.arms.rotations import roll_pitch_yaw, turned
 from rejoint.arms.workspace import posture_grid
 
 
@@ -54,7 +54,7 @@ def test_angles_give_their_rotation_also_where_two_axes_meet(pitch):
     axes = np.eye(3)
 
     def rotation(roll, pitch, yaw):
-        return rotation_about(axes[2], yaw) @ rotation_about(axes[1], pitch) @ rotation_about(axes[0], roll)
+        return turned(yaw * axes[2]) @ turned(pitch * axes[1]) @ turned(roll * axes[0])
 
     wanted = rotation(0.7, pitch, -2.1)
     np.testing.assert_allclose(rotation(*roll_pitch_yaw(wanted)), wanted, atol=1e-15)

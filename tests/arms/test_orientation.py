@@ -16,11 +16,11 @@ from rejoint.arms.rotations import (
     Orientation,
     between_directions,
     quaternion_of,
-    rotation_about,
     rotation_of,
     same_side,
     stacked,
     tool_axis,
+    turned,
 )
 
 ARMS = (mycobot280(), so101())
@@ -88,18 +88,17 @@ def test_the_error_is_the_angle_of_a_known_turn_up_to_half_of_one(whole):
     turn, own = shown(arm, q, whole), frames(arm, q).tcp_rotation
     across = own @ np.array([1.0, 0.0, 0.0])  # at right angles to the tool
     for angle in (1e-6, 0.3, 2.0, np.pi - 1e-6, np.pi):
-        turned = np.stack([rotation_about(axis, angle) for axis in across]) @ own
-        goals, shown_as = goals_of(np.zeros((5, 3)), turn), np.concatenate([turned, np.zeros((5, 3, 1))], axis=-1)
+        there = turned(angle * across) @ own
+        goals, shown_as = goals_of(np.zeros((5, 3)), turn), np.concatenate([there, np.zeros((5, 3, 1))], axis=-1)
         errors = np.stack([missing_turn(goal, frame) for goal, frame in zip(goals, shown_as, strict=True)])
         np.testing.assert_allclose(np.linalg.norm(errors, axis=-1), angle, atol=2e-6)
-        back = np.stack([rotation_about(e / np.linalg.norm(e), np.linalg.norm(e)) for e in errors])
-        np.testing.assert_allclose(back @ turned @ turn.axis, own @ turn.axis, atol=1e-5)
+        np.testing.assert_allclose(turned(errors) @ there @ turn.axis, own @ turn.axis, atol=1e-5)
 
 
 def test_a_direction_leaves_the_turn_about_the_tool_free_and_no_weight_everything():
     arm, q = ARMS[0], postures(ARMS[0], 6, 5)
     turn, f = shown(arm, q, whole=False), frames(arm, q)
-    spun = np.stack([rotation_about(rotation @ turn.axis, 1.0) @ rotation for rotation in f.tcp_rotation])
+    spun = turned(f.tcp_rotation @ turn.axis) @ f.tcp_rotation
     other, free = replace(turn, rotation=spun), replace(turn, weight=np.zeros(6))
     assert missed_pose(arm, q, f.tcp_position, other)[1].max() < 1e-7
     whole = replace(other, whole=np.ones(6, dtype=bool))

@@ -152,7 +152,7 @@ def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way():
     goal = ARM.rest + 0.1
     assert served.move_joints(goal, 1.0)
     clock = 0.0
-    while served.on_its_way:
+    while served.motion.moving:
         clock += 0.05
         advance(served, clock, ARM.rest)
     assert served.moving, "its joints are not there yet"
@@ -168,7 +168,7 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
     for straight in (b"\x00", b"\x01"):
         assert answers.answer(Frame(0x25, pack_coords(low) + b"\x32" + straight)) == Frame(0x25, b"\x00")
         assert answers.answer(Frame(0x07)) == Frame(0x07, bytes([COLLISION]))
-        assert not served.on_its_way
+        assert not served.motion.moving
     assert said == [
         "Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself (error 16)"
     ]

@@ -2,8 +2,8 @@
 
 from rejoint.arms.arm import Arm, Array, Box, Index, Loaded, Mask, differing, mycobot280, so101
 from rejoint.arms.collision import clearances, collides
-from rejoint.arms.displacement import Displacement
 from rejoint.arms.kinematics import (
+    Displacement,
     clip_norm,
     dls,
     frames,

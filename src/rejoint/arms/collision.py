@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.kinematics import chain_of, heights, origins
+from rejoint.arms.kinematics import all_poses, chain_of, heights
 from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
@@ -118,5 +118,5 @@ def contact(arm: Arm, item: int) -> tuple[str, str]:
 def _moving(arm: Arm) -> NDArray[np.int64]:
     """Links (L,) with a moving end."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (16, arm.joints))
-    still = np.ptp(origins(arm, postures), axis=0).max(axis=-1) < _STILL
+    still = np.ptp(all_poses(arm, postures)[..., :3, 3], axis=0).max(axis=-1) < _STILL
     return frozen(np.flatnonzero(~(np.append(True, still[:-1]) & still)))

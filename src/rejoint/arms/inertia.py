@@ -83,14 +83,14 @@ def usable(inertia: Array) -> bool:
     return bool(small > 1e-6 * large and small + middle >= large * (1 - ROUNDING))
 
 
-def link_ends(offset: Array, tip: Array) -> Array:
-    """Link ends (n, 3) [m] in the joint frames; ``offset`` (n, 4, 4), ``tip`` (4, 4)."""
-    return np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])
+def link_ends(arm: Arm) -> Array:
+    """Link ends (n, 3) [m] in the joint frames."""
+    return np.concatenate([arm.offset[1:, :3, 3], arm.tip[None, :3, 3]])
 
 
 def plausible(arm: Arm, notes: list[str]) -> Arm:
     """Replace impossible masses, with a note each; a mass of zero and an inertia of NaN are unknown."""
-    ends = link_ends(arm.offset, arm.tip)
+    ends = link_ends(arm)
     lengths = np.linalg.norm(ends, axis=1)
     reach = float(lengths.sum())
     if reach == 0.0:

@@ -17,9 +17,8 @@ import msgspec
 import numpy as np
 
 from rejoint.arms.arm import MODELS, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
-from rejoint.arms.displacement import Displacement
 from rejoint.arms.inertia import inertia_matrix, inertia_values, plausible
-from rejoint.arms.kinematics import tcp_position
+from rejoint.arms.kinematics import Displacement, tcp_position
 from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
@@ -314,27 +313,27 @@ def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
 
 
 def _limits(draft: Arm, notes: list[str]) -> tuple[Array, Array]:
-    wide = np.maximum(np.abs(draft.lower), np.abs(draft.upper)) > MOST_TURN
-    known = np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper)
-    given = _believed(draft, "limits", known, wide, f"{MOST_TURN / (2 * np.pi):.0f} turns", "+-180 deg", notes)
+    size = np.where(draft.lower < draft.upper, np.maximum(np.abs(draft.lower), np.abs(draft.upper)), np.nan)
+    given = _believed(draft, "limits", size, MOST_TURN, "turns", "+-180 deg", notes)
     return np.where(given, draft.lower, -np.pi), np.where(given, draft.upper, np.pi)
 
 
 def _speeds(draft: Arm, notes: list[str]) -> Array:
-    known, wide = np.isfinite(draft.max_speed) & (draft.max_speed > 0), draft.max_speed > FASTEST
-    assumed, most = f"{np.degrees(DEFAULT_SPEED):.0f} deg/s", f"{FASTEST / (2 * np.pi):.0f} turns a second"
-    return np.where(_believed(draft, "speed", known, wide, most, assumed, notes), draft.max_speed, DEFAULT_SPEED)
+    size = np.where(draft.max_speed > 0, draft.max_speed, np.nan)
+    assumed = f"{np.degrees(DEFAULT_SPEED):.0f} deg/s"
+    given = _believed(draft, "speed", size, FASTEST, "turns a second", assumed, notes)
+    return np.where(given, draft.max_speed, DEFAULT_SPEED)
 
 
-def _believed(draft: Arm, what: str, known: Mask, wide: Mask, most: str, assumed: str, notes: list[str]) -> Mask:
-    """Joints (n,) whose values are ``known`` and not ``wide``; a note names the others."""
-    wide = known & wide
+def _believed(draft: Arm, what: str, size: Array, most: float, unit: str, assumed: str, notes: list[str]) -> Mask:
+    """Joints (n,) whose values are of a ``size`` (n,) up to ``most`` [rad], NaN: unknown; a note names the others."""
+    wide = np.isfinite(size) & (size > most)
     if wide.any():
         notes.append(
-            f"{what}: those of {_chosen(draft.joint_names, wide)} are beyond {most}, and not believed; are they in "
-            "degrees, where radians were expected?"
+            f"{what}: those of {_chosen(draft.joint_names, wide)} are beyond {most / (2 * np.pi):.0f} {unit}, and not "
+            "believed; are they in degrees, where radians were expected?"
         )
-    given: Mask = known & ~wide
+    given: Mask = size <= most
     if not given.all():
         notes.append(f"{what}: none usable for {_chosen(draft.joint_names, ~given)}; {assumed} assumed")
     return given

@@ -8,8 +8,8 @@ from __future__ import annotations
 import difflib
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from copy import copy
 from itertools import takewhile
 from pathlib import Path
@@ -22,7 +22,7 @@ from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, ri
 from rejoint.arms.rotations import inverse, pose_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import MODEL_MOST, read_bounded
+from rejoint.system.files import MODEL_MOST, read_bounded, reading
 from rejoint.system.shell import Late
 
 mujoco = Late("mujoco")
@@ -89,21 +89,22 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     require("reading a URDF or MJCF file (a TOML file would do without)", "mujoco")
     urdf, name = root.tag == "robot", root.get("name") or root.get("model") or path.stem
     root.set("name", name)
-    with _warnings_noted(notes):
-        try:
-            spec = (
-                mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
-                if urdf
-                else mujoco.MjSpec.from_file(str(path))
-            )
-            coupled = {one.name1: one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT}
-            _strip(spec, notes)
-            _repair(spec, notes)
-            model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise FileError(
-                path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file"
-            ) from error
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda said: notes.append(f"MuJoCo: {' '.join(said.split())}"))
+    try:
+        spec = (
+            mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+            if urdf
+            else mujoco.MjSpec.from_file(str(path))
+        )
+        coupled = {one.name1: one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT}
+        _strip(spec, notes)
+        _repair(spec, notes)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise FileError(path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file") from error
+    finally:
+        mujoco.set_mju_user_warning(before)
     data, joints = mujoco.MjData(model), list[Joint]()
     for j, at in enumerate(model.jnt_qposadr):
         joint, kind = model.joint(j).name, _KINDS[model.jnt_type[j]]
@@ -127,16 +128,6 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         speeds=_speeds(root),
         notes=tuple(notes),
     )
-
-
-@contextmanager
-def _warnings_noted(notes: list[str]) -> Iterator[None]:
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda said: notes.append(f"MuJoCo: {' '.join(said.split())}"))
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _strip(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
@@ -219,12 +210,12 @@ _PREFIX = re.compile(rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 
 def parse(path: Path) -> ET.Element:
     """Root of a model, of a URDF with links' masses and joints only; FileError."""
+    remedy = "check the path of the arm"
+    with reading(path, "it cannot be read", remedy):
+        text = read_bounded(path, MODEL_MOST, remedy)
     try:
-        text = read_bounded(path, MODEL_MOST, "check the path of the arm")
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text))  # noqa: S314 - expat expands no external entities
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})", "check the path of the arm") from error
     except (UnicodeError, LookupError, ET.ParseError) as error:
         raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):

@@ -141,6 +141,8 @@ def clearance(arm: Arm, q: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Field:
     arm: Arm
+    body: Any
+    """`body_of` it"""
     least: Array
     """(n + c,) [m]"""
 
@@ -153,10 +155,8 @@ class _Field:
         least[arm.joints : arm.joints + len(body.shape.pairs)] *= 2.0
         always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
         ends = np.stack([clearances_of(arm, body.shape, q) for q in (start, goal)])
-        field = cls(
-            arm=arm,
-            least=frozen(np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))),
-        )
+        least = np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))
+        field = cls(arm=arm, body=body, least=frozen(least))
         wrong = (ends[1] < np.minimum(ends[0], 0.0) - _ROUNDED) & ~always
         if wrong.any():
             raise PlanningError(f"goal: {field.blocked(int(np.argmin(np.where(wrong, ends[1], np.inf))), goal)}")
@@ -164,8 +164,7 @@ class _Field:
 
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
         """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
-        body = body_of(self.arm)
-        share, item = redundancy.passable(body, start, goal, self.least, leaving)
+        share, item = redundancy.passable(self.body, start, goal, self.least, leaving)
         return share, item
 
     def blocked(self, item: int, q: Array) -> str:
@@ -176,16 +175,16 @@ class _Field:
 
     def detour(self, start: Array, goal: Array) -> Array | None:
         """Corners (k, n) of a detour, with its ends; None: none found."""
-        rng, body = np.random.default_rng(0), body_of(self.arm)
+        rng, (low, high) = np.random.default_rng(0), self.body.inner
         begin = self._left(start, rng)
         if begin is None:
             return None
-        drawn = rng.uniform(body.inner[0], body.inner[1], (_DRAWN, self.arm.joints))
+        drawn = rng.uniform(low, high, (_DRAWN, self.arm.joints))
         near = rng.random(_DRAWN) < 0.6
         spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
         drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
-        drawn = np.clip(drawn, body.inner[0], body.inner[1])
-        way = redundancy.connect(body, begin, goal, drawn, self.least)
+        drawn = np.clip(drawn, low, high)
+        way = redundancy.connect(self.body, begin, goal, drawn, self.least)
         if not len(way):
             return None
         corners = self._shortened(way, rng)
@@ -214,10 +213,9 @@ class _Field:
         """Return ``start`` (n,), or the way out of its contact."""
         if self.passes(start, start)[0] == 1.0:
             return start
-        body = body_of(self.arm)
         for size in np.repeat([0.1, 0.3, 0.6, 1.0], 60):
             trial = start + size * rng.standard_normal(self.arm.joints)
-            trial = np.clip(trial, body.inner[0], body.inner[1])
+            trial = np.clip(trial, *self.body.inner)
             if self.passes(start, trial, leaving=True)[0] == 1.0 and self.passes(trial, trial)[0] == 1.0:
                 return trial
         return None
@@ -302,7 +300,7 @@ def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool
     for order in (1, 2, 3):
         if (np.abs(corner.at(time, order)) > limits[order - 1] * (1.0 + 1e-6)).any():
             return False
-    apart = clearances_of(field.arm, body_of(field.arm).shape, corner.at(time))
+    apart = clearances_of(field.arm, field.body.shape, corner.at(time))
     return bool((apart >= field.least - 1e-7).all())
 
 

@@ -309,7 +309,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when
 def _levers(arm: Arm) -> Array:
     """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
     shape, joints = collision_shape(arm), arm.joints
-    lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
+    lengths = np.linalg.norm(link_ends(arm), axis=1)
     far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
     pairs = [np.where(np.arange(joints) >= one, far[other], 0.0) for one, other in shape.pairs]
     ends = [far[end - 1] for end in shape.places]

@@ -23,11 +23,6 @@ def turned(vector: Array) -> Array:
     return Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3)
 
 
-def rotation_about(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) by ``angle`` [rad] about a unit ``axis`` (3,)."""
-    return turned(angle * np.asarray(axis))
-
-
 def rotation_vector(rotation: Array) -> Array:
     """Rotation vectors (..., 3) [rad] of rotations (..., 3, 3)."""
     flat = np.reshape(rotation, (-1, 3, 3))

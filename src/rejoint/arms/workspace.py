@@ -66,7 +66,7 @@ _CLIMB = 60
 
 def reach(arm: Arm) -> float:
     """Sum of link lengths [m] to the TCP."""
-    return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
+    return float(np.linalg.norm(link_ends(arm), axis=1).sum())
 
 
 @lru_cache(maxsize=32)

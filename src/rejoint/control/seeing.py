@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, tcp_position
-from rejoint.arms.displacement import FLOATING
+from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled

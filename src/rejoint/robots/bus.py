@@ -169,7 +169,9 @@ REOPEN_PAUSE = 0.5
 BROKEN = (OSError, EOFError, termios.error)
 """Errors of a broken connection"""
 _GARBLED = (struct.error, ValueError, IndexError)
-_AGAIN = (NoReplyError, StaleReplyError, ImpossibleReplyError, ConnectionLostError)
+UNANSWERED = (NoReplyError, StaleReplyError, ImpossibleReplyError)
+"""Errors after which the same connection can be asked again"""
+_AGAIN = (*UNANSWERED, ConnectionLostError)
 
 T = TypeVar("T")
 
@@ -208,7 +210,7 @@ class Link:
         """
         if not self._connected:
             raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
-        return persist(question, self._recover, self._bus.clock, self.address)
+        return persist(question, self._recover, self._bus.clock, self.address, errors=_AGAIN)
 
     def close(self) -> None:
         """Close the connection; the arm holds."""
@@ -265,20 +267,15 @@ def asked(question: Callable[[], T], place: object) -> T:
         raise ImpossibleReplyError(f"{place}: garbled answer ({first_line(error)})") from error
 
 
-def connected(error: RobotError) -> None:
-    """Raise ``error`` if the connection broke; the caller reopens it and asks again."""
-    if isinstance(error, ConnectionLostError):
-        raise error
-
-
 def persist(
     question: Callable[[], T],
     recover: Callable[[RobotError, float], object],
     clock: Clock,
     place: object,
     until: float | None = None,
+    errors: tuple[type[RobotError], ...] = UNANSWERED,
 ) -> T:
-    """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover`` in between."""
+    """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover`` after ``errors``."""
     attempt, began = 0, clock.now()
     while True:
         attempt += 1
@@ -286,7 +283,7 @@ def persist(
             return asked(question, place)
         except PowerLostError:
             raise
-        except _AGAIN as error:
+        except errors as error:
             check()
             deadline = began + (LAST_TIMEOUT if ending() else TIMEOUT) if until is None else until
             if attempt >= ATTEMPTS or clock.now() > deadline:

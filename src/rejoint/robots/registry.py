@@ -10,12 +10,7 @@ from typing import Any
 from rejoint.arms import CATALOGUE
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.dynamixel import DynamixelAddress
-from rejoint.robots.family import (
-    Family,
-    Place,
-    serial_address,
-    tcp_address,
-)
+from rejoint.robots.family import Family, Place, serial_address, tcp_address
 from rejoint.robots.feetech import FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
@@ -66,8 +61,10 @@ GROUP = "rejoint.robots"
 """Entry points of `Family` objects"""
 
 _MEANT = {
-    r"(/dev/.+)": "perhaps feetech://{0} (SO-101) or serial://{0} (myCobot)",
-    r"(?:https?://)?([\w.-]*\w\w[\w.-]*:\d+)/?": "perhaps tcp://{0} (myCobot) or feetech://{0} (SO-101)",
+    r"(/dev/.+)": "perhaps feetech://{0} (SO-101), dynamixel://{0} (Koch) or serial://{0} (myCobot)",
+    r"(?:https?://)?([\w.-]*\w\w[\w.-]*:\d+)/?": (
+        "perhaps tcp://{0} (myCobot), feetech://{0} (SO-101) or dynamixel://{0} (Koch)"
+    ),
     r"(?:https?://)?(\d+\.\d+\.\d+\.\d+)/?": "perhaps tcp://{0}:9000",
     r"COM\d+": "serial ports of Windows are not supported: serve the arm from Linux",
     r"[A-Za-z]:[\\/].*": "a folder of logs is given as --logs FOLDER",
@@ -76,8 +73,7 @@ _MEANT = {
 }
 """What is often written for an address, and what was perhaps meant"""
 
-_OWN = {family.scheme: family for family in FAMILIES}
-_LOADED: dict[str, Family[Any]] = {}  # of other packages; to look for one takes 50 ms
+_KNOWN = {family.scheme: family for family in FAMILIES}  # and those of other packages: to look for one takes 50 ms
 
 
 def place_of(text: str) -> Place[Any]:
@@ -116,15 +112,14 @@ def usable(text: str) -> bool:
 
 def forms() -> str:
     """Forms of all families, and unusable packages with the reason."""
-    found, refused = list(_OWN.values()), []
+    found, refused = {family.scheme: family.form for family in FAMILIES}, []
     for point in entry_points(group=GROUP):
-        if point.name in _OWN:
-            continue
-        try:
-            found.append(_load(point))
-        except AddressError as error:
-            refused.append(f"; {error}")
-    return ", ".join(family.form for family in found) + "".join(refused)
+        if point.name not in found:
+            try:
+                found[point.name] = _load(point).form
+            except AddressError as error:
+                refused.append(f"; {error}")
+    return ", ".join(found.values()) + "".join(refused)
 
 
 def driver_of(error: BaseException) -> str | None:
@@ -139,14 +134,9 @@ def driver_of(error: BaseException) -> str | None:
 
 
 def _family(scheme: str) -> Family[Any] | None:
-    if scheme in _OWN:
-        return _OWN[scheme]
-    if scheme not in _LOADED:
-        points = tuple(entry_points(group=GROUP, name=scheme))
-        if not points:
-            return None
-        _LOADED[scheme] = _load(points[0])
-    return _LOADED[scheme]
+    if scheme not in _KNOWN and (points := tuple(entry_points(group=GROUP, name=scheme))):
+        _KNOWN[scheme] = _load(points[0])
+    return _KNOWN.get(scheme)
 
 
 def _load(point: EntryPoint) -> Family[Any]:

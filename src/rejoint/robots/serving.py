@@ -23,14 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import (
-    Arm,
-    Array,
-    Motors,
-    choose_postures,
-    tcp_pose,
-    tcp_position,
-)
+from rejoint.arms import Arm, Array, Motors, choose_postures, tcp_position
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
@@ -135,9 +128,9 @@ class ServedArm(Computer, Reference):
         if self.lock.acquire(blocking=False):  # else a posture is being searched: the reference waits
             try:
                 self._observe(now.state)
-                under_way = self._motion.moving and not self.paused
+                under_way = self.motion.moving and not self.motion.paused
                 if under_way or np.isinf(self._since):
-                    self._aim = self._apparent.measured(self._motion.reference)
+                    self._aim = self._apparent.measured(self.motion.reference)
                 wanted = replace(now, goal=self._aim[None], arrived=np.array([not under_way]))
                 if not (self._settled or self._stopped):
                     wanted = self._unloading.advance(wanted)
@@ -152,7 +145,7 @@ class ServedArm(Computer, Reference):
         elapsed = float(state.time[0] - before.time[0])
         if elapsed > 0.0:
             self._speed += _SMOOTHING * ((state.position[0] - before.position[0]) / elapsed - self._speed)
-            self._motion.advance(min(elapsed, LONGEST))
+            self.motion.advance(min(elapsed, LONGEST))
 
     def _judge(self) -> None:
         """End a move whose tool stays in place, that was stopped and stands, or that came no nearer for long."""
@@ -184,7 +177,7 @@ class ServedArm(Computer, Reference):
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
 
     def _stay(self) -> None:
-        self._motion.place(slice(None), np.clip(self.angles, self.lower, self.upper))
+        self.motion.place(slice(None), np.clip(self.angles, self.lower, self.upper))
 
     # --- what clients ask -------------------------------------------------------------------
 
@@ -213,22 +206,17 @@ class ServedArm(Computer, Reference):
     @property
     def moving(self) -> bool:
         """Whether a move or its last approach is under way."""
-        return not self.paused and (self._motion.moving or not self._settled)
-
-    @property
-    def on_its_way(self) -> bool:
-        """Whether the reference still moves."""
-        return self._motion.moving
+        return not self.motion.paused and (self.motion.moving or not self._settled)
 
     def in_position(self, angles: Array) -> bool:
         """Whether the arm is at ``angles`` (n,) [rad], after the move."""
         if at_angles(self.planned_angles, angles):
-            return self._has_come(tcp_pose(self.arm, angles))
+            return self._has_come(self.pose_at(angles))
         return super().in_position(angles)
 
     def at_pose(self, pose: Array) -> bool:
         """Whether the tool is at ``pose`` (4, 4), after the move."""
-        if at_place(tcp_pose(self.arm, self.planned_angles), pose):
+        if at_place(self.planned_pose(), pose):
             return self._has_come(pose)
         return super().at_pose(pose)
 
@@ -239,8 +227,8 @@ class ServedArm(Computer, Reference):
 
     def stop(self, joint: int | None = None) -> None:
         """Hold one joint where the reference is, or the arm where it is: it may be far behind."""
-        under_way = self.on_its_way or not self._settled
-        self._motion.hold(joint)
+        under_way = self.motion.moving or not self._settled
+        self.motion.hold(joint)
         if joint is None and under_way:
             self._stay()
             self._since, self._settled, self._stopped = np.inf, False, True
@@ -375,7 +363,6 @@ class Clients(Conversation[Frame]):
         say: Callable[[str], object],
         listener: socket.socket | None = None,
     ) -> None:
-        super().__init__()
         self._served, self._log, self._passes, self._say, self._listener = served, log, passes, say, listener
         self._number: int | None = None
         self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on
@@ -394,7 +381,7 @@ class Clients(Conversation[Frame]):
         """Let the arm hold."""
         with self._served.lock:
             unfinished = self._served.moving
-            if self._served.on_its_way:
+            if self._served.motion.moving:
                 self._served.stop()
         self._log.write("hold", why=client, on_its_way=unfinished)
         self._say(f"{client[0].upper()}{client[1:]}; the arm holds.{_UNFINISHED * unfinished}")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
-from rejoint.robots.bus import Bus, connected, persist
+from rejoint.robots.bus import Bus, persist
 from rejoint.robots.knobs import Model, ServoAddress, TunedServos, Values
 from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import ConnectionLostError, InputError, NoReplyError, PowerLostError, RobotError
@@ -215,12 +215,7 @@ class ServoBus(TunedServos, Bus):
 
     def sure(self, question: Callable[[], T]) -> T:
         """Ask again where an answer is lost."""
-
-        def recover(error: RobotError, _: float) -> None:
-            connected(error)
-            self.wire.quieten(QUIET)
-
-        return persist(question, recover, self.clock, self.place, self._until)
+        return persist(question, lambda *_: self.wire.quieten(QUIET), self.clock, self.place, self._until)
 
     def answers(self, servo: int) -> bool:
         """Whether a servo answers now."""

@@ -54,11 +54,6 @@ class Finder(Generic[R]):
         self.rest = b""
         """what may begin a frame"""
 
-    @property
-    def pending(self) -> bool:
-        """Whether bytes may begin a frame."""
-        return bool(self.rest)
-
     def feed(self, data: bytes) -> list[R]:
         """Take bytes; return completed frames."""
         self.rest += data
@@ -119,18 +114,8 @@ class Conversation(ABC, Generic[R]):
     tick = TICK
     clock = staticmethod(time.monotonic)
     await_data = staticmethod(await_data)
-
-    def __init__(self) -> None:
-        self._stopping = threading.Event()
-
-    @property
-    def stopping(self) -> bool:
-        """Whether the end was asked for."""
-        return self._stopping.is_set()
-
-    def end(self) -> None:
-        """Ask for the end, within a tick; thread-safe."""
-        self._stopping.set()
+    stopping = False
+    """asks for the end, within a tick; any thread may set it"""
 
     def wait(self, readable: int | None, until: float) -> bool:
         """Wait until ``until`` [s] or data on ``readable``; LinkGoneError or DeathError."""
@@ -147,7 +132,7 @@ class Conversation(ABC, Generic[R]):
         finder = Finder(self.wire_format)
         with contextlib.suppress(OSError):  # a client that breaks the connection is gone, like one that closes it
             while not self.stopping:
-                data = self._hear(channel, HALF_FRAME if finder.pending else self.tick)
+                data = self._hear(channel, HALF_FRAME if finder.rest else self.tick)
                 if data == b"":
                     return
                 for request in finder.expire() if data is None else finder.feed(data):
@@ -219,7 +204,7 @@ class Server(ABC):
 
     def stop(self) -> None:
         """End serving and release the port."""
-        self._session.end()
+        self._session.stopping = True
         if self._thread.ident is not None:
             self._thread.join()
         self._close()

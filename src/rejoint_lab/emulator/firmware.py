@@ -58,7 +58,7 @@ class Firmware(EmulatedArm, Computer):
     @property
     def moving(self) -> bool:
         """Whether the reference or a joint moves."""
-        return (self._motion.moving and not self.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
+        return (self.motion.moving and not self.motion.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
 
     @property
     def sensed(self) -> Sensed:
@@ -76,24 +76,21 @@ class Firmware(EmulatedArm, Computer):
 
     def stop(self, joint: int | None = None) -> None:
         """Hold one joint, or the arm; drop its moves."""
-        self._motion.hold(joint)
+        self.motion.hold(joint)
         if joint is not None:
-            self._write(self._motion.ramp_speed, self._motion.goal)
+            self._write(self.motion.ramp_speed, self.motion.goal)
             return
         self.outbox.clear()
         self.plant.halt()
-        self._motion.place(slice(None), self.plant.goal[0] - self.zero)
+        self.motion.place(slice(None), self.plant.goal[0] - self.zero)
 
-    def pause(self) -> None:
-        """Hold until `resume`."""
-        super().pause()
-        self._write(FULL_SPEED)
-
-    def resume(self) -> None:
-        """Continue."""
-        super().resume()
-        if not self._motion.interpolating:
-            self._write(self._motion.ramp_speed, self._motion.goal)
+    def pause(self, on: bool) -> None:
+        """Hold, or continue."""
+        super().pause(on)
+        if on:
+            self._write(FULL_SPEED)
+        elif not self.motion.interpolating:
+            self._write(self.motion.ramp_speed, self.motion.goal)
 
     # --- power ------------------------------------------------------------------------------
 
@@ -104,20 +101,20 @@ class Firmware(EmulatedArm, Computer):
 
     def enable(self, wanted: Mask) -> None:
         """Hold with the servos in ``wanted`` (n,); release the others."""
-        self._motion.hold()
+        self.motion.hold()
         self.outbox.clear()
         held = wanted & ~self.enabled
-        self._motion.place(held, self.angles[held])
+        self.motion.place(held, self.angles[held])
         self.enabled = wanted.copy()
         self.plant.set_power(np.array([bool(wanted.any())]))
-        self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
+        self.outbox.append(_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED))
 
     def calibrate(self, joint: int) -> None:
         """Set a joint's zero here."""
         shift = float(self.angles[joint])
         self.zero[joint] += shift
-        self._motion.hold()
-        self._motion.place(joint, float(self._motion.reference[joint]) - shift)
+        self.motion.hold()
+        self.motion.place(joint, float(self.motion.reference[joint]) - shift)
 
     # --- time -------------------------------------------------------------------------------
 
@@ -134,11 +131,11 @@ class Firmware(EmulatedArm, Computer):
         while left > 0:
             next_due = min((write.due_ms for write in self.outbox), default=self._clock_ms + TICK_MS)
             step = min(left, TICK_MS, max(1, next_due - self._clock_ms))
-            interpolating = self._motion.interpolating
-            self._motion.advance(step * 1e-3)
+            interpolating = self.motion.interpolating
+            self.motion.advance(step * 1e-3)
             if interpolating or not self.enabled.all():
-                self._motion.place(~self.enabled, self.angles[~self.enabled])
-                self.outbox = [_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED)]
+                self.motion.place(~self.enabled, self.angles[~self.enabled])
+                self.outbox = [_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED)]
             self._deliver()
             self.plant.advance(step * 1e-3)
             self._clock_ms += step
@@ -153,7 +150,7 @@ class Firmware(EmulatedArm, Computer):
         """Send a goal (n,) [rad], by default the reference."""
         due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
         due_ms = max([due_ms, *(write.due_ms for write in self.outbox)])  # a bus does not overtake itself
-        target = (self._motion.reference if goal is None else goal) + self.zero
+        target = (self.motion.reference if goal is None else goal) + self.zero
         self.outbox.append(_Write(due_ms, target, speed))
         del self.outbox[:-MAX_WRITES]
 

@@ -87,7 +87,6 @@ class EmulatedConversation(Conversation[R]):
         log: TruthLog | None = None,
         faults: Faults = NONE,
     ) -> None:
-        super().__init__()
         self._timing = timing or Timing()
         self._emulated, self.tick, self._log = arm, self._timing.tick, log
         self._wire = WireFaults(faults, seed)

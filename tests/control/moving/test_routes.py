@@ -7,7 +7,7 @@ import pytest
 
 from orientations import angles
 from rejoint.arms import Displacement, mycobot280, tcp_position
-from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
+from rejoint.arms.rotations import quaternion_of, tool_axis, turned
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import corrected
 from rejoint.control.moving.reference import (
@@ -72,14 +72,14 @@ def test_a_gap_is_bridged_for_a_fifth_of_a_second_and_then_held():
 def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds():
     stream, axis = Stream(axis=tool_axis(ARM)), np.array([0.0, 0.6, 0.8])
     for k in range(11):
-        turn = quaternion_of(rotation_about(axis, 0.04 * k))
+        turn = quaternion_of(turned(0.04 * k * axis))
         sign = 1.0 if k % 2 else -1.0  # both mean the same
         stream.put(Pose(place_m=[0.18, 0.0, 0.2], quaternion=sign * turn, weight_m=0.03), 0.1 * k)
     later = np.array([-0.5, -0.05, LAG, LAG + 0.1, LAG + EXTRAPOLATED, LAG + 2.0])
     places, turns = stream.ahead(1.0, later)
     expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
     for k, angle in enumerate(expected):
-        assert angles(turns[k], rotation_about(axis, angle)) < np.radians(0.02)
+        assert angles(turns[k], turned(angle * axis)) < np.radians(0.02)
     assert turns.whole.all()
     assert np.allclose(turns.weight, 0.03)
     assert places.shape == (6, 3)

@@ -6,7 +6,7 @@ import numpy as np
 
 from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.rotations import turned
 from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
@@ -59,7 +59,7 @@ def lies(gravity):
 
 def test_the_recommended_wedge_presses_the_base_joints_of_emulated_arms_to_one_flank():
     what = preload(FLOATING, posture_grid(ARM, 3).q)
-    turn = rotation_about(np.array([*RAISED[what.side], 0.0]), -WEDGE)
+    turn = turned(-WEDGE * np.array([*RAISED[what.side], 0.0]))
     pressed, free = lies(turn @ GRAVITY), lies(GRAVITY)
     assert np.abs(pressed).min() > 0.95
     assert len(np.unique(np.sign(pressed))) == 1

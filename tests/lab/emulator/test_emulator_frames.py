@@ -48,7 +48,7 @@ def test_pieces_give_the_same_frames_as_the_whole(stream, sizes):
         at += size
     whole, rest = split(stream)
     assert got == whole
-    assert decoder.pending == bool(rest)
+    assert bool(decoder.rest) == bool(rest)
     assert len(rest) < MAX_PAYLOAD + 5
 
 
@@ -59,7 +59,7 @@ def test_a_frame_is_found_after_any_garbage_once_the_line_was_quiet(garbage, fra
     decoder = Finder(FORMAT)
     decoder.feed(garbage)
     decoder.expire()
-    assert not decoder.pending
+    assert not decoder.rest
     assert decoder.feed(encode(frame)) == [frame]
 
 

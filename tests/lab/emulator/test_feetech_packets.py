@@ -50,14 +50,14 @@ def test_packets_come_whole_however_they_are_cut(sent, cuts):
     for begin, end in pairwise(places):
         found += decoder.feed(stream[begin:end])
     assert found == sent
-    assert not decoder.pending
+    assert not decoder.rest
 
 
 @given(noise=st.binary(max_size=60), sent=PACKETS)
 def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
     decoder = Finder(FORMAT)
     decoder.feed(noise)
-    while decoder.pending:
+    while decoder.rest:
         decoder.expire()
     assert decoder.feed(encode(sent)) == [sent]
 
@@ -66,7 +66,7 @@ def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
 def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(sent, other, cut):
     decoder = Finder(FORMAT)
     found = decoder.feed(encode(sent)[:-cut] + encode(other) * 2)
-    while decoder.pending:
+    while decoder.rest:
         found += decoder.expire()
     whole = [packet for packet in found if packet != other]  # by chance, what follows may complete it, its sum included
     assert found.count(other) >= 2 or whole

@@ -16,10 +16,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, Displacement, frames, jacobian, position_kinematics, tcp_pose, tcp_position
-from rejoint.arms.displacement import FLOATING
 from rejoint.arms.inertia import bare
-from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.rotations import between_directions, rotation_about, turned
+from rejoint.arms.kinematics import FLOATING, GRAVITY
+from rejoint.arms.rotations import between_directions, turned
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.policy import law_digests
 from rejoint.control.correction import Modelled
@@ -371,7 +370,7 @@ def preload(found: Calibration, position: Array) -> Preload:
         covariance = scatter(arm, replace(own, gravity=gravity), position)[..., :3, :3]
         return float(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1).mean()))
 
-    turns = {side: rotation_about(np.array([*axis, 0.0]), -WEDGE) for side, axis in _SIDES.items()}
+    turns = {side: turned(-WEDGE * np.array([*axis, 0.0])) for side, axis in _SIDES.items()}
     sides = {side: chance(turn @ own.gravity) for side, turn in turns.items()}
     best = min(sides, key=lambda side: sides[side])
     lever = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2).mean(axis=0)

@@ -31,7 +31,7 @@ from rejoint.arms import (
     solve_position,
     tcp_position,
 )
-from rejoint.arms.displacement import FLOATING
+from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size, reach, rising_frames
 from rejoint.control.comparison.protocols import reversal

@@ -17,16 +17,7 @@ from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import Wire
 from rejoint.robots.feetech import KIND, torque_share
-from rejoint.robots.servobus import (
-    STEP,
-    VOLT,
-    Counts,
-    MotorRanges,
-    ServoBus,
-    Zeros,
-    listed,
-    trouble,
-)
+from rejoint.robots.servobus import STEP, VOLT, Counts, MotorRanges, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import shielded

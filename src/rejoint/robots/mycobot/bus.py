@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.bus import ATTEMPTS, SILENCE, Bus, Reading, Vitals, asked, connected, persist
+from rejoint.robots.bus import ATTEMPTS, SILENCE, UNANSWERED, Bus, Reading, Vitals, asked, persist
 from rejoint.robots.family import TcpAddress, Wire
 from rejoint.system.errors import (
     ConnectionLostError,
@@ -129,7 +129,7 @@ class MyCobotBus(Bus):
             if self._confirm("get_fresh_mode", until) == 1:
                 self._was_ready = True
                 return
-            with contextlib.suppress(NoReplyError, StaleReplyError, ImpossibleReplyError):
+            with contextlib.suppress(*UNANSWERED):
                 self.ask("set_fresh_mode", 1)
                 continue
             # The vendor's server swallows acknowledgements that equal their order, as this one does.
@@ -182,7 +182,7 @@ class MyCobotBus(Bus):
                 if self.ask("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
                     return
                 found = "unexpected answers arrive"
-            except (NoReplyError, ImpossibleReplyError, StaleReplyError) as error:
+            except UNANSWERED as error:
                 found = str(error).removeprefix(f"{self.address}: ")
         raise ConnectionLostError(
             f"{self.address}: answers stay away, or come late, in pieces or in disorder ({found})"
@@ -239,8 +239,7 @@ class MyCobotBus(Bus):
         return found
 
     def _confirm(self, method: str, until: float | None = None) -> object:
-        def recover(error: RobotError, deadline: float) -> None:
-            connected(error)
+        def recover(_: RobotError, deadline: float) -> None:
             self.resynchronise(deadline if until is None else min(deadline, self.clock.now() + SILENCE))
 
         return persist(lambda: self.ask(method), recover, self.clock, self.address, until)

@@ -163,7 +163,7 @@ class Computer(ABC):
         """a new move replaces the present one, else is queued"""
         self.error = 0
         """as in ``get_error_information``"""
-        self._motion = Motion(start)
+        self.motion = Motion(start)
 
     @property
     @abstractmethod
@@ -184,13 +184,9 @@ class Computer(ABC):
     def stop(self, joint: int | None = None) -> None:
         """Hold: one joint, or the arm."""
 
-    def pause(self) -> None:
-        """Hold where the reference is, until `resume`."""
-        self._motion.paused = True
-
-    def resume(self) -> None:
-        """Continue."""
-        self._motion.paused = False
+    def pause(self, on: bool) -> None:
+        """Hold where the reference is, or continue."""
+        self.motion.paused = on
 
     def power(self, on: bool) -> None:  # noqa: B027 - nothing is a sensible answer
         """Power all servos."""
@@ -204,7 +200,7 @@ class Computer(ABC):
     @property
     def pose(self) -> Array:
         """(4, 4) TCP pose."""
-        return tcp_pose(self.arm, self.angles)
+        return self.pose_at(self.angles)
 
     def in_position(self, angles: Array) -> bool:
         """Whether the arm is at ``angles`` (n,) [rad], as `at_angles`."""
@@ -217,21 +213,12 @@ class Computer(ABC):
     @property
     def planned_angles(self) -> Array:
         """(n,) [rad]."""
-        return self._motion.reference.copy()
+        return self.motion.reference.copy()
 
     @property
     def destination(self) -> Array:
         """(n,) [rad]."""
-        return self._motion.end
-
-    @property
-    def paused(self) -> bool:
-        """Whether a move is suspended."""
-        return self._motion.paused
-
-    def clear_queue(self) -> None:
-        """Drop waiting moves."""
-        self._motion.queue.clear()
+        return self.motion.end
 
     def move_joints(self, angles: Array, rate: float) -> bool:
         """Move to ``angles`` (n,) [rad]; False beyond a limit."""
@@ -242,8 +229,8 @@ class Computer(ABC):
         if not self._is_clear(angles) or not self._ready():
             return False
         if not self.fresh:
-            return self._motion.enqueue(joint_path(self.destination, angles), rate)
-        self._motion.ramp(angles, rate)
+            return self.motion.enqueue(joint_path(self.destination, angles), rate)
+        self.motion.ramp(angles, rate)
         self._write(rate * FULL_SPEED, angles)
         return True
 
@@ -264,14 +251,14 @@ class Computer(ABC):
             return False
         if not self._is_clear(path.points[-1]) or not self._ready():
             return False
-        return self._motion.enqueue(path, rate, now=self.fresh)
+        return self.motion.enqueue(path, rate, now=self.fresh)
 
     def jog_joint(self, joint: int, forwards: int, rate: float) -> bool:
         """Run one joint to its limit or a stop."""
         goal = self.planned_angles
         goal[joint] = self.upper[joint] if forwards else self.lower[joint]
         path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper))
-        return self._ready() and self._motion.enqueue(path, rate, now=True)
+        return self._ready() and self.motion.enqueue(path, rate, now=True)
 
     def joint_index(self, identity: int) -> int | None:
         """Index of joint 1..n on the wire; None: another servo."""
@@ -310,7 +297,7 @@ class Computer(ABC):
         axis = number - 1
         if not 0 <= axis < 6:
             return False
-        coords = to_coords(tcp_pose(self.arm, self.destination))
+        coords = to_coords(self.pose_at(self.destination))
         coords[axis] = value / _POSE_SCALE[axis] + (coords[axis] if relative else 0.0)
         return self.move_tool(to_pose(coords), rate, turned=axis >= 3)
 
@@ -327,7 +314,7 @@ class Computer(ABC):
             self.error = NO_LINE
             return False
         within = TimedPath(path.points[:reach], path.time[:reach])
-        return self._ready() and self._motion.enqueue(within, rate, now=True)
+        return self._ready() and self.motion.enqueue(within, rate, now=True)
 
     def set_limit(self, upper: bool, joint: int, word: float) -> bool:
         """Set a limit of a joint within the arm's own."""
@@ -435,9 +422,7 @@ def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN40
             return encoder_angle(unpack_int16(data), computer.arm.encoder_step)
         case "P":
             return to_pose(unpack_coords(data))
-        case "x" | "y":
-            return data
-    raise ValueError(part)
+    return data
 
 
 def write_answer(computer: Computer, kind: str, value: Any) -> bytes:  # noqa: ANN401

@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, JointTrajectory, Mask, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
-from rejoint.arms.rotations import Orientation, rotation_about
+from rejoint.arms.rotations import Orientation, turned
 from rejoint.arms.workspace import length_size
 from rejoint.control.comparison.compare import Ledger, Settings, TrialRunner
 from rejoint.control.comparison.protocols import metrics_of
@@ -163,7 +163,7 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
         threads=family.threads,
         payload=variant.payload * np.array([np.random.default_rng([seed, 1]).random() for seed in seeds]),
         bodies=None if described else [misdescribed(arm, variant, seed) for seed in seeds],
-        gravity=rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(variant.tilt_deg)) @ GRAVITY,
+        gravity=turned(np.radians([variant.tilt_deg, 0.0, 0.0])) @ GRAVITY,
     )
 
 
