@@ -164,7 +164,7 @@ class StsArm(ServoArm[Servo]):
                 "Present_Temperature": self._heat(servo),
                 "Status": self.alarms_of(servo),
                 "Moving": status["moving"],
-                "Goal_In_Force": status["goal"] - shift,
+                "Goal_In_Force": np.clip(status["goal"] - shift, -32767, 32767),
                 "Present_Current": round(self._current(servo) / CURRENT_UNIT),
                 "Torque_Enable": setting["torque_on"],  # over-current switches it off
             }

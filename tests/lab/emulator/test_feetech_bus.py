@@ -113,6 +113,14 @@ def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
     assert abs(value(bus, 2, 56) - limp) < 20
 
 
+def test_the_goal_in_force_stays_in_its_register_whatever_the_offset(bus):
+    for goal in (0x7FFF, 0xFFFF):
+        for offset in (0x7FFF, 0xFFFF):
+            answers(bus, 2, packets.WRITE, 42, word(goal))
+            answers(bus, 2, packets.WRITE, 31, word(offset))
+            assert len(answers(bus, 2, packets.READ, 67, 2)[0].parameters) == 2
+
+
 @settings(max_examples=200)
 @given(number=st.integers(0, 254), code=st.integers(0, 255), parameters=st.binary(max_size=40))
 def test_no_packet_ends_the_bus(number, code, parameters):
