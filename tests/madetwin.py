@@ -1,7 +1,10 @@
-"""Twins and calibrations as they would be found."""
+"""Twins, displacements and calibrations as they would be found."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from rejoint.arms import Displacement
 from rejoint.diagnosis.calibration.calibration import Calibration, DisplacementLayout
 from rejoint.twin.parameters import prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
@@ -37,3 +40,15 @@ def made_calibration(arm, displacement, **facts):
         "floor": 1e-6,
     }
     return Calibration(arm=arm, displacement=displacement, **found | facts)
+
+
+def displaced(arm, seed, offset):
+    """A displacement of everything; ``offset`` [rad] of its zeros."""
+    rng, n = np.random.default_rng(seed), arm.joints
+    return replace(
+        Displacement.none(arm),
+        offset=rng.normal(0.0, offset, n),
+        compliance=rng.uniform(0.0, 0.03, n),
+        play=rng.uniform(0.0, 0.03, n),
+        twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
+    )

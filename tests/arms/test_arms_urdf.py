@@ -5,28 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import Displacement, load_arm, tcp_pose
+from madetwin import displaced
+from rejoint.arms import load_arm, tcp_pose
 from rejoint.arms.loading import unit_arm, write_urdf
 from rejoint.arms.rotations import roll_pitch_yaw, turned
 from rejoint.arms.workspace import posture_grid
-
-
-def displaced(arm, seed=0):
-    rng, n = np.random.default_rng(seed), arm.joints
-    return replace(
-        Displacement.none(arm),
-        offset=rng.normal(0.0, 0.02, n),
-        compliance=rng.uniform(0.0, 0.03, n),
-        play=rng.uniform(0.0, 0.03, n),
-        twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
-    )
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
 def test_what_is_read_back_is_the_displaced_arm(tmp_path, name):
     arm, path = load_arm(name), tmp_path / "unit.urdf"
     zero = np.zeros(arm.joints)
-    rigid = replace(displaced(arm), compliance=zero, play=zero)
+    rigid = replace(displaced(arm, seed=0, offset=0.02), compliance=zero, play=zero)
     write_urdf(path, unit_arm(arm, rigid), note="of one unit -- only")
     back = load_arm(path)
     position = np.random.default_rng(1).uniform(arm.lower, arm.upper, (200, arm.joints))
@@ -39,7 +29,7 @@ def test_what_is_read_back_is_the_displaced_arm(tmp_path, name):
 
 def test_rigid_links_take_the_mean_of_play_and_flex():
     arm = load_arm("mycobot280")
-    whole, position = displaced(arm), posture_grid(arm, 3).q
+    whole, position = displaced(arm, seed=0, offset=0.02), posture_grid(arm, 3).q
     rigid = whole.rigid(arm, position)
     assert not rigid.play.any()
     assert not rigid.compliance.any()

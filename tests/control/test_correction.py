@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_finishing import Watching
 
+from madetwin import displaced
 from rejoint.arms import Displacement, mycobot280, tcp_position
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.correction import MOST, Modelled
@@ -18,18 +19,7 @@ from standin import StandIn
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(4), (3, 2))
 EVERY = np.ones(3, dtype=bool)
-
-
-def displaced(seed=1, arm=ARM):
-    rng = np.random.default_rng(seed)
-    n = arm.joints
-    return replace(
-        Displacement.none(arm),
-        offset=rng.normal(0.0, 0.01, n),
-        compliance=rng.uniform(0.0, 0.03, n),
-        play=rng.uniform(0.0, 0.03, n),
-        twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
-    )
+DISPLACED = displaced(ARM, seed=1, offset=0.01)
 
 
 def _to(targets, correction):
@@ -59,7 +49,7 @@ def errors(recording):
 
 @pytest.mark.parametrize("make", [DefaultController, IntegratorController])
 def test_the_tool_arrives_and_the_encoders_see_it_beside_the_target(make):
-    displacement = displaced()
+    displacement = DISPLACED
     schedule = Schedule(dwell=6.0)
     plain = run(PerfectServos(displacement), make(ARM), TARGETS, schedule)
     aimed = run(PerfectServos(displacement), make(ARM), _to(TARGETS, Modelled(ARM, displacement)), schedule)
@@ -71,7 +61,7 @@ def test_the_tool_arrives_and_the_encoders_see_it_beside_the_target(make):
 
 
 def test_without_a_correction_the_aim_is_the_target_and_the_log_has_none(tmp_path):
-    recording = run(PerfectServos(displaced()), DefaultController(ARM), TARGETS, Schedule(dwell=0.5))
+    recording = run(PerfectServos(DISPLACED), DefaultController(ARM), TARGETS, Schedule(dwell=0.5))
     np.testing.assert_array_equal(recording.aim, recording.target)
     assert recording.log(0, "one").aim is None
 
@@ -93,7 +83,7 @@ def seen_errors(displacement, believed, **seeing):
 
 
 def test_what_the_model_does_not_know_is_seen_and_taken_out():
-    truth, nothing = displaced(), Displacement.none(ARM)
+    truth, nothing = DISPLACED, Displacement.none(ARM)
     blind, _ = seen_errors(truth, nothing, hidden=ALWAYS)
     seen, correction = seen_errors(truth, nothing)
     assert blind.mean() > 3e-3
@@ -102,14 +92,14 @@ def test_what_the_model_does_not_know_is_seen_and_taken_out():
 
 
 def test_a_hidden_tool_falls_back_to_the_model():
-    truth = displaced()
+    truth = DISPLACED
     seen, correction = seen_errors(truth, truth, hidden=ALWAYS)
     assert correction.used == 0
     assert seen.max() < 0.4e-3
 
 
 def test_a_sighting_of_something_else_is_not_believed():
-    truth = displaced()
+    truth = DISPLACED
     seen, correction = seen_errors(truth, truth, wrong=1)
     assert correction.used == 0
     assert seen.max() < 0.4e-3

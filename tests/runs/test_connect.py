@@ -12,7 +12,7 @@ import pytest
 
 import rejoint
 from hearing import Hears
-from madetwin import made_calibration
+from madetwin import made_calibration, made_twin
 from rejoint.arms import Array, Box, Displacement, clearances, mycobot280, plan, tcp_position
 from rejoint.control.controllers.posture import PlannedWay, UnloadedWay, Unloading
 from rejoint.control.correction import Apparent
@@ -21,8 +21,8 @@ from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput
 from rejoint.runs.run import Run
 from rejoint.session.driver import GoalStream
-from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, PredictionError, Twin
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.twin import Twin
 from rejoint_lab.plant.wear import load_wear
 from standin import now_at
 
@@ -33,8 +33,7 @@ WAVE = np.array([0.17, 0.0, 0.2]) + 0.02 * np.sin(np.pi * TIME / 4.0)[:, None] *
 
 def a_twin() -> Twin:
     """What an identification would find, with its errors."""
-    wear, belief = load_wear("worn", ARM), prior(ARM)
-    error = PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
+    wear = load_wear("worn", ARM)
     known = replace(
         nominal_parameters(ARM),
         stiffness=wear.position_gain,
@@ -45,19 +44,7 @@ def a_twin() -> Twin:
         offset=np.zeros(6),
         delay=np.array(0.022),
     )
-    return Twin(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        parameters=known,
-        covariance=np.diag((0.1 * belief.sigma) ** 2),
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1),
-        identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
-        fit_seconds=1.0,
-        notes=(),
-    )
+    return made_twin(ARM, known)
 
 
 @pytest.fixture

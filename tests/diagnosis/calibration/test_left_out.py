@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from madetwin import made_calibration
 from rejoint.arms import Displacement, gravity_torque, load_arm, mycobot280, tcp_position
 from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import (
     WEDGE,
-    Calibration,
     DisplacementLayout,
     preload,
 )
@@ -22,18 +22,10 @@ ARM = mycobot280()
 
 def calibration(sigma=1e-9, arm=ARM, **values):
     found = replace(Displacement.none(arm), **{name: np.asarray(value) for name, value in values.items()})
-    return Calibration(
-        arm=arm,
-        displacement=found,
+    return made_calibration(
+        arm,
+        found,
         covariance=sigma**2 * np.eye(DisplacementLayout(arm).body),
-        frame=np.eye(4),
-        frame_name="base",
-        source="touch",
-        date="",
-        points=4,
-        before=2e-3,
-        after=1e-3,
-        used=True,
         floor=max(sigma, 1e-9),
         left_out=np.array([[2e-3, 1e-3]] * 4),
     )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from madetwin import made_calibration
 from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import turned
@@ -11,7 +12,7 @@ from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
-from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, DisplacementLayout, preload
+from rejoint.diagnosis.calibration.calibration import WEDGE, DisplacementLayout, preload
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 
@@ -21,21 +22,7 @@ RAISED = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.
 
 def worn(**values):
     found = replace(Displacement.none(ARM), **{name: np.asarray(value) for name, value in values.items()})
-    size = DisplacementLayout(ARM).body
-    return Calibration(
-        arm=ARM,
-        displacement=found,
-        covariance=1e-8 * np.eye(size),
-        frame=np.eye(4),
-        frame_name="base",
-        source="touch",
-        date="",
-        points=4,
-        before=2e-3,
-        after=1e-3,
-        used=True,
-        floor=1e-4,
-    )
+    return made_calibration(ARM, found, covariance=1e-8 * np.eye(DisplacementLayout(ARM).body), floor=1e-4)
 
 
 FLOATING = worn(play=[0.03] + [0.0] * 5)
