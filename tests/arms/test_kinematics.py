@@ -20,9 +20,8 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.arm import dh_chain
-from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.table import twin_spec
 from rejoint_lab.research.reproduction.measures import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
-from twinmodel import twin_model
 
 ARM = mycobot280()
 
@@ -31,24 +30,8 @@ def random_postures(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(ARM.lower, ARM.upper, (count, ARM.joints))
 
 
-def mujoco_model(arm: Arm) -> mujoco.MjModel:
-    spec = mujoco.MjSpec()
-    body = spec.worldbody
-    for i in range(arm.joints):
-        quaternion = np.empty(4)
-        mujoco.mju_mat2Quat(quaternion, arm.offset[i, :3, :3].flatten())
-        body = body.add_body(pos=arm.offset[i, :3, 3], quat=quaternion)
-        body.explicitinertial = True
-        body.mass, body.ipos = arm.mass[i], arm.com[i]
-        inertia = arm.inertia[i]
-        body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        body.add_joint(name=f"j{i}", axis=arm.axis[i])
-    body.add_site(name="tcp", pos=arm.tip[:3, 3])
-    return spec.compile()
-
-
 def test_agrees_with_mujoco() -> None:
-    model = mujoco_model(ARM)
+    model = twin_spec(ARM).compile()
     data = mujoco.MjData(model)
     jacp, jacr = np.empty((3, 6)), np.empty((3, 6))
     for q in random_postures(50):
@@ -116,7 +99,7 @@ def test_heights_are_those_of_the_frames(arm: Arm) -> None:
 
 
 def test_link_inertia_is_the_mass_matrix_of_mujoco():
-    model = twin_model(ARM, nominal_parameters(ARM))
+    model = twin_spec(ARM).compile()
     data, matrix = mujoco.MjData(model), np.zeros((ARM.joints, ARM.joints))
     data.qpos[:] = np.random.default_rng(7).uniform(-1.0, 1.0, ARM.joints)
     mujoco.mj_forward(model, data)
