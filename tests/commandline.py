@@ -1,9 +1,14 @@
 """Commands as their user finds them: in this process with the fixture `cli`, or in one of their own."""
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import NamedTuple
+
+JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[1] / ".judge"))
+"""Where `make judge` puts other programs"""
 
 
 class Told(NamedTuple):

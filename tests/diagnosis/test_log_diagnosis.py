@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from motion_logs import TRUTH, as_log, pressing, record
+from motion_logs import TRUTH, as_log, centre_of, pressing, record
 from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
 
@@ -111,8 +111,7 @@ def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
 @pytest.fixture(scope="module")
 def on_a_table():
     """Free motion of one arm, and the same arm pressing on a table in several postures."""
-    centres = [(0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0) for k in range(9)]
-    free = [record(f"free{k}", *twin_wandering(k, 14.0, centre)) for k, centre in enumerate(centres)]
+    free = [record(f"free{k}", *twin_wandering(k, 14.0, centre_of(k))) for k in range(9)]
     press = [record(f"press{k}", *pressing(14.0 + k), table=TABLE) for k in range(5)]
     return free, press
 

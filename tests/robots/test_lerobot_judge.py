@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from commandline import JUDGE
 from rejoint.arms import load_arm
 from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator import dynamixel, feetech
@@ -17,7 +18,6 @@ from rejoint_lab.plant.plant import Truth
 from rejoint_lab.plant.wear import load_wear
 
 NAMES = (*load_arm("so101").joint_names, "gripper")
-JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 
 pytestmark = [
     pytest.mark.realtime,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from commandline import JUDGE
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.wireserver import TerminalServer
@@ -22,7 +23,6 @@ from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 
 ARM = load_arm("so101")
-JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
 pytestmark = pytest.mark.realtime

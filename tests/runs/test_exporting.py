@@ -17,7 +17,7 @@ import torch
 from ruamel.yaml import YAML
 from torch import nn
 
-from commandline import python
+from commandline import JUDGE, python
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
@@ -31,7 +31,6 @@ from rejoint.training.task import DEFAULT
 from rejoint.training.train import export_policy, policy_contract
 
 ARM = mycobot280()
-JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 BOUND = 1e-5
 """[rad] by which other runtimes may differ"""
 

@@ -26,6 +26,9 @@ class RealTime(Observer):
         return WallClock(robot, lambda: 1.0)
 
 
+GO = partial(jobs.go_to, target=np.array([0.17, 0.0, 0.2]))
+
+
 @pytest.fixture
 def studio(tmp_path):
     machine = Studio(tmp_path / "runs")
@@ -126,7 +129,7 @@ def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
 def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
     studio.observer = Observers(studio, RealTime())
     do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
-    do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2])))
+    do(studio, GO)
     for number in range(5):
         side = 0.09 * (-1) ** number
         assert studio.do("going", partial(jobs.go_to, target=np.array([0.16, side, 0.2]), within=1e-4))
@@ -137,7 +140,7 @@ def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
         until(lambda: not studio.status.busy, 5.0)
         assert time.monotonic() - pressed < 0.3
         assert "stopped" in studio.status.error
-    assert not do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2]))).error
+    assert not do(studio, GO).error
 
 
 def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio, monkeypatch):
@@ -148,10 +151,10 @@ def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio,
     do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
     session = studio.session()
     monkeypatch.setattr(type(session), "move_to", lambda *_, **__: _off())
-    status = do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2])))
+    status = do(studio, GO)
     assert status.error == "the arm is off"
     monkeypatch.undo()
-    assert not do(studio, lambda machine: jobs.go_to(machine, np.array([0.17, 0.0, 0.2]))).error
+    assert not do(studio, GO).error
     assert studio.session() is not session
 
 

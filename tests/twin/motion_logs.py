@@ -26,6 +26,11 @@ TRUTH = TwinParameters(
 )
 
 
+def centre_of(k, wrist=0.2):
+    """Postures (5,) [rad] about which motion ``k`` wanders: others for each."""
+    return 0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), wrist * (k % 2), 0.0
+
+
 def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     """Commands (T, n) of a motion: sums of sines, then steps to random postures, half of the time each."""
     rng = np.random.default_rng(seed)

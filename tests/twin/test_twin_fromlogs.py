@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, surface, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, pressing, record, surface, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
@@ -22,8 +22,7 @@ QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0,
 
 @pytest.fixture(scope="module")
 def logs():
-    centres = [(0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0) for k in range(10)]
-    free = [record(f"motion{k}", *wandering(k, 20.0, centre)) for k, centre in enumerate(centres)]
+    free = [record(f"motion{k}", *wandering(k, 20.0, centre_of(k))) for k in range(10)]
     return [*free, record("press0", *pressing(16.0), table=TABLE), record("press1", *pressing(20.0), table=TABLE)]
 
 

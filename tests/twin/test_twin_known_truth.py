@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, record, wandering
 
 from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, Motions, identify_logs, independent
 from rejoint.twin.parameters import pack, vector_names
@@ -55,8 +55,7 @@ def distances():
         factor = np.exp(WRONG * rng.standard_normal(ARM.joints))
         links = replace(ARM, mass=ARM.mass * factor, inertia=ARM.inertia * factor[:, None, None])
         for k in range(8):
-            centre = (0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0)
-            log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth, own=links)
+            log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre_of(k)), truth=truth, own=links)
             logs.append(disturbed(log, rng))
         motions = Motions(ARM, logs, SETTINGS)
         problem, fit = motions.settle(*motions.find_structure())

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, TRUTH, record, wandering
+from motion_logs import ARM, TRUTH, centre_of, record, wandering
 
 from rejoint.arms import gravity_torque
 from rejoint.diagnosis.diagnosis import diagnose_logs
@@ -18,7 +18,7 @@ def motions(share):
     """Logs with torque of an arm that is heavier than its model; a ``share`` of its gravity is fed forward."""
     logs, rng = [], np.random.default_rng(0)
     for k in range(8):
-        time, command = wandering(k, 20.0, (0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.0, 0.0))
+        time, command = wandering(k, 20.0, centre_of(k, wrist=0.0))
         sent = command + share * gravity_torque(HEAVY, command) / TRUTH.stiffness
         log = record(f"motion{k}", time, sent, own=HEAVY)
         torque = TRUTH.stiffness * (sent - log.position + TRUTH.offset)

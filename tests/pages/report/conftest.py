@@ -10,7 +10,7 @@ from report_samples import (
     TARGETS,
     estimate,
     joint_metrics,
-    make_calibration,
+    keep_calibration,
     make_comparison,
     shown,
     trial_log,
@@ -19,8 +19,6 @@ from report_samples import (
 
 from madetwin import made_twin
 from rejoint.arms import load_arm
-from rejoint.diagnosis.calibration.calibration import write_calibration
-from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
@@ -129,9 +127,7 @@ def fill(folder, arm, diagnosis, twin, comparison):
     write_json(folder.diagnosis, diagnosis)
     write_twin(folder.twin, twin)
     write_json(folder.comparison, comparison)
-    calibration, measured = make_calibration(arm)
-    write_calibration(folder.calibration, calibration)
-    write_measurements(folder.measurements, arm, measured)
+    keep_calibration(folder, arm)
     write_curves(folder.curves)
     targets = np.array(comparison.targets[0])
     for name in comparison.controllers:

@@ -12,8 +12,8 @@ from madetwin import made_calibration
 from readpage import Page
 from rejoint.arms import Displacement, solve_position
 from rejoint.control.comparison.result import Protocol
-from rejoint.diagnosis.calibration.calibration import DisplacementLayout
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.calibration import DisplacementLayout, write_calibration
+from rejoint.diagnosis.calibration.measurements import Measurements, write_measurements
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.report.figures import Gallery, Picture
@@ -101,6 +101,14 @@ def make_calibration(arm):
     noise = {"covariance": 1e-6 * np.eye(DisplacementLayout(arm).body), "floor": 1e-3}
     told = {"date": "2026-11-20T07:30:00", "points": 8, "suspects": (5,)}
     return made_calibration(arm, found, before=before, after=after, left_out=left_out, **noise, **told), measured
+
+
+def keep_calibration(folder, arm, points=None):
+    """Write a calibration and the first ``points`` of its measurements (default: all), and return both."""
+    calibration, measured = make_calibration(arm)
+    write_calibration(folder.calibration, calibration)
+    write_measurements(folder.measurements, arm, measured.rows(np.arange(points or len(measured))))
+    return calibration, measured
 
 
 def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):

@@ -5,13 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from report_samples import begin, make_calibration, shown
+from report_samples import begin, keep_calibration, shown
 
 from readpage import Page
 from rejoint.arms import load_arm, tcp_position
 from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
-from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.exports import export_run
 from rejoint.system.errors import FileError, InputError
@@ -24,10 +23,7 @@ def calibrated(tmp_path_factory):
     """A folder with a calibration alone, and the page that it makes."""
     arm, folder = load_arm("mycobot280"), RunFolder(tmp_path_factory.mktemp("calibrated"))
     begin(folder.path, arm)
-    calibration, measured = make_calibration(arm)
-    write_calibration(folder.calibration, calibration)
-    write_measurements(folder.measurements, arm, measured)
-    return folder, calibration, measured, shown(folder.path)[0]
+    return folder, *keep_calibration(folder, arm), shown(folder.path)[0]
 
 
 def test_every_point_stands_with_both_of_its_errors(calibrated):
@@ -43,9 +39,7 @@ def test_every_point_stands_with_both_of_its_errors(calibrated):
 def test_measurements_of_another_calibration_are_not_set_beside_it(tmp_path):
     arm, folder = load_arm("mycobot280"), RunFolder(tmp_path)
     begin(folder.path, arm)
-    calibration, measured = make_calibration(arm)
-    write_calibration(folder.calibration, calibration)
-    write_measurements(folder.measurements, arm, measured.rows(np.arange(6)))
+    keep_calibration(folder, arm, points=6)
     assert not any(place.startswith(POINTS) for place in shown(tmp_path)[0].places)
 
 
