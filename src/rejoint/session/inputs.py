@@ -115,20 +115,20 @@ def period_of(robot: RobotLike, period: Period | None) -> Period | None:
 
 
 def as_logs(given: LogsLike) -> list[RunLog]:
-    """Run logs from objects, files or a folder; FileError without any."""
+    """Run logs from objects, files or a folder; InputError, or FileError, without any."""
     if isinstance(given, RunLog):
         return [given]
     if not isinstance(given, Path | str):
-        return [log for one in given for log in as_logs(one)]
+        if found := [log for one in given for log in as_logs(one)]:
+            return found
+        raise InputError("no run logs were given, expected at least one")
     path = Path(given)
     if path.is_file():
         return [RunLog.load(path)]
     files = sorted(path.glob("*.parquet")) if path.is_dir() else []
     if not files:
-        found = describe(path) if path.exists() else "nothing there"
-        raise FileError(
-            path, f"no folder with run logs (.parquet): {found}", "make one with: rejoint import SOURCE FOLDER"
-        )
+        there = f"no folder with run logs (.parquet): {describe(path) if path.exists() else 'nothing there'}"
+        raise FileError(path, there, "make one with: rejoint import SOURCE FOLDER")
     return [RunLog.load(file) for file in files]
 
 

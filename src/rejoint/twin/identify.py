@@ -190,12 +190,13 @@ def identify(
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
     windows = cut(logs, EXCITATION_WINDOW)
-    unseen = [window for window in windows if window.log == 0][HOLD_OUT - 1 :: HOLD_OUT]
+    first = [window for window in windows if window.log == 0]
+    unseen = first[HOLD_OUT - 1 :: HOLD_OUT]
     seen = [window for window in windows if window not in unseen]
     if seconds < SHORTEST_EXCITATION or not unseen:
         raise InputError(
-            f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {EXCITATION_WINDOW:g} s, "
-            f"expected at least {SHORTEST_EXCITATION:.0f} s and {HOLD_OUT} windows, one held out; record a longer log"
+            f"identification: {seconds:.0f} s of motion, {len(first)} windows of about {EXCITATION_WINDOW:g} s in the "
+            f"first log; expected at least {SHORTEST_EXCITATION:.0f} s, and {HOLD_OUT} windows; record a longer log"
         )
     by_loads = prior_by_loads(arm, logs)
     belief = prior(arm) if by_loads is None else Structure(belief=by_loads, frozen=UNSEEN).prior

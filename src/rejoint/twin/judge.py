@@ -76,13 +76,12 @@ def predict_logs(
 ) -> dict[str, list[Array]]:
     """Predicted positions (T, n) [rad] in each log, no twin first.
 
-    InputError without a log or candidate, for equal names or another arm.
+    InputError for equal names or another arm.
     """
     names = [NO_TWIN, *(c.name for c in candidates)]
-    if not logs or not candidates or len(set(names)) != len(names):
+    if len(set(names)) != len(names):
         raise InputError(
-            f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least, and each "
-            f"twin a name of its own, other than {NO_TWIN!r}"
+            f"replay: twins called {', '.join(names[1:])}; give each a name of its own, other than {NO_TWIN!r}"
         )
     for log in logs:
         log.require(arm)

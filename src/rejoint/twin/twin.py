@@ -254,8 +254,8 @@ class Twin(Readable):
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
         layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
-        # else the prior settles it, or no data could
-        free = layout.is_fitted & (sigma > layout.has("difference")) & (sigma > layout.has("beside"))
+        settled = np.maximum(layout.has("difference"), layout.has("beside"))  # by the prior, or no data could
+        free = layout.is_fitted & (sigma > 1.001 * settled)
         return tuple(compress(self.names, free & ~self.identified))
 
     def sample(self, rng: np.random.Generator, count: int) -> TwinParameters:
