@@ -49,32 +49,18 @@ def works(arm: Arm, q: Array) -> None:
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_reachable_places_are_found(name):
-    arm = arm_called(name)
-    places = tcp_position(arm, free_postures(arm, 500, 1))
-    goals = choose_postures(arm, places, arm.rest)
-    found = np.array([not why for why in goals.refusals])
-    assert len(places) == 500
-    assert found.mean() >= 0.99
-    np.testing.assert_allclose(tcp_position(arm, goals.q[found]), places[found], atol=1e-5)
-    np.testing.assert_array_equal(goals.nearest[found], places[found])
-    works(arm, goals.q)
-
-
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("whole", [False, True], ids=["direction", "pose"])
-def test_reachable_poses_are_found(name, whole):
-    arm = arm_called(name)
-    f = frames(arm, free_postures(arm, 200, 2))
-    places, count = f.tcp_position, len(f.tcp_position)
-    turn = Orientation(
-        rotation=f.tcp_rotation, whole=np.full(count, whole), weight=np.full(count, 0.05), axis=tool_axis(arm)
-    )
-    goals = choose_postures(arm, places, arm.rest, turn=turn)
+@pytest.mark.parametrize("kind", ["place", "direction", "pose"])
+def test_what_can_be_reached_is_found(name, kind):
+    arm, count = arm_called(name), 300
+    f = frames(arm, free_postures(arm, count, 1))
+    whole, weight = np.full(count, kind == "pose"), np.full(count, 0.05)
+    turn = Orientation(rotation=f.tcp_rotation, whole=whole, weight=weight, axis=tool_axis(arm))
+    goals = choose_postures(arm, f.tcp_position, arm.rest, turn=None if kind == "place" else turn)
     found = np.array([not why for why in goals.refusals])
     assert found.mean() >= 0.99
-    np.testing.assert_allclose(tcp_position(arm, goals.q[found]), places[found], atol=1e-5)
-    assert angles(turn, frames(arm, goals.q).tcp_rotation)[found].max() < 1e-3
+    np.testing.assert_allclose(tcp_position(arm, goals.q[found]), f.tcp_position[found], atol=1e-5)
+    np.testing.assert_array_equal(goals.nearest[found], f.tcp_position[found])
+    assert kind == "place" or angles(turn, frames(arm, goals.q).tcp_rotation)[found].max() < 1e-3
     works(arm, goals.q)
 
 

@@ -67,6 +67,10 @@ class Straight:
         return inputs.state.position.copy()
 
 
+def straight(robot, **options):
+    return run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0), **options)
+
+
 def test_no_control_cycle_waits_for_compiled_loops():
     code = (
         "import sys\n"
@@ -161,7 +165,7 @@ def test_a_trip_stops_the_robot_and_keeps_the_recording():
     robot = LaggingRobot(0.02)
     robot.heat_at = {0: 5}
     with pytest.raises(GuardTripError, match=r"temperature.*joint3 is at 90 deg C, limit 65; let it cool") as caught:
-        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+        straight(robot)
     rec = recording_of(caught.value)
     assert robot.stops == 1
     assert robot.steps[0] == 5
@@ -188,7 +192,7 @@ def test_an_error_of_the_robot_loses_nothing(stop_fails):
     if stop_fails:
         robot.stop = lambda: (_ for _ in ()).throw(NoReplyError("still nothing"))
     with pytest.raises(NoReplyError, match="did not answer") as caught:
-        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+        straight(robot)
     assert len(recording_of(caught.value).log(0, "part")) == 7
     assert stop_fails or robot.stops == 1
 
@@ -202,7 +206,7 @@ def test_ctrl_c_stops_the_robot():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0), on_cycle=interrupt)
+        straight(robot, on_cycle=interrupt)
     assert robot.stops == 1
     assert len(recording_of(caught.value).time) == 4
 
@@ -241,7 +245,7 @@ def test_an_error_before_the_first_state_leaves_no_recording():
     robot = LaggingRobot(0.02)
     robot.read = lambda: (_ for _ in ()).throw(NoReplyError("nothing there"))
     with pytest.raises(NoReplyError) as caught:
-        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+        straight(robot)
     assert recording_of(caught.value) is None
     assert robot.stops == 1
 
