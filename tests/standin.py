@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.robot import ControlInput, JointState
 
 
@@ -59,3 +59,13 @@ class StandIn:
 
     def close(self):
         self.closed += 1
+
+
+class SaggingArms(StandIn):
+    """Servos with a lag that sag by gravity's torque over their ``stiffness`` [N m/rad]; the encoders see it."""
+
+    stiffness, share = 6.0, 0.3
+
+    def moved(self, command):
+        goal = command - gravity_torque(self.arm, self.position) / self.stiffness
+        return self.position + self.share * (goal - self.position)

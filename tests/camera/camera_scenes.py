@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from rejoint.arms import Displacement, mycobot280, tcp_pose
+from rejoint.arms.rotations import turned
 from rejoint.camera.board import ON_TABLE, BoardView
 from rejoint.camera.film import Film, Shot
 from rejoint.camera.filming import choose_postures
@@ -20,6 +21,14 @@ WORN = Displacement(
     gravity=np.array([0.0, 0.0, -9.81]),
 )
 """What the emulated worn arm has, and zeros that are a little off"""
+
+
+def facing(rng, tilt, aside):
+    """Pose of the board on a tool, 60 cm before a camera, turned up to ``tilt`` [rad] and ``aside`` [m] off its axis."""
+    pose = np.eye(4)
+    pose[:3, :3] = turned(rng.uniform(-tilt, tilt, 3))
+    pose[:3, 3] = [*rng.uniform(-aside, aside, 2), 0.6] - pose[:3, :3] @ [0.07, 0.05, 0.0]
+    return pose
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from camera_scenes import facing
 
 from rejoint.arms.rotations import difference, inverse, moved, pose_of, rotation_vector, turned
 from rejoint.camera.board import ON_TOOL, BoardView
@@ -13,14 +14,6 @@ STRONG = LENS.with_numbers(np.array([1400, 950, 545, -0.2, 0.05, 1e-3, -5e-4]))
 
 def points(seed=0):
     return np.random.default_rng(seed).uniform([-0.2, -0.1, 0.5], [0.2, 0.1, 0.7], (50, 3))
-
-
-def before_camera(rng, tilt=0.7, away=0.6):
-    """Pose of the board on a tool, facing a camera."""
-    pose = np.eye(4)
-    pose[:3, :3] = turned(rng.uniform(-tilt, tilt, 3))
-    pose[:3, 3] = [*rng.uniform(-0.1, 0.1, 2), away] - pose[:3, :3] @ [0.07, 0.05, 0.0]
-    return pose
 
 
 def test_derivatives_are_those_of_finite_differences():
@@ -48,7 +41,7 @@ def test_a_board_is_placed_whichever_way_it_is_tilted():
     rng, corners = np.random.default_rng(2), ON_TOOL.corners
     off = []
     for _ in range(30):
-        pose = before_camera(rng)
+        pose = facing(rng, tilt=0.7, aside=0.1)
         pixel = STRONG.project(corners @ pose[:3, :3].T + pose[:3, 3]) + 0.1 * rng.standard_normal((24, 2))
         found = place(STRONG, ON_TOOL, BoardView(name="seen", number=np.arange(24), pixel=pixel))
         off.append(found.pose[:3, 3] - pose[:3, 3])

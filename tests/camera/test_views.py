@@ -5,10 +5,9 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 import pytest
-from camera_scenes import ARM, taken
+from camera_scenes import ARM, facing, taken
 
 from rejoint.arms import tcp_pose
-from rejoint.arms.rotations import turned
 from rejoint.camera import tracker
 from rejoint.camera.board import ON_TOOL, Detector
 from rejoint.camera.rig import Rig
@@ -20,12 +19,8 @@ PLAIN = Rig(lens=LENS, board=ON_TOOL, carried="board", standing=np.eye(4), mount
 CLEAN = {"blur": 0.5, "noise": 0.0}
 
 
-def pose_of(seed, away=0.6):
-    rng = np.random.default_rng(seed)
-    pose = np.eye(4)
-    pose[:3, :3] = turned(rng.uniform(-0.5, 0.5, 3))
-    pose[:3, 3] = [*rng.uniform(-0.12, 0.12, 2), away] - pose[:3, :3] @ [0.07, 0.05, 0.0]
-    return pose
+def pose_of(seed):
+    return facing(np.random.default_rng(seed), tilt=0.5, aside=0.12)
 
 
 def errors(looks=MappingProxyType({}), seeds=range(6)):

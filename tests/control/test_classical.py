@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, position_kinematics, tcp_position
+from rejoint.arms import mycobot280, position_kinematics, tcp_position
 from rejoint.control.controllers import classical
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import IntegratorController, dls_step, null_space
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import nearest_postures
-from standin import StandIn, inputs_of, state_of
+from standin import SaggingArms, inputs_of, state_of
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
@@ -28,16 +28,8 @@ def inputs(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
 REST = np.tile(ARM.rest, (3, 1))
 
 
-class SaggingRobot(StandIn):
-    """Servos that follow with a lag and sag by gravity torque over a stiffness of 6 N m/rad; the encoder sees it."""
-
-    def moved(self, command):
-        goal = command - gravity_torque(ARM, self.position) / 6.0
-        return self.position + 0.25 * (goal - self.position)
-
-
 def final_error(controller, dwell=4.0):
-    rec = run(SaggingRobot(3), controller, TARGETS, Schedule(dwell=dwell))
+    rec = run(SaggingArms(3), controller, TARGETS, Schedule(dwell=dwell))
     error = np.linalg.norm(tcp_position(ARM, rec.position) - rec.target, axis=-1)
     last = [np.flatnonzero(rec.target_index[:, 0] == k)[-1] for k in range(2)]
     return error[last]

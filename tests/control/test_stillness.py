@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280
+from rejoint.arms import mycobot280
 from rejoint.control.comparison.protocols import STANDS_FOR, metrics_of, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Stillness
-from standin import StandIn
+from standin import SaggingArms
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -19,8 +19,10 @@ TARGETS = ARM.targets.sample(np.random.default_rng(3), (3, 2))
 PROTOCOL = Protocol()
 
 
-class Sagging(StandIn):
+class Sagging(SaggingArms):
     """Arms with clocks of their own that go a third of the way to their command in a period, and sag."""
+
+    stiffness = 4.0
 
     def __init__(self, periods):
         super().__init__(len(periods), period=periods)
@@ -28,10 +30,6 @@ class Sagging(StandIn):
 
     def read(self):
         return replace(super().read(), position=np.rint(self.position / STEP) * STEP)
-
-    def moved(self, command):
-        goal = command - gravity_torque(ARM, self.position) / 4.0
-        return self.position + 0.3 * (goal - self.position)
 
 
 def test_stillness_by_hand():

@@ -12,7 +12,7 @@ from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.targets import draw_targets
 from rejoint.system.errors import GuardTripError
-from standin import StandIn
+from standin import SaggingArms, StandIn
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=5.0)
@@ -21,8 +21,10 @@ STIFFNESS = 4.0
 OFFSET = np.array([0.0, 0.0, -0.006])
 
 
-class SaggingRobot(StandIn):
+class SaggingRobot(SaggingArms):
     """Servos with lag and sag and seeded noise; the tool is truly 6 mm below where the encoders put it."""
+
+    stiffness = STIFFNESS
 
     def __init__(self, count=1, seed=0, *, know_truth=True, hot=np.inf):
         super().__init__(count)
@@ -34,9 +36,7 @@ class SaggingRobot(StandIn):
         return super().read(temperature=np.tile(heat[:, None], (1, ARM.joints)))
 
     def moved(self, command):
-        noise = [1e-4 * rng.normal(size=ARM.joints) for rng in self.rngs]
-        goal = command - gravity_torque(ARM, self.position) / STIFFNESS
-        return self.position + 0.3 * (goal - self.position) + noise
+        return super().moved(command) + [1e-4 * rng.normal(size=ARM.joints) for rng in self.rngs]
 
     def true_tcp(self):
         return self.tcp() + OFFSET if self.know_truth else super().true_tcp()
