@@ -24,7 +24,7 @@ WORN = Displacement(
 
 
 def facing(rng, tilt, aside):
-    """Pose of the board on a tool, 60 cm before a camera, turned up to ``tilt`` [rad] and ``aside`` [m] off its axis."""
+    """Pose of a tool's board 60 cm before a camera, turned up to ``tilt`` [rad] and ``aside`` [m] off its axis."""
     pose = np.eye(4)
     pose[:3, :3] = turned(rng.uniform(-tilt, tilt, 3))
     pose[:3, 3] = [*rng.uniform(-aside, aside, 2), 0.6] - pose[:3, :3] @ [0.07, 0.05, 0.0]
