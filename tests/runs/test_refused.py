@@ -73,7 +73,11 @@ def test_a_training_that_cannot_be_is_no_quick_try(tmp_path):
     assert not run.folder.quick.exists()
 
 
-@pytest.mark.parametrize("stage", [rejoint.identify, rejoint.diagnose, partial(rejoint.replay, a_twin())], ids=str)
+@pytest.mark.parametrize(
+    "stage",
+    [rejoint.identify, rejoint.diagnose, partial(rejoint.replay, a_twin())],
+    ids=["identify", "diagnose", "replay"],
+)
 def test_no_logs_are_nothing_to_work_on(stage):
     with pytest.raises(rejoint.InputError, match="no run logs"):
         stage([])
