@@ -10,6 +10,7 @@ from rejoint.arms.kinematics import (
     gravity_torque,
     heights,
     jacobian,
+    levers,
     link_inertia,
     position_kinematics,
     solve_position,
@@ -23,6 +24,6 @@ from rejoint.arms.postures import Motors, choose_postures
 __all__ = [
     "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Index", "JointTrajectory", "Loaded", "Mask", "Motors",
     "PlanningError", "choose_postures", "clearance", "clearances", "clip_norm", "collides", "differing", "dls",
-    "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "plan",
+    "frames", "gravity_torque", "heights", "jacobian", "levers", "link_inertia", "load_arm", "mycobot280", "plan",
     "position_kinematics", "read_arm", "so101", "solve_position", "tcp_pose", "tcp_position", "write_arm_toml",
 ]  # fmt: skip

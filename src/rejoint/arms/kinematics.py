@@ -129,6 +129,11 @@ def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     return 0.0 - missed, jacobian  # without a minus zero
 
 
+def levers(arm: Arm, q: Array) -> Array:
+    """Distances (..., n) [m/rad] by which the TCP moves per angle of each joint at ``q`` (..., n) [rad]."""
+    return np.linalg.norm(position_kinematics(arm, q)[1], axis=-2)
+
+
 def jacobian(arm: Arm, q: Array) -> Array:
     """Geometric Jacobian (..., 6, n) in the base frame: linear above angular velocity."""
     return np.concatenate([position_kinematics(arm, q)[1], np.swapaxes(frames(arm, q).axis, -1, -2)], axis=-2)

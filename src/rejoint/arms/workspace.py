@@ -22,6 +22,7 @@ from rejoint.arms.kinematics import (
     frames,
     gravity_torque,
     heights,
+    levers,
     position_kinematics,
     solve_position,
     tcp_position,
@@ -250,7 +251,7 @@ def unloaded_joints(arm: Arm) -> Mask:
 @lru_cache(maxsize=32)
 def moves_tool(arm: Arm) -> Mask:
     """Joints (n,) that move the TCP at targets."""
-    lever = np.linalg.norm(position_kinematics(arm, posture_grid(arm, 2).q)[1], axis=-2).max(axis=0)
+    lever = levers(arm, posture_grid(arm, 2).q).max(axis=0)
     return frozen(lever > LEAST_LEVER * reach(arm))
 
 

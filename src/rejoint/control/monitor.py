@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, Mask, gravity_torque, levers
 from rejoint.arms.workspace import length_size
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import RunLog
@@ -191,8 +191,7 @@ class Following:
 
     def _levers(self, position: Array) -> Array:
         """Levers (B, n) [m/rad] of the tool, scaled to the reach of a myCobot 280."""
-        levers = np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2) / length_size(self._arm)
-        return np.maximum(levers, 1e-6)
+        return np.maximum(levers(self._arm, position) / length_size(self._arm), 1e-6)
 
     def _describe(self, b: int, j: int) -> str:
         track, name = self._tracks[b, j], self._arm.joint_names[j]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, gravity_torque, levers
 from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, Measurement
@@ -154,15 +154,14 @@ def find(
 ) -> tuple[Finding, ...]:
     """Name everything that is wrong, largest tool error first."""
     position, command = postures
-    levers = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2)
-    loads, errors = np.abs(gravity_torque(arm, position)), np.abs(command - position)
+    moved, loads, errors = levers(arm, position), np.abs(gravity_torque(arm, position)), np.abs(command - position)
     common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
     found = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
             row=row,
             healthy=None if healthy is None else healthy.joints[joint],
-            levers=levers[:, joint],
+            levers=moved[:, joint],
             loads=loads[:, joint],
             errors=errors[:, joint],
             encoder_step=arm.encoder_step,

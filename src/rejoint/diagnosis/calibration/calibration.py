@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from scipy.linalg import block_diag
 
-from rejoint.arms import Arm, Array, Displacement, frames, jacobian, position_kinematics, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, Displacement, frames, jacobian, levers, tcp_pose, tcp_position
 from rejoint.arms.inertia import bare
 from rejoint.arms.kinematics import FLOATING, GRAVITY
 from rejoint.arms.rotations import between_directions, turned
@@ -373,7 +373,7 @@ def preload(found: Calibration, position: Array) -> Preload:
     turns = {side: turned(-WEDGE * np.array([*axis, 0.0])) for side, axis in _SIDES.items()}
     sides = {side: chance(turn @ own.gravity) for side, turn in turns.items()}
     best = min(sides, key=lambda side: sides[side])
-    lever = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2).mean(axis=0)
+    lever = levers(arm, position).mean(axis=0)
     often = (np.abs(own.torque(arm, position)) < FLOATING).mean(axis=0) >= 0.5
     floats = often & (own.play * lever > found.floor)
     names = tuple(np.array(arm.joint_names)[floats].tolist())

@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, levers, tcp_position
 from rejoint.arms.kinematics import solve_position
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import iso_poses, reversal
@@ -141,7 +141,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
     """
     data = ExcitationLog.of(arm, log)
     command, position, tool = _settled(data)
-    lever = _levers(arm, position.reshape(-1, arm.joints))
+    lever = np.maximum(levers(arm, position).mean(axis=(0, 1, 2)), LEAST_LEVER)
     off = 1e3 * lever * (command - position)  # (poses, sides, cycles, n) [mm]
     torque, least = gravity_torque(arm, position), _LEAST_RANGE * torque_size(arm)
     reversal = (off[:, 0] - off[:, 1]).mean(axis=(0, 1))
@@ -204,12 +204,6 @@ def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
         )
     whole = [np.where(seen, part, part.mean(axis=2, where=seen, keepdims=True)) for part in found]
     return whole[0], whole[1], whole[2]
-
-
-def _levers(arm: Arm, posture: Array) -> Array:
-    """Mean lever (n,) [m/rad] in postures (K, n) [rad]."""
-    jacobian = position_kinematics(arm, posture)[1]
-    return np.maximum(np.linalg.norm(jacobian, axis=-2).mean(axis=0), LEAST_LEVER)
 
 
 def _hysteresis(data: ExcitationLog, joint: int) -> float:
