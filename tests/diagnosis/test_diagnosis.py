@@ -153,6 +153,7 @@ def test_a_reference_from_healthy_logs_contains_them(logs):
     reference = reference_from(ARM, healthy, source="three arms")
     for entry in healthy:
         assert judge(ARM, entry, reference).condition == "ok"
+        assert judge(ARM, entry, None).condition == "unknown"
     with pytest.raises(InputError, match="three"):
         reference_from(ARM, healthy[:2], source="two arms")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, tcp_position
+from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
@@ -59,7 +59,7 @@ MANY = 8
 """Logs from which each is one observation; chosen"""
 
 KINDS = {
-    "stuck": "stuck or without power",
+    "stuck": "stuck, too weak or without power",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
     "hysteresis": "stopping short of where it is sent",
@@ -124,10 +124,11 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     """Judge an arm by its logs; InputError if unfit or too short."""
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
     loop = open_loop_errors(arm, logs.targets)
-    findings = find(arm, measurement, settled_postures(logs.targets), healthy)
+    rest = settled_postures(logs.targets)
+    findings = find(arm, measurement, rest, healthy)
     least, usual = loop.error_mm.low, None if healthy is None else healthy.error_mm
     unexplained = not findings and bool(usual and usual.high and least is not None and least > usual.high)
-    nothing = "No joint shows wear that its encoder can see."
+    nothing = _nothing(arm, measurement, rest, healthy)
     if unexplained:
         nothing = (
             "No joint shows why: look for a load at the tool, for something in its way, and for offsets too small to "
@@ -136,7 +137,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     return Diagnosis(
         arm=arm.name,
         robot=logs.targets.robot,
-        condition="worn" if unexplained else _condition(findings),
+        condition="worn" if unexplained else _condition(findings, measurement, healthy),
         verdict=(
             f"This arm misses its targets by {loop.error_mm.value:.1f} mm (mean of {len(loop.targets)}, spread "
             f"{loop.spread_mm:.1f} mm, by its own encoders{_usual(healthy)}). "
@@ -179,17 +180,17 @@ def diagnose_logs(
         )
     on_progress(0.1, "joints")
     measurement = Measurement(joints=measure_joints(data), period_s=data.log.period)
-    findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
+    rest = _rest(logs, excluded)
+    findings = () if bare else find(arm, measurement, rest, healthy)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
-        told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(measurement, healthy))
-    surely = healthy is not None and any(row.lag_s is not None for row in measurement.joints)
+        told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
         arm=arm.name,
         robot=source,
-        condition=_condition(findings) if findings or surely else "worn" if grown else "unknown",
+        condition="worn" if grown else _condition(findings, measurement, healthy),
         verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
         findings=findings,
         unseen=(
@@ -211,8 +212,11 @@ def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
     return min((f for f in findings if f.kind == "low_damping"), key=lambda f: f.measured.value, default=None)
 
 
-def _condition(findings: tuple[Finding, ...]) -> str:
-    return "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
+def _condition(findings: tuple[Finding, ...], measurement: Measurement, healthy: HealthyReference | None) -> str:
+    if findings:
+        return "bad" if any(f.severity == "bad" for f in findings) else "worn"
+    told = healthy is not None and any(row.lag_s is not None for row in measurement.joints)
+    return "ok" if told else "unknown"
 
 
 def _verdict_of(
@@ -313,18 +317,32 @@ def _motions(evidence: Evidence) -> str:
     return f"From {motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
 
 
-def _nothing(measurement: Measurement, healthy: HealthyReference | None) -> str:
+def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: HealthyReference | None) -> str:
     unmeasured = [row.joint for row in measurement.joints if row.lag_s is None]
     if len(unmeasured) < len(measurement.joints):
-        left = f"; they do not tell about {', '.join(unmeasured)}" if unmeasured else ""
+        left = f"; the motion does not tell about {', '.join(unmeasured)}" if unmeasured else ""
         if healthy is None:
             known = "Wear shows only beside a healthy arm of this kind, and none is known (--healthy)."
-            return f"No joint is seen to be at fault{left}. {known}"
-        return f"No joint shows wear in these logs{left}."
+            return f"No joint is seen to be at fault{left}.{_farthest(arm, rest)} {known}"
+        return f"No joint shows wear that its encoder can see{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
         why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
     return f"Whether the arm is worn cannot be told: {why}."
+
+
+def _farthest(arm: Arm, rest: Postures) -> str:
+    """Name the joint that takes the tool farthest from where it was sent."""
+    position, command = rest
+    off = np.abs(command - position)
+    at_tool = (levers(arm, position) * off).mean(axis=0)
+    joint, degrees = int(at_tool.argmax()), np.degrees(off.mean(axis=0))
+    if not at_tool[joint] > 0.0:
+        return ""
+    return (
+        f" {arm.joint_names[joint]} is farthest off: it rests {degrees[joint]:.1f} deg from its commands, "
+        f"{1e3 * at_tool[joint]:.1f} mm at the tool."
+    )
 
 
 def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[str] | None:

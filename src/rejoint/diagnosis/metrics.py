@@ -215,7 +215,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Av
     if not fast:
         chosen &= (np.abs(found.speed) < _SLOW) & (np.abs(found.acceleration) < _GENTLE)
     logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
-    segment, piece = np.divmod(found.cluster, 1000)  # pieces of 2 s, see `rejoint.diagnosis.metrics`
+    segment, piece = np.divmod(found.cluster, 1000)  # pieces of half of `_LONG`
     pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
     cluster = 1000 * segment + piece // pieces
     if len(np.unique(logs)) >= _MANY_LOGS:
