@@ -104,13 +104,11 @@ class _ArmFile(Table):
 
 def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
     """Write an arm, accurate to 1e-12, below ``notes`` as comments; without targets a last one asks for a rest."""
-    lines, own = [f"# {note}" for note in notes], {}
-    if np.isnan(arm.targets.lower).any():
+    lines, posed = [f"# {note}" for note in notes], not np.isnan(arm.targets.lower).any()
+    if not posed:
         zeros = ", ".join(["0"] * arm.joints)
         lines.append(f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit")
-    else:
-        own = {"rest_deg": np.degrees(arm.rest), "targets": _bounds(arm.targets)}
-    text = "\n".join([*lines, toml_of(_table(arm) | own)])
+    text = "\n".join([*lines, toml_of(_table(arm, posed))])
     write_text(path, text)
 
 
@@ -143,15 +141,15 @@ def read_draft(path: Path) -> Loaded:
     return Loaded(arm=arm)
 
 
-def _table(arm: Arm) -> dict[str, Any]:
-    known: dict[str, Any] = {"keep_out": [_bounds(box) for box in arm.keep_out]} if arm.keep_out else {}
-    if np.isfinite(arm.servo_acceleration):
-        known["servo_acceleration_rad_s2"] = arm.servo_acceleration
+def _table(arm: Arm, posed: bool) -> dict[str, Any]:
     return {
         "name": arm.name,
         "floor_m": arm.floor,
         "encoder_counts_per_turn": 2 * np.pi / arm.encoder_step,
-        **known,
+        "servo_acceleration_rad_s2": arm.servo_acceleration if np.isfinite(arm.servo_acceleration) else None,
+        "rest_deg": np.degrees(arm.rest) if posed else None,
+        "targets": _bounds(arm.targets) if posed else None,
+        "keep_out": [_bounds(box) for box in arm.keep_out] or None,
         "tip": _frame(arm.tip),
         "joint": [
             {
@@ -161,7 +159,7 @@ def _table(arm: Arm) -> dict[str, Any]:
                 "lower_deg": np.degrees(arm.lower[i]),
                 "upper_deg": np.degrees(arm.upper[i]),
                 "max_speed_deg_s": np.degrees(arm.max_speed[i]),
-                **({"servo": arm.servos[i]} if any(arm.servos[i : i + 1]) else {}),
+                "servo": arm.servos[i] if arm.servos else None,
                 "mass_kg": arm.mass[i],
                 "com_m": arm.com[i],
                 "inertia_kg_m2": inertia_values(arm.inertia[i]),

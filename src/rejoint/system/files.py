@@ -226,8 +226,14 @@ _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
 def toml_of(table: Mapping[str, Any]) -> str:
-    """TOML of a ``table``, in which arrays become lists."""
-    return tomlkit.dumps(msgspec.to_builtins(table, enc_hook=methodcaller("tolist")))
+    """TOML of a ``table``, without what is None; arrays become lists."""
+
+    def known(value: Any) -> Any:  # noqa: ANN401 - of any TOML
+        if isinstance(value, dict):
+            return {key: known(one) for key, one in value.items() if one is not None}
+        return [known(one) for one in value] if isinstance(value, list) else value
+
+    return tomlkit.dumps(known(msgspec.to_builtins(table, enc_hook=methodcaller("tolist"))))
 
 
 def write_sealed(path: Path, toml: str, about: str = "") -> None:

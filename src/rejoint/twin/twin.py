@@ -1,24 +1,20 @@
-"""The fitted twin: values, intervals, unknowns, prediction error; its judgement on logs; its file ``twin.toml``.
-
-One digest covers the parameters, another the whole text.
-"""
+"""The fitted twin: values, intervals, unknowns, prediction error; its judgement on logs; its file ``twin.toml``."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import msgspec
 import numpy as np
-import tomlkit
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
-from rejoint.system.files import read_sealed, write_sealed
+from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
 from rejoint.system.results import Readable
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
@@ -297,99 +293,42 @@ class Twin(Readable):
         return h.hexdigest()[:16]
 
 
-FORMAT = 2
+FORMAT = 3
+
+_ABOUT = "".join(
+    (
+        "Digital twin of one robot arm, fitted to its own motion. SI units; errors are root mean squares.\n",
+        *(f"{p.name}: {p.unit}, {p.meaning}{'; lower and upper are logarithms' * p.log}\n" for p in PARAMETERS),
+        "covariance: of the parameters in this order, logarithms of those whose bounds are logarithms",
+    )
+)
+_WHOLE = ("arm", "joint_names", "fit_seconds", "notes", "acceleration", "gain", "held_out", "table", "covariance")
+_COLUMNS = ("lower", "upper", "narrowing", "identified")  # of each parameter
 
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin, atomically."""
-    write_sealed(path, tomlkit.dumps(_document(twin)))
+    told: dict[str, Any] = {"format": FORMAT, **{name: getattr(twin, name) for name in _WHOLE}, "order": twin.names}
+    columns = dict(zip(("value", "low95", "high95"), map(flat, (twin.parameters, *twin.interval)), strict=True))
+    columns |= {name: getattr(twin, name) for name in _COLUMNS}
+    for p in PARAMETERS:
+        told[p.name] = {name: column[twin.layout.at(p.name)] for name, column in columns.items()}
+    write_sealed(path, toml_of(told), _ABOUT)
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
     """Read a twin; FileError if missing or damaged, ContractError for another arm."""
 
     def build(data: dict[str, Any]) -> Twin:
-        twin = _twin(data)
-        if data["digest"] != twin.digest():
-            raise InputError(f"it holds digest {data['digest']!r} but its values give {twin.digest()!r}")
-        return twin
+        kinds = get_type_hints(Twin)
+        own: dict[str, Any] = {
+            name: msgspec.convert(data[name], kinds[name], dec_hook=array_of) for name in _WHOLE if name in data
+        }
+        for name in ("value", *_COLUMNS):
+            own[name] = np.concatenate([np.array(data[p.name][name]) for p in PARAMETERS])
+        return Twin(parameters=shaped(own.pop("value"), len(own["joint_names"])), **own)
 
     twin = read_sealed(path, build, name="twin", version=FORMAT, again="identify the arm")
     if arm is not None:
         twin.require(arm)
     return twin
-
-
-def _document(twin: Twin) -> tomlkit.TOMLDocument:
-    low, high = twin.interval
-    document = tomlkit.document()
-    document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
-    errors = {
-        name: error
-        for name in ("no_twin", "healthy_twin", "twin")
-        if (error := getattr(twin.held_out, name)) is not None
-    }
-    told = {
-        "format": FORMAT,
-        "arm": twin.arm,
-        "joints": twin.joint_names,
-        "digest": twin.digest(),
-        "fit_seconds": twin.fit_seconds,
-        "notes": twin.notes,
-        **({"acceleration": twin.acceleration} if twin.acceleration < np.inf else {}),
-        **({"gain": twin.gain} if twin.gain is not None else {}),
-        "held_out": {"seconds": twin.held_out.seconds, **errors},
-    }
-    for name, value in msgspec.to_builtins(told, enc_hook=np.ndarray.tolist).items():
-        document.add(name, tomlkit.item(value))
-    for name, error in errors.items():
-        document["held_out"][name].comment(f"{np.degrees(error.joint):.3f} deg, {1e3 * error.tcp:.2f} mm")
-    columns = {
-        "value": flat(twin.parameters),
-        "low95": flat(low),
-        "high95": flat(high),
-        "identified": twin.identified,
-        "lower": twin.lower,
-        "upper": twin.upper,
-        "narrowing": twin.narrowing,
-    }
-    for p in PARAMETERS:
-        here = twin.layout.at(p.name)
-        table = tomlkit.item({name: column[here].tolist() for name, column in columns.items()})
-        table.comment(f"{p.unit}: {p.meaning}; lower and upper are {'logarithms' if p.log else 'as they are'}")
-        document.add(p.name, table)
-    rows = tomlkit.array()
-    for i, row in enumerate(twin.covariance):
-        rows.append(row[: i + 1].tolist())
-    document.add("covariance", tomlkit.item({"order": list(twin.names), "lower_triangle": rows.multiline(True)}))
-    if twin.table is not None:
-        document.add("table", tomlkit.item(asdict(twin.table)))
-    return document
-
-
-def _twin(data: dict[str, Any]) -> Twin:
-    names = tuple(str(name) for name in data["joints"])
-
-    def column(key: str) -> Array:
-        return np.concatenate([np.array(data[p.name][key], dtype=float) for p in PARAMETERS])
-
-    values = column("value")
-    covariance = np.zeros((len(values), len(values)))
-    for i, row in enumerate(data["covariance"]["lower_triangle"]):
-        covariance[i, : i + 1] = covariance[: i + 1, i] = row
-    return Twin(
-        arm=str(data["arm"]),
-        joint_names=names,
-        parameters=shaped(values, len(names)),
-        covariance=covariance,
-        lower=column("lower"),
-        upper=column("upper"),
-        narrowing=column("narrowing"),
-        identified=column("identified").astype(bool),
-        held_out=msgspec.convert(data["held_out"], HeldOut),
-        fit_seconds=float(data["fit_seconds"]),
-        notes=tuple(str(note) for note in data["notes"]),
-        acceleration=float(data.get("acceleration", np.inf)),
-        gain=np.array(data["gain"], dtype=float) if "gain" in data else None,
-        table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,
-    )
