@@ -47,6 +47,10 @@ class Cycle:
     turned: Array
     """(B,) [rad] orientation error"""
 
+    def at(self, *index: Any) -> Cycle:  # noqa: ANN401 - whatever arrays take
+        """Select by an index of the leading axes."""
+        return Cycle(**{item.name: getattr(self, item.name)[index] for item in fields(Cycle)})
+
     def later(self, robot: Robot, state: JointState, command: Array) -> Cycle:
         """Cycle at a later ``state``, with another ``command`` (B, n) [rad]."""
         return replace(
@@ -92,51 +96,53 @@ class Recording(Cycle):
 
     def of(self, arms: slice) -> Recording:
         """Select arms."""
-        parts = {item.name: getattr(self, item.name)[:, arms] for item in fields(Cycle)}
-        return replace(self, **parts, tripped=self.tripped[arms])
+        return replace(self, **vars(self.at(slice(None), arms)), tripped=self.tripped[arms])
+
+    def driven(self, b: int = 0) -> Cycle:
+        """Rows (T', ...) of the cycles in which arm ``b`` was active."""
+        return self.at(self.active[:, b], b)
 
     def usual_period(self) -> float:
         """Median control period [s] of the first arm; NaN: none."""
-        periods = np.diff(self.time[self.active[:, 0], 0])
-        return float(np.median(periods)) if len(periods) else float("nan")
+        periods = np.diff(self.driven().time)
+        return float(np.median(periods)) if len(periods) else np.nan
 
     def gaps(self) -> Array:
-        """Gap lengths (T,) [s] of the first arm, else 0."""
-        rows = np.flatnonzero(self.active[:, 0])
-        elapsed = np.diff(self.time[rows, 0], prepend=self.time[rows[:1], 0])
-        marked = (self.reasons[rows, 0] & Reason.GAP) != 0
-        gaps = np.zeros(len(self.time))
-        gaps[rows] = np.where(marked & (elapsed > GAP), elapsed, 0.0)  # it also goes on so after a joint was led back
-        return gaps
+        """Gap lengths (T',) [s] before the rows of the first arm, else 0."""
+        rows = self.driven()
+        elapsed = np.diff(rows.time, prepend=rows.time[:1])
+        marked = (rows.reasons & Reason.GAP) != 0
+        return np.where(marked & (elapsed > GAP), elapsed, 0.0)  # it also goes on so after a joint was led back
+
+    def timing(self) -> dict[str, Any]:
+        """Fields ``period`` [s], None: unknown, and ``gaps`` [s] of a result."""
+        period, gaps = self.usual_period(), self.gaps()
+        return {"period": period if np.isfinite(period) else None, "gaps": tuple(gaps[gaps > 0.0].tolist())}
 
     def waits(self, b: int = 0) -> Array:
         """Return times [s since the target] and lengths [s] of waits, (k, 2)."""
-        rows = np.flatnonzero(self.active[:, b])
-        since = self.since_target[rows, b]
-        waited = np.diff(self.time[rows, b]) - np.diff(since)
-        same = self.target_index[rows[1:], b] == self.target_index[rows[:-1], b]
-        where = np.flatnonzero(same & (np.abs(waited) > _CLOCK))
-        return np.stack([since[1:][where], waited[where]], axis=-1)
+        rows = self.driven(b)
+        waited = np.diff(rows.time) - np.diff(rows.since_target)
+        where = (np.diff(rows.target_index) == 0) & (np.abs(waited) > _CLOCK)
+        return np.stack([rows.since_target[1:][where], waited[where]], axis=-1)
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Run log of arm ``b``."""
-        rows = np.flatnonzero(self.active[:, b])
-        times = self.time[rows, b]
-        rows = rows[times >= np.maximum.accumulate(times)]
-        rows = rows[np.diff(self.time[rows, b], append=np.inf) > 0.0]  # the last command of one time is in force
-        load, target, aim = self.load[rows, b], self.target[rows, b], self.aim[rows, b]
+        rows = self.driven(b)
+        rows = rows.at(rows.time >= np.maximum.accumulate(rows.time))
+        rows = rows.at(np.diff(rows.time, append=np.inf) > 0.0)  # the last command of one time is in force
         return RunLog(
             arm=self.arm,
             joint_names=self.joint_names,
             robot=self.robot,
             label=label,
-            time=self.time[rows, b],
-            position=self.position[rows, b],
-            command=self.command[rows, b],
-            target=target,
-            true_tcp=self.true_tcp[rows, b],
-            servo_load=None if np.isnan(load).all() else load,
-            aim=None if np.array_equal(aim, target, equal_nan=True) else aim,
+            time=rows.time,
+            position=rows.position,
+            command=rows.command,
+            target=rows.target,
+            true_tcp=rows.true_tcp,
+            servo_load=None if np.isnan(rows.load).all() else rows.load,
+            aim=None if np.array_equal(rows.aim, rows.target, equal_nan=True) else rows.aim,
             extra={"controller": self.controller, **(extra or {})},
         )
 

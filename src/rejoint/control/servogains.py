@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.control.comparison.protocols import visits
 from rejoint.control.controllers.catalogue import POLICY, PREDICTIVE
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.policy import PolicyContract
@@ -357,14 +358,12 @@ class _Climb:
         self.sent = recording.command[-1]
         if watch.joints.any():
             return None, watch.joints
-        position, command = recording.position[:, 0], recording.command[:, 0]
         found = []
-        for k, target in enumerate(targets):
-            rows = (recording.target_index[:, 0] == k) & (recording.since_target[:, 0] > DWELL - LOOKED)
-            here = position[rows]
-            tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
-            unrest = detrend(here, axis=0).std(axis=0)  # an I part that still pulls is none
-            found.append((np.abs(command[rows] - here).mean(axis=0), unrest, tool))
+        for _, k, visit in visits(recording, len(targets)):
+            last = visit.at(visit.since_target > DWELL - LOOKED)
+            tool = np.linalg.norm(tcp_position(arm, last.position) - targets[k], axis=-1).mean()
+            unrest = detrend(last.position, axis=0).std(axis=0)  # an I part that still pulls is none
+            found.append((np.abs(last.command - last.position).mean(axis=0), unrest, tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
         return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints
 
@@ -378,7 +377,7 @@ class _RoundWatch:
 
     def bad(self, inputs: ControlInput) -> bool:
         """Whether the round ends."""
-        state, now = inputs.state, float(inputs.state.time[0])
+        state, now = inputs.state, inputs.state.time[0]
         elapsed, self._last = max(now - self._last, 0.0), now
         if state.temperature is not None:
             self.joints |= state.temperature[0] > HOTTEST
@@ -395,6 +394,6 @@ class _RoundWatch:
 def _with(gains: ServoGains, rung: Rung, value: int, joints: Mask) -> ServoGains:
     set_to = {**dict.fromkeys(rung.names, value), **dict(rung.beside)}
     return {
-        name: tuple(set_to[name] if name in set_to and take else old for old, take in zip(values, joints, strict=True))
+        name: tuple(set_to.get(name, old) if take else old for old, take in zip(values, joints, strict=True))
         for name, values in gains.items()
     }

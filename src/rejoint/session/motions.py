@@ -339,14 +339,8 @@ class PathDrive:
             if isinstance(guide, Path) and isinstance(aimed, Path):
                 lesson = lesson or Repetition(guide.aimed)
                 aimed = replace(guide, aim=lesson.learn(aimed.aimed, *missed(arm, last, guide)))
-        period = last.usual_period()
         session.followed = Followed(
-            path=guide.name,
-            controller=name,
-            within=self.within,
-            passes=tuple(passes),
-            period=period if np.isfinite(period) else None,
-            gaps=tuple(float(gap) for gap in last.gaps() if gap > 0.0),
+            path=guide.name, controller=name, within=self.within, passes=tuple(passes), **last.timing()
         )
         say_noticed(arm, session.twin_now, passes[-1].log, session.observer.message)
         return session.followed

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from rejoint.control.comparison.result import (
     HOLDING,
     KINDS,
     MODELLED,
+    PLACE,
     Columns,
     Driven,
     Key,
@@ -28,7 +28,7 @@ from rejoint.control.comparison.result import (
 from rejoint.control.correction import ToolModel, modelled
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
-from rejoint.control.recording import Recording
+from rejoint.control.recording import Cycle, Recording
 
 STANDS_FOR = 3.0
 """[s] stationary before a dwell ends (chosen)"""
@@ -38,32 +38,10 @@ def schedule(
     kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
 ) -> Schedule:
     """Schedule after the last commands ``sent`` (B, n) [rad]."""
-    if kind == "crossing":
-        return Schedule(
-            dwell=protocol.dwell,
-            stop_below=protocol.threshold,
-            stands_for=None if wait else STANDS_FOR,
-            keep_going=keep_going,
-            sent=sent,
-        )
-    return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
-
-
-class _TargetVisit(NamedTuple):
-    """Signals of one arm at one target, T rows."""
-
-    since: Array
-    """(T,) [s] since it was set"""
-    tcp: Array
-    """(T, 3) [m] by the encoders"""
-    away: Array
-    """(T, 3) [m] from the corrected target, by the encoders"""
-    away_true: Array
-    """(T, 3) [m] from the target, of the tool"""
-    turned: Array
-    """(T,) [rad] orientation error"""
-    position: Array
-    """(T, n) [rad]"""
+    if kind == "hold":
+        return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
+    stands_for, below = None if wait else STANDS_FOR, protocol.threshold
+    return Schedule(dwell=protocol.dwell, stop_below=below, stands_for=stands_for, keep_going=keep_going, sent=sent)
 
 
 def metrics_of(
@@ -90,12 +68,12 @@ def metrics_of(
         spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
         columns["crossed"] = np.where(spared, np.nan, 0.0)
     posture = np.full((*shape, arm.joints), np.nan)
-    for b, k, visit in _visits(arm, recording, shape[1]):
+    for b, k, visit in visits(recording, shape[1]):
         found = dict[str, float]()
         if "crossing" in kinds:
-            found |= _crossed(visit, protocol, within_hold="hold" in kinds)
-        if "hold" in kinds and visit.since[-1] >= protocol.hold:
-            found |= _held(visit, protocol)
+            found |= _crossed(arm, visit, protocol, within_hold="hold" in kinds)
+        if "hold" in kinds and visit.since_target[-1] >= protocol.hold:
+            found |= _held(arm, visit, protocol)
             if np.isnan(found["away_true_x"]):
                 posture[b, k] = visit.position[_last(visit, protocol)].mean(axis=0)
         for name, value in found.items():
@@ -106,54 +84,48 @@ def metrics_of(
     return columns
 
 
-def _crossed(visit: _TargetVisit, protocol: Protocol, *, within_hold: bool) -> dict[str, float]:
-    error = np.linalg.norm(visit.away, axis=-1)
+def _crossed(arm: Arm, visit: Cycle, protocol: Protocol, *, within_hold: bool) -> dict[str, float]:
+    error = np.linalg.norm(tcp_position(arm, visit.position) - visit.aim, axis=-1)
     askew = visit.turned > REACHED_TURN  # a pose is reached where the orientation is as well
     seen = np.where(askew, np.maximum(error, protocol.threshold), error)
     reached, row = crossing(seen, protocol.threshold)
-    time = visit.since[row]
+    time = visit.since_target[row]
     if not reached and time < (min(protocol.dwell, protocol.hold) if within_hold else protocol.dwell):
         return {}
     until = np.nan if within_hold and not reached else time
-    values = float(reached), error[row], np.linalg.norm(visit.away_true[row]), until
+    values = float(reached), error[row], np.linalg.norm((visit.true_tcp - visit.target)[row]), until
     return dict(zip(CROSSING, values, strict=True))
 
 
-def _held(visit: _TargetVisit, protocol: Protocol) -> dict[str, float]:
-    since, window, last = visit.since, protocol.window, _last(visit, protocol)
-    error = np.linalg.norm(visit.away, axis=-1)
+def _held(arm: Arm, visit: Cycle, protocol: Protocol) -> dict[str, float]:
+    since, window, last = visit.since_target, protocol.window, _last(visit, protocol)
+    tcp = tcp_position(arm, visit.position)
+    away, away_true = tcp - visit.aim, visit.true_tcp - visit.target
+    error = np.linalg.norm(away, axis=-1)
     found = {
         "settled": settled(since, error, window),
-        "settled_true": settled(since, np.linalg.norm(visit.away_true, axis=-1), window),
+        "settled_true": settled(since, np.linalg.norm(away_true, axis=-1), window),
         "turned": settled(since, visit.turned, window),
-        "oscillation": oscillation(since, visit.tcp, window),
+        "oscillation": oscillation(since, tcp, window),
     }
     for name, within in zip(protocol.stay_names, protocol.within, strict=True):
         found[name] = min(stay_time(since, error, within), protocol.hold)
-    for name, places in (("away", visit.away), ("away_true", visit.away_true)):
-        found |= {f"{name}_{axis}": places[last, i].mean() for i, axis in enumerate("xyz")}
-    return found
+    places = np.hstack([away, away_true])[last].T
+    return found | {name: place.mean() for name, place in zip(PLACE, places, strict=True)}
 
 
-def _last(visit: _TargetVisit, protocol: Protocol) -> Mask:
-    return visit.since > visit.since[-1] - protocol.window
+def _last(visit: Cycle, protocol: Protocol) -> Mask:
+    return visit.since_target > visit.since_target[-1] - protocol.window
 
 
-def _visits(arm: Arm, recording: Recording, count: int) -> Iterator[tuple[int, int, _TargetVisit]]:
+def visits(recording: Recording, count: int) -> Iterator[tuple[int, int, Cycle]]:
+    """Yield arm, target, and the rows (T', ...) of that arm at that target."""
     for b in range(recording.active.shape[1]):
-        rows = np.flatnonzero(recording.active[:, b])
-        edges = np.searchsorted(recording.target_index[rows, b], np.arange(count + 1)).tolist()
+        rows = recording.driven(b)
+        edges = np.searchsorted(rows.target_index, np.arange(count + 1)).tolist()
         for k, (first, end) in enumerate(pairwise(edges)):
-            at = rows[first:end], b
-            position, true = recording.position[at], recording.true_tcp[at]
             if end > first:
-                tcp = tcp_position(arm, position)
-                away, away_true = tcp - recording.aim[at], true - recording.target[at]
-                yield (
-                    b,
-                    k,
-                    _TargetVisit(recording.since_target[at], tcp, away, away_true, recording.turned[at], position),
-                )
+                yield b, k, rows.at(slice(first, end))
 
 
 def crossing(error: Array, threshold: float) -> tuple[bool, int]:
@@ -165,10 +137,8 @@ def crossing(error: Array, threshold: float) -> tuple[bool, int]:
 def stay_time(since: Array, error: Array, within: float) -> float:
     """Time [s] from which ``error`` (T,) [m] stays below ``within`` [m]; inf: never."""
     outside = np.flatnonzero(~(error < within))
-    if len(outside) == 0:
-        return float(since[0])
-    last = int(outside[-1])
-    return float(since[last + 1]) if last + 1 < len(since) else float("inf")
+    first = outside[-1] + 1 if len(outside) else 0
+    return float(since[first]) if first < len(since) else np.inf
 
 
 def settled(since: Array, signal: Array, window: float) -> float:
@@ -201,7 +171,7 @@ def measure(
     ``both``: a hold also gives the crossing.
     """
     kinds = KINDS if both and key.kind == "hold" else (key.kind,)
-    counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
+    counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason))) for reason in Reason}
     return Driven(
         key=key,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),

@@ -12,14 +12,14 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import gaussian_filter1d
 
-from rejoint.arms import Arm, Array, Index, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, rms, true_error
 from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, interpolated
 from rejoint.control.moving.tracker import PathPostures
-from rejoint.control.recording import Recording
+from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
 from rejoint.system.results import Readable
@@ -88,28 +88,28 @@ def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolM
     """Errors of arm ``b``."""
     route = guide.route()
     rows, time = rows_on(recording, route, b)
-    position, turned = recording.position[rows, b], recording.turned[rows, b]
-    true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, route.time, route.place), axis=-1)
+    true = np.linalg.norm(rows.true_tcp - interpolated(time, route.time, route.place), axis=-1)
     few = slice(None, None, max(1, len(time) // _JUDGED))
     wanted = interpolated(time[few], route.time, route.place)
     return Pass(
-        encoder=along(time, tcp_position(arm, position), route.time, route.aim),
-        true_error=true_error(true, model, position[few], wanted, rms),
-        turned=rms(turned) if len(turned) and np.isfinite(turned).all() else None,
+        encoder=along(time, tcp_position(arm, rows.position), route.time, route.aim),
+        true_error=true_error(true, model, rows.position[few], wanted, rms),
+        turned=rms(rows.turned) if len(time) and np.isfinite(rows.turned).all() else None,
     )
 
 
-def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Index, Array]:
-    """Rows (T,) of arm ``b`` on its route, and their times (T,) [s]."""
-    time = recording.since_target[:, b] - route.begin
-    rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= route.time[-1]))
-    return rows, time[rows]
+def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Cycle, Array]:
+    """Rows (T, ...) of arm ``b`` on its route, and their times (T,) [s]."""
+    rows = recording.driven(b)
+    time = rows.since_target - route.begin
+    there = (time >= 0.0) & (time <= route.time[-1])
+    return rows.at(there), time[there]
 
 
 def missed(arm: Arm, recording: Recording, guide: Path, b: int = 0) -> tuple[Array, Array]:
     """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` on the way of ``guide``."""
     rows, time = rows_on(recording, guide.route(), b)
-    return time, guide.aimed.at(time) - tcp_position(arm, recording.position[rows, b])
+    return time, guide.aimed.at(time) - tcp_position(arm, rows.position)
 
 
 _LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried
@@ -274,48 +274,40 @@ def judge_targets(
     ended: bool = False,
 ) -> Deployed:
     """Judge each target; ``sightings`` as `rejoint.control.seeing.Seen.visits`; ``ended``: by an error."""
-    rows = np.flatnonzero(recording.active[:, 0])
-    errors = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
-    gap, index, visits = recording.gaps(), recording.target_index[:, 0], list[Visit]()
+    rows, gap, visits = recording.driven(), recording.gaps(), list[Visit]()
+    errors = np.linalg.norm(rows.aim - tcp_position(arm, rows.position), axis=-1)
     for k, target in enumerate(job.targets):
         words = "" if job.turns is None else in_words(job.turns[k])
-        visits.append(Visit(target=tuple(target.tolist()), orientation=words))
-        own = rows[index[rows] == k]
-        if not len(own):
-            continue
-        row, early = int(own[-1]), ended and k == index[rows[-1]]
-        count, seen = sightings[k] if k < len(sightings) else (0, None)
-        error, turned, paused = float(errors[row]), float(recording.turned[row, 0]), float(gap[own].max())
-        far, askew = not error < job.within, job.turns is not None and turned > REACHED_TURN
-        remarks = {
-            "ended early": early,
-            f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[own, 0])}": far
-            and not early,
-            f"no answers for {paused:.1f} s": paused > 0.0,
-            f"still turned {np.degrees(turned):.0f} deg off": askew,
-        }
-        off = np.linalg.norm(target - recording.true_tcp[row], axis=-1)
-        true = true_error(off, model, recording.position[row], target[None])
-        if seen is not None and true.how != "known":
-            true = TrueError(how="measured", value=seen)
-        visits[k] = replace(
-            visits[k],
-            error=error,
-            true_error=true,
-            sightings=count,
-            seen_error=seen,
-            reached=not (far or early or askew),
-            remark="; ".join(remark for remark, said in remarks.items() if said),
-            turned=None if job.turns is None or np.isnan(turned) else turned,
-        )
-    period = recording.usual_period()
-    return Deployed(
-        controller=job.controller,
-        visits=tuple(visits),
-        period=period if np.isfinite(period) else None,
-        gaps=tuple(gap[gap > 0.0].tolist()),
-        within=job.within,
-    )
+        visit = Visit(target=tuple(target.tolist()), orientation=words)
+        here = np.flatnonzero(rows.target_index == k)
+        if len(here):
+            last, early = int(here[-1]), ended and k == rows.target_index[-1]
+            error, turned, paused = float(errors[last]), float(rows.turned[last]), float(gap[here].max())
+            far, askew = not error < job.within, job.turns is not None and turned > REACHED_TURN
+            remarks = {
+                "ended early": early,
+                f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far
+                and not early,
+                f"no answers for {paused:.1f} s": paused > 0.0,
+                f"still turned {np.degrees(turned):.0f} deg off": askew,
+            }
+            count, seen = sightings[k] if k < len(sightings) else (0, None)
+            off = np.linalg.norm(target - rows.true_tcp[[last]], axis=-1)
+            true = true_error(off, model, rows.position[[last]], target[None])
+            if seen is not None and true.how != "known":
+                true = TrueError(how="measured", value=seen)
+            visit = replace(
+                visit,
+                error=error,
+                true_error=true,
+                sightings=count,
+                seen_error=seen,
+                reached=not (far or early or askew),
+                remark="; ".join(remark for remark, said in remarks.items() if said),
+                turned=None if job.turns is None or np.isnan(turned) else turned,
+            )
+        visits.append(visit)
+    return Deployed(controller=job.controller, visits=tuple(visits), within=job.within, **recording.timing())
 
 
 def _held_back(reasons: Reasons) -> str:
