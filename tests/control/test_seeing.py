@@ -10,7 +10,7 @@ from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import NOISE, Finishing, Seen, Sighting
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from standin import inputs_of, state_of
+from standin import state_of
 
 ARM = mycobot280()
 POSTURE = ARM.rest + np.radians([20.0, -20.0, -30.0, 10.0, 5.0, 0.0])
@@ -33,15 +33,13 @@ def standing(shifts, sigma=np.nan):
     """Return what an arm that stands makes of sightings ``shifts`` (K, 3) [m] beside its encoders: (K, 3) [m]."""
     eye, place, found = Told(), tcp_position(ARM, POSTURE), []
     seen = Seen(ARM, Displacement.none(ARM), eye=eye)
-    aim = seen.aim(place[None], POSTURE[None], START)[0]
+    seen.aim(place[None], POSTURE[None], START)
     for k, shift in enumerate(shifts):
         now = k * PERIOD
         eye.one = Sighting(time=now, place=place + shift, sigma=sigma)
         state = state_of(POSTURE, now)
-        inputs = inputs_of(state, aim, POSTURE[None], POSTURE[None], now)
-        fresh = seen.again(place[None], inputs)
-        aim = aim if fresh is None else fresh
-        missing = seen.missing(inputs)
+        seen.again(state)
+        missing = seen.missing(state)
         found.append(np.full(3, np.nan) if missing is None else -missing)
     return np.array(found)
 

@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames,
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.robot import ControlInput
+from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 
@@ -148,27 +148,26 @@ class Modelled:
         if aimed.any():
             goal, rest_gain = target[aimed], REST_GAIN if near is None else 0.0
             place, posture = goal.copy(), (start if near is None else near)[aimed]
-            wanted = own = None if turn is None else turn[aimed]
+            wanted = own = turn and turn[aimed]
             for _ in range(ROUNDS):
                 posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
                 place = goal - self.shift(posture)
                 if wanted is not None:
                     own = self.untwisted(wanted, posture)
             aims[aimed] = checked(goal, place)
-            if turn is not None and own is not None:
-                fresh = turn.rotation.copy()
-                fresh[aimed] = own.rotation
-                self._turned = np.where(aimed[:, None, None], fresh, self._turned)
-        return aims, None if turn is None else replace(turn, rotation=self._turned.copy())
+            if own is not None:
+                self._turned = np.array(np.broadcast_to(self._turned, (len(aims), 3, 3)))
+                self._turned[aimed] = own.rotation
+        return aims, turn and replace(turn, rotation=self._turned.copy())
 
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:  # noqa: ARG002 - a model has no news
-        """Corrected targets (B, 3) [m] of arms on their way or there; None: as before."""
+    def again(self, state: JointState) -> Array | None:  # noqa: ARG002 - a model has no news
+        """Corrected targets (B, 3) [m] of arms at ``state``; None: as before."""
         return None
 
 
 def checked(target: Array, aim: Array) -> Array:
     """``aim`` (..., 3) [m]; InputError if too far."""
-    far = float(np.linalg.norm(aim - target, axis=-1).max(initial=0.0))
+    far = np.linalg.norm(aim - target, axis=-1).max(initial=0.0)
     if not far <= MOST:
         raise InputError(
             f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * MOST:.0f}; calibrate again"

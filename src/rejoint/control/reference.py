@@ -103,7 +103,7 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
     """
     share = np.zeros(len(ways))
     for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
-        now, way = float(since[b]), ways[b]
+        now, way = since[b], ways[b]
         late = now > LAST * way.duration and np.abs(way.at(now) - position[b] - sag[b]).max() > STUCK[1]
         share[b] = 1.0 if late else 1.0 - pace(arm, way, now, position[b], sag[b])
     return share
@@ -118,7 +118,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
     behind = np.abs(goal - position - sag)
-    worst, lag = behind.argmax(), float(behind.max())
+    worst, lag = behind.argmax(), behind.max()
     alone = goal.copy()  # where the others are without the worst joint, once they have caught up
     alone[worst] = position[worst]
     without = position + (ahead - goal) * (1.0 - np.vstack([0.0 * goal, np.eye(len(goal))]))  # each of the joints
@@ -129,10 +129,10 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
         near = np.minimum(clearances(arm, rest).min(axis=0), clear[5 + worst])
         if (way.heavy and lag > LAGS[1]) or ((near < STOP) & (near < clear[1])).any():
             return 0.0
-    room = max(float((here / _roomy(arm)).min(initial=1.0)), LEAST)
+    room = max((here / _roomy(arm)).min(initial=1.0), LEAST)
     closing = np.maximum(clear[0] - clear[3], clear[1] - clear[4:].min(axis=0)) / AHEAD
     left = np.maximum(here - RESERVE, 1e-4)
-    brake = float((left / np.maximum(closing, 1e-6)).min(initial=1.0)) / BRAKING
+    brake = (left / np.maximum(closing, 1e-6)).min(initial=1.0) / BRAKING
     slowly, stuck = np.interp(lag / room, LAGS, (1.0, 0.0)), np.interp(lag, STUCK, (0.0, 1.0))
     return max(min(max(slowly, stuck), brake), SLOWEST * room)
 
@@ -153,8 +153,7 @@ def nearest_postures(
     posture = start.copy()
     aimed = np.isfinite(target).all(axis=-1)
     if aimed.any():
-        wanted = None if turn is None else turn[aimed]
-        posture[aimed] = find_postures(arm, target[aimed], start[aimed], wanted, rest_gain=rest_gain)
+        posture[aimed] = find_postures(arm, target[aimed], start[aimed], turn and turn[aimed], rest_gain=rest_gain)
     return posture
 
 
@@ -248,16 +247,15 @@ class TargetSequence(Reference):
         self._turn: Orientation | None = None
         self._pace = np.ones(self.count)  # at which the ways go on
         self._went = np.zeros(self.count)  # [s] when they did last
-        self._ways: list[JointTrajectory] = []
+        self._ways = [] if ways is None else [row[0] for row in ways]
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:
         """See `Reference`."""
         each, correction = np.arange(self.count), self._correction
         self._place = target = self._targets[each, index]
-        self._turn = None if self._turns is None else self._turns[each, index]
+        self._turn = self._turns and self._turns[each, index]
         planned = None
         if self._rows is not None:
-            self._ways = self._ways or [row[0] for row in self._rows]
             for b in np.flatnonzero(where).tolist():
                 self._ways[b] = beginning_at(self._arm, self._rows[b][index[b]], position[b])
             planned = np.array([way.goal for way in self._ways])
@@ -270,16 +268,14 @@ class TargetSequence(Reference):
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
         """Aim arms in ``where`` (B,) at ``aim`` (B, 3) [m], with postures found from ``near`` (B, n) [rad]."""
         self._aim = np.where(where[:, None], aim, self._aim)
-        turn = None if self._turn is None else self._turn[where]
+        turn = self._turn and self._turn[where]
         self._goal = self._goal.copy()
         rest_gain = 0.0 if self.planned else REST_GAIN  # a planned posture is kept
         self._goal[where] = nearest_postures(self._arm, self._aim[where], near[where], turn, rest_gain=rest_gain)
 
     def again(self, inputs: ControlInput) -> Mask | None:
         """See `Reference`."""
-        if self._correction is None:
-            return None
-        fresh = self._correction.again(self._place, replace(inputs, target=self._aim))  # the target moves on the way
+        fresh = None if self._correction is None else self._correction.again(inputs.state)
         if fresh is None:
             return None
         changed: Mask = (fresh != self._aim).any(axis=-1)
@@ -300,7 +296,7 @@ class TargetSequence(Reference):
             goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
             leads = np.zeros_like(goal)
             for b in rows:
-                way, gone = ways[b], max(float(since[b]), 0.0)
+                way, gone = ways[b], max(since[b], 0.0)
                 goal[b] = way.at(gone) + gone / duration[b] * (self._goal[b] - way.goal)
                 leads[b] = lead(self._arm, way, gone, self._pace[b])
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])

@@ -17,9 +17,9 @@ from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, 
 from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
-from rejoint.control.correction import MOST, Modelled
+from rejoint.control.correction import MOST, Modelled, rms
 from rejoint.control.moving.reference import interpolated
-from rejoint.control.robot import ControlInput, Controller, Robot, part_of
+from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of
 from rejoint.system.errors import InputError
 
 NOISE = 0.3e-3
@@ -82,7 +82,7 @@ class Seen(Modelled):
         """per target: accepted detections, and averaged error [m]"""
         self.beyond: dict[int, Array] = {}
         """(3,) [m] by number of the target: detection minus model"""
-        self._target = np.full(3, np.nan)
+        self._target = self._aim = np.full(3, np.nan)
         # [m] shift beyond the model; place by the encoders, at the last sighting
         self._extra = self._place = np.zeros(3)
         self._spread = np.eye(3)  # [m^2] covariance of that shift
@@ -98,11 +98,13 @@ class Seen(Modelled):
         self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
         self._spread = UNKNOWN**2 * np.eye(3)
         self.visits.append((0, None))
-        return super().aim(target, start, where, near, turn)
+        aim, turn = super().aim(target, start, where, near, turn)
+        self._aim = aim[0]
+        return aim, turn
 
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
+    def again(self, state: JointState) -> Array | None:
         """Correct by the newest detection."""
-        now, position = float(inputs.state.time[0]), inputs.state.position[0]
+        now, position, target = state.time[0], state.position[0], self._target
         self.readings.append((now, position.copy()))
         if not np.isfinite(target).all():
             return None
@@ -112,23 +114,25 @@ class Seen(Modelled):
         self._last = seen.time
         then = self._position(seen.time)
         place = tcp_position(self.arm, then)
-        away = float(np.linalg.norm(inputs.target[0] - place))
+        away = np.linalg.norm(self._aim - place)
         unknown = seen.place - place - self.shift(then)
-        if away > NEAR or float(np.linalg.norm(unknown)) > JUMP:
+        if away > NEAR or np.linalg.norm(unknown) > JUMP:
             return None
         self._count += 1
         self._learn(unknown, then, seen)
         self.used += 1
         self.beyond[len(self.visits)] = self._extra
-        left = target[0] - place - self.shift(then) - self._extra
+        left = target - place - self.shift(then) - self._extra
         self.visits[-1] = self._count, float(np.linalg.norm(left))
-        fresh = target[0] - self.shift(position) - self._extra
-        changed = float(np.linalg.norm(fresh - inputs.target)) > CHANGE
-        return fresh[None] if changed and float(np.linalg.norm(fresh - target)) < MOST else None
+        fresh = target - self.shift(position) - self._extra
+        if np.linalg.norm(fresh - self._aim) <= CHANGE or np.linalg.norm(fresh - target) >= MOST:
+            return None
+        self._aim = fresh
+        return fresh[None]
 
-    def missing(self, inputs: ControlInput) -> Array | None:
+    def missing(self, state: JointState) -> Array | None:
         """Error (3,) [m] by detections; None without news."""
-        position, now = inputs.state.position[0], float(inputs.state.time[0])
+        position, now = state.position[0], state.time[0]
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
         return self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra
@@ -141,13 +145,13 @@ class Seen(Modelled):
         side = found.mean(axis=0)
         apart = np.linalg.norm(found - side, axis=1)
         far = float(np.linalg.norm(side))
-        return far if far > SHIFTED and far > 2.0 * float(np.sqrt((apart**2).mean())) else None
+        return far if far > SHIFTED and far > 2.0 * rms(apart) else None
 
     def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
         place, jacobian = position_kinematics(self.arm, then)
         if self._count > 1:
             floats = 1.0 - np.tanh(self.displacement.torque(self.arm, then) / FLOATING) ** 2
-            wander, moved = RATTLE * jacobian * floats, ALONG * float(np.linalg.norm(place - self._place))
+            wander, moved = RATTLE * jacobian * floats, ALONG * np.linalg.norm(place - self._place)
             change = DRIFT**2 * np.eye(3) + wander @ wander.T
             self._spread = self._spread + (seen.time - self._believed) * change + moved**2 * np.eye(3)
         noise = np.fmax(seen.sigma, NOISE)  # NaN: not known
@@ -222,7 +226,7 @@ class Finishing:
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Begin a new target; small changes are none."""
-        change = float(np.linalg.norm(inputs.target[0] - self._aim))
+        change = np.linalg.norm(inputs.target[0] - self._aim)
         self._aim = inputs.target[0].copy()
         if inputs.since_target[0] > 0.0 and 0.0 < change < TAKE_OVER:
             return
@@ -231,22 +235,22 @@ class Finishing:
 
     def command(self, inputs: ControlInput) -> Array:
         """Commands (1, n) [rad]."""
-        now, position = float(inputs.state.time[0]), inputs.state.position[0]
-        missing = self._seen.missing(inputs)
+        missing = self._seen.missing(inputs.state)
         if self.state == "hold":
-            if missing is None or not self._is_off(now, missing):
+            if missing is None or not self._is_off(inputs, missing):
                 return self._base[None].copy()
-            self._begin("fine", now, inputs)
+            self._begin("fine", inputs)
         if self.state == "fine" and missing is not None:
-            return self._fine(position, now, missing)
+            return self._fine(inputs, missing)
         return self._far(inputs, missing)
 
     def _begin_target(self) -> None:
         self.state = "far"
         self._alone = np.zeros(self._arm.joints, dtype=bool)  # joints that stay stuck
 
-    def _begin(self, state: str, now: float, inputs: ControlInput) -> None:
-        self.state, self._since, self._time = state, now, now
+    def _begin(self, state: str, inputs: ControlInput) -> None:
+        self.state, self._since = state, inputs.state.time[0]
+        self._time = self._since  # [s] of the last command
         self._base = inputs.sent[0].copy()
         self._cycles, self._looked = 0, self._seen.used
         self._good, self._fading = 0, np.nan
@@ -255,35 +259,34 @@ class Finishing:
         self._standing = np.zeros(self._arm.joints, dtype=int)
 
     def _far(self, inputs: ControlInput, missing: Array | None) -> Array:
-        now = float(inputs.state.time[0])
         if self.state == "fine":  # the tool is hidden: by the model again
             self.state = "far"
             self._controller.reset(inputs, np.ones(1, dtype=bool))
         if missing is None or len(self._seen.readings) < LOOK:
             return self._controller.command(inputs)
-        moved = float(np.abs(self._seen.readings[-1][1] - self._seen.readings[-LOOK][1]).max())
-        off = float(np.linalg.norm(missing))
+        moved = np.abs(self._seen.readings[-1][1] - self._seen.readings[-LOOK][1]).max()
+        off = np.linalg.norm(missing)
         if off < CALM and moved < AT_REST:
-            self._begin("hold", now, inputs)
+            self._begin("hold", inputs)
             return self._base[None].copy()
-        stranded = moved < AT_REST and off < STRANDED_AT and float(inputs.since_target[0]) > STRANDED
+        stranded = moved < AT_REST and off < STRANDED_AT and inputs.since_target[0] > STRANDED
         if stranded or (off < TAKE_OVER and moved < SLOW):
-            self._begin("fine", now, inputs)
-            return self._fine(inputs.state.position[0], now, missing)
+            self._begin("fine", inputs)
+            return self._fine(inputs, missing)
         return self._controller.command(inputs)
 
-    def _is_off(self, now: float, missing: Array) -> bool:
-        if now - self._since > QUIET and self._seen.used != self._looked:
+    def _is_off(self, inputs: ControlInput, missing: Array) -> bool:
+        if inputs.state.time[0] - self._since > QUIET and self._seen.used != self._looked:
             self._recent.append(missing)
         self._looked = self._seen.used
         return len(self._recent) == AGREED and float(np.linalg.norm(np.mean(self._recent, axis=0))) > OFF
 
-    def _fine(self, position: Array, now: float, missing: Array) -> Array:
+    def _fine(self, inputs: ControlInput, missing: Array) -> Array:
+        now, position = inputs.state.time[0], inputs.state.position[0]
         jacobian = position_kinematics(self._arm, position[None])[1][0]
         if self._renew:
             self._moving, self._renew = self._choose(jacobian), False
-        part = jacobian * self._moving
-        motion = clip_norm(dls(part, missing, DAMPING), STEP)
+        motion = clip_norm(dls(jacobian * self._moving, missing, DAMPING), STEP)
         elapsed, self._time = now - self._time, now
         swing = self._swing()
         self._recent.append(missing)
@@ -316,7 +319,7 @@ class Finishing:
             return
         self._looked = self._seen.used
         enough = min(CALM * (1.0 + (now - self._since) / RELAX), MOST_CALM)
-        near = float(np.linalg.norm(np.mean(self._recent, axis=0))) < enough
+        near = np.linalg.norm(np.mean(self._recent, axis=0)) < enough
         self._good = self._good + 1 if near else 0
         if self._good >= 2:
             self._fading = now
@@ -336,12 +339,12 @@ class Finishing:
     def _choose(self, jacobian: Array) -> Mask:
         """Joints (n,) nearest to the tool that move it in every direction; else all."""
         n = self._arm.joints
-        longest = float(np.linalg.norm(jacobian, axis=0).max())
+        longest = np.linalg.norm(jacobian, axis=0).max()
         for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it
             mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
             if mask.sum() < 3 or (mask & self._alone).any():
                 continue
-            if float(np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1]) >= LEAST_LEVER * longest:
+            if np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1] >= LEAST_LEVER * longest:
                 return np.asarray(mask)
         return np.ones(n, dtype=bool)
 

@@ -54,7 +54,7 @@ class Beside:
     def aim(self, target, start, where, near=None, turn=None):  # noqa: ARG002 - the same beside each
         return target + np.array([0.0, 0.01, 0.0]), turn
 
-    def again(self, target, inputs):  # noqa: ARG002 - once is enough
+    def again(self, state):  # noqa: ARG002 - once is enough
         return None
 
 
