@@ -8,9 +8,10 @@ without a source are chosen.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, tcp_position
 from rejoint.arms.kinematics import task
@@ -45,28 +46,32 @@ GENTLE, EARLY, LEAST_PUSH = 2e-3, 6.0, 0.5
 """Pushes are slower by the error over the [m] of a myCobot 280 and the time over the [s], and their least share (chosen
 by `python -m benchmarks postures`)"""
 
-HELD_BACK = float(np.radians(3.0))
+HELD_BACK = np.radians(3.0)
 """[rad] excess over the last command that stops the integrator"""
 
 SPEED_SMOOTHING = 0.5
 """Share of the newest difference"""
 
 
+Constant = Annotated[float, Meta(ge=0.0, le=1e6)]
+"""of a policy's law, in SI units; its file is refused with another (chosen)"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FeedforwardGains:
     """Settings of the integrator."""
 
-    rate: float = RATE
+    rate: Constant = RATE
     """[1/s] integrated share of the step"""
-    fade: float = FADE
+    fade: Constant = FADE
     """[m] distance at which the steps fade to half"""
-    learned_limit: float = float(np.radians(45.0))
+    learned_limit: Constant = float(np.radians(45.0))
     """[rad] largest correction (chosen: other joints make up for a stuck one)"""
-    forgetting: float = 2.0
+    forgetting: Constant = 2.0
     """[1/s] decay of the correction's null-space part far from the target"""
     far: tuple[float, float] = (0.005, 0.015)
     """[m] distances between which that begins, and a new goal clears it"""
-    moving: float = 0.1
+    moving: Constant = 0.1
     """[rad/s] of a moving joint (chosen: two encoder counts per 30 ms)"""
 
 
@@ -128,8 +133,7 @@ class FeedforwardController:
         self._eager[where], self._came[where] = 1.0, 0.0
         stiffness = np.broadcast_to(self.stiffness, self._goal.shape)[where]
         self._raised[where] = goal + gravity_torque(self._arm, goal) / stiffness
-        turn = None if inputs.turn is None else inputs.turn[where]
-        jacobian = task(self._arm, goal, inputs.target[where], turn)[1]
+        jacobian = task(self._arm, goal, inputs.target[where], inputs.turn and inputs.turn[where])[1]
         self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).swapaxes(-1, -2)
 
     def command(self, inputs: ControlInput) -> Array:
@@ -220,36 +224,36 @@ class CommandLaw:
     """
 
     anchor: Literal["goal", "measured"] = "measured"
-    stiffness: tuple[float, ...] = ()
+    stiffness: tuple[Constant, ...] = ()
     """[N m/rad] in training (anchor ``goal``)"""
     learning: FeedforwardGains = field(default_factory=FeedforwardGains)
     """(anchor ``goal``)"""
-    loosen: float = LOOSEN
+    loosen: Constant = LOOSEN
     """[rad/s] push of stuck joints (anchor ``goal``)"""
-    step_gain: float = GAIN
-    step_limit: float = float(STEP_LIMIT)
+    step_gain: Constant = GAIN
+    step_limit: Constant = float(STEP_LIMIT)
     """[rad] largest element"""
-    authority_floor: float = float(np.radians(0.12))
+    authority_floor: Constant = float(np.radians(0.12))
     """[rad] least authority (chosen: just above an encoder count)"""
-    authority_slope: float = 0.5
+    authority_slope: Constant = 0.5
     """authority over the largest element of the step"""
-    authority_limit: float = float(np.radians(4.0))
+    authority_limit: Constant = float(np.radians(4.0))
     """[rad] largest authority"""
-    lead_limit: float = float(np.radians(20.0))
+    lead_limit: Constant = float(np.radians(20.0))
     """[rad] largest following error (anti-windup)"""
-    load_penalty: float = 0.0
+    load_penalty: Constant = 0.0
     """near the target the most loaded joint moves by 1 + this times less: load causes stick-slip (anchor ``goal``)"""
-    load_penalty_distance: float = 0.003
+    load_penalty_distance: Constant = 0.003
     """[m] TCP distance of half of that (chosen)"""
-    decay_start: float = 0.0
+    decay_start: Constant = 0.0
     """[s] after which corrections of unloaded joints decrease as a power of time (anchor ``goal``; Robbins and Monro
     1951); 0: never"""
-    decay_power: float = 1.5
+    decay_power: Constant = 1.5
     """(chosen: 1 lets joints swing after 8 s, 2 stops more short)"""
-    decay_step: float = float(np.radians(1.0))
+    decay_step: Constant = float(np.radians(1.0))
     """[rad] largest step element with full corrections"""
 
-    envelope_margin: float = float(np.radians(35.0))
+    envelope_margin: Constant = float(np.radians(35.0))
     """[rad] from the goal posture (anchor ``goal``; chosen)"""
 
     def authority(self, largest: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -46,9 +46,6 @@ PERIOD_MARGIN = 1.25
 
 LARGEST_TEXT = 1 << 20
 """[characters] (chosen)"""
-
-LARGEST_CONSTANT = 1e6
-"""in SI units (chosen)"""
 
 _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
@@ -152,12 +149,6 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
     for what, (found, wanted) in expected.items():
         if found != wanted:
             raise ContractError(f"the policy's {what} is {shown(found)}, expected {shown(wanted)}; {remedy}")
-    strange = [name for name, value in _constants(contract.law) if not 0.0 <= value <= LARGEST_CONSTANT]
-    if strange:
-        raise ContractError(
-            f"the constants {shown(', '.join(strange))} of the policy's law are not between 0 and "
-            f"{LARGEST_CONSTANT:g}; train it again"
-        )
     own, read = law_digests(arm), fields_read(contract.law, contract.layout)
     other = [name for name in read if contract.arm_digests.get(name) != own[name]]
     if other:
@@ -178,18 +169,12 @@ def check_controller_period(controller: object, period: float) -> None:
         )
 
 
-def _constants(law: CommandLaw) -> list[tuple[str, float]]:
-    plain = {**asdict(law), **asdict(law.learning)}
-    numbers = [(name, value) for name, value in plain.items() if isinstance(value, int | float)]
-    return numbers + [("stiffness", value) for value in law.stiffness]
-
-
 def _parts(slots: tuple[Slot, ...]) -> list[tuple[str, int]]:
     return [(slot.name, slot.size) for slot in slots]
 
 
 def _degrees(*limits: Sequence[float] | Array) -> list[list[float]]:
-    return [[round(float(np.degrees(angle)), 4) for angle in angles] for angles in limits]
+    return [np.degrees(side).round(4).tolist() for side in limits]
 
 
 def shown(value: object) -> str:
