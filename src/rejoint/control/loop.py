@@ -228,9 +228,9 @@ class RunState:
         self.aim = self.place if now.aim is None else now.aim
 
     def _leave_out(self, longest: float) -> None:
-        """End the dwell of arms stationary for ``longest`` [s]; call in every cycle, or in none."""
+        """End the dwell of arrived arms stationary for ``longest`` [s]; call in every cycle, or in none."""
         stood = self.stillness.look(self.state.time, np.hstack([self.state.position, self.sent]))
-        enough = stood.min(axis=-1) >= longest
+        enough = (stood.min(axis=-1) >= longest) & self.inputs.arrived  # one on its way would leave the clear way
         if np.count_nonzero(enough):
             over = self.inputs.since_target - self.schedule.dwell - _ROUNDING  # below zero by what is left
             self.set_at = np.where(enough & (over < 0.0), self.set_at + over, self.set_at)
