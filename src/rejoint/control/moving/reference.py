@@ -276,7 +276,7 @@ LAG = 0.08
 """[s] behind a stream"""
 EXTRAPOLATED = 0.2
 """[s] in a pause of a stream"""
-_MOST_TURN = float(np.radians(120.0))
+_MOST_TURN = np.radians(120.0)
 """[rad] between targets of a stream"""
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 _NEAR_ROWS = 5  # targets of a stream whose postures are found from one (chosen: half a second at 10 Hz)
@@ -372,7 +372,7 @@ class Stream:
                 "stream: the first target decides whether all have a direction, a whole orientation, or none; put "
                 "targets of one kind, or take a stream for each"
             )
-        whole, cosine = len(row) == 7, float(np.clip(row[3:] @ last[3:], -1.0, 1.0))
+        whole, cosine = len(row) == 7, np.clip(row[3:] @ last[3:], -1.0, 1.0)
         turned = 2.0 * np.arccos(abs(cosine)) if whole else np.arccos(cosine)
         if len(row) > 3 and turned > _MOST_TURN:
             raise InputError(
@@ -432,4 +432,6 @@ class PathReference(Reference):
         columns = zip(self._guides, now, later.T, strict=True)
         places, turns = zip(*(guide.ahead(float(time), column) for guide, time, column in columns), strict=True)
         known = [turn for turn in turns if turn is not None]
-        return np.stack(places, axis=1), stacked(known, axis=1) if len(known) == self.count else None
+        if 0 < len(known) < self.count:
+            raise InputError("paths: some have orientations and others none; follow them one after the other")
+        return np.stack(places, axis=1), stacked(known, axis=1) if known else None
