@@ -177,7 +177,7 @@ def expected_trips(limits: GuardLimits, case: Case) -> np.ndarray:
 def clearances(limits: GuardLimits, q: np.ndarray) -> np.ndarray:
     """Heights above their floors (n), distances between links less their thickness, and heights of ends: (B, ...)."""
     arm, shape, ends = limits.arm, collision_shape(limits.arm), link_ends(limits.arm, q)
-    height = ends[:, 2:, 2] - np.append(np.full(arm.joints - 1, limits.joint_floor), limits.tcp_floor)
+    height = ends[:, 2:, 2] - limits.floors
     i, j = shape.pairs.T
     gap = segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2.0 * shape.radius
     ground = ends[:, shape.places, 2] - min(0.0, arm.floor) - shape.radius

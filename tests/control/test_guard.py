@@ -128,8 +128,8 @@ def test_names_and_bad_limits():
 
 
 def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():
-    assert (LIMITS.joint_floor, LIMITS.tcp_floor) == (0.03, 0.02)
+    assert LIMITS.floors[-2:].tolist() == [0.03, 0.02]
     double = GuardLimits.of(dataclasses.replace(resized(ARM, 2.0), floor=0.04))
-    assert double.joint_floor == pytest.approx(2 * LIMITS.joint_floor)
+    assert double.floors[0] == pytest.approx(2 * LIMITS.floors[0])
     on_a_pedestal = GuardLimits.of(dataclasses.replace(ARM, floor=-0.5))
-    assert on_a_pedestal.joint_floor == pytest.approx(-0.49)
+    assert on_a_pedestal.floors[0] == pytest.approx(-0.49)

@@ -32,6 +32,8 @@ Reasons = NDArray[np.uint16]
 
 NEAR = 0.007
 """[m] between measured bodies (chosen: links that are 5 mm thicker touch nothing)"""
+MARGIN = np.radians(0.5)
+"""[rad] inside the joint limits (chosen)"""
 RAMP = 0.018
 """[s] to full speed (chosen: the shortest trained period)"""
 
@@ -101,6 +103,8 @@ class GuardLimits:
     """(n,) [rad/s]"""
     max_acceleration: Array
     """(n,) [rad/s^2] away from rest"""
+    floors: Array
+    """(n,) [m] of joint frames but the first, and TCP"""
     collisions: bool = True
     """prevent contacts"""
     parts: int = 16
@@ -109,10 +113,6 @@ class GuardLimits:
     """[rad] largest following error (chosen: twice a worn arm's sag)"""
     max_period: float = 0.1
     """[s] (chosen)"""
-    tcp_floor: float = 0.0
-    """[m]"""
-    joint_floor: float = 0.03
-    """[m] of joint frames, for a myCobot 280"""
     max_age: float = 0.5
     """[s] (chosen: ten periods of the slowest wire)"""
     max_temperature: float = 65.0
@@ -124,16 +124,11 @@ class GuardLimits:
     """of `bands`; None: any"""
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "max_speed", "max_acceleration"):
+        for name in ("lower", "upper", "max_speed", "max_acceleration", "floors"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         positive = (self.lower < self.upper) & (self.max_speed > 0.0) & (self.max_acceleration > 0.0)  # and no NaN
         if not (positive & np.isfinite(self.lower + self.upper + self.max_speed)).all():
             raise InputError("guard limits: lower must be below upper, speeds and accelerations positive; all finite")
-
-    @cached_property
-    def floors(self) -> Array:
-        """(n,) [m] of joint frames but the first, and TCP."""
-        return frozen(np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor))
 
     @cached_property
     def shape(self) -> CollisionShape:
@@ -154,16 +149,16 @@ class GuardLimits:
         return Rules(*(getattr(self, name) for name in Rules._fields))
 
     @classmethod
-    def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
-        """Limits of an arm, ``margin`` [rad] inside the joint limits (chosen)."""
+    def of(cls, arm: Arm) -> GuardLimits:
+        """Limits of an arm."""
+        joint_floor = arm.floor + JOINT_CLEARANCE * length_size(arm)
         return cls(
             arm=arm,
-            lower=arm.lower + margin,
-            upper=arm.upper - margin,
+            lower=arm.lower + MARGIN,
+            upper=arm.upper - MARGIN,
             max_speed=arm.max_speed,
             max_acceleration=arm.max_speed / RAMP,
-            tcp_floor=arm.floor,
-            joint_floor=arm.floor + JOINT_CLEARANCE * length_size(arm),
+            floors=np.append(np.full(arm.joints - 1, joint_floor), arm.floor),
         )
 
     def of_simulation(self) -> GuardLimits:

@@ -139,8 +139,7 @@ def check_ready(robot: Robot) -> None:
 
 def _beyond(arm: Arm, state: JointState) -> Mask:
     """Joints (B, n) more than `BEYOND` outside their limits."""
-    believed = GuardLimits.of(arm, margin=-BEYOND)
-    return (state.position < believed.lower) | (state.position > believed.upper)
+    return (state.position < arm.lower - BEYOND) | (state.position > arm.upper + BEYOND)
 
 
 def _problem(arm: Arm, first: JointState, state: JointState) -> str:
@@ -181,10 +180,10 @@ def look_at_servos(arm: Arm, state: JointState) -> Iterator[Symptom]:
     beyond = names[_beyond(arm, state)[0]].tolist()
     fix = "move it back by hand, with power off and the arm supported" if beyond else ""
     yield Symptom(f"beyond its limit: {', '.join(beyond) or 'no joint'}", fix)
-    heat = np.full(arm.joints, np.nan) if state.temperature is None else state.temperature[0]
-    volts = np.full(arm.joints, np.nan) if state.voltage is None else state.voltage[0]
+    readings = state.temperature, state.voltage
+    heat, volts = (np.full(arm.joints, np.nan) if one is None else one[0] for one in readings)
     kinds = np.array(arm.servos or ("",) * arm.joints)
-    most = [float(np.nanmax(volts[kinds == kind], initial=0.0)) for kind in kinds]  # each kind has a supply of its own
+    most = [np.nanmax(volts[kinds == kind], initial=0.0) for kind in kinds]  # each kind has a supply of its own
     usual = np.array([min((one for one in SUPPLIES if one * (2.0 - SAG) >= high), default=high) for high in most])
     for what, unit, values, bad, fix in (
         ("temperature", "deg C", heat, heat > WARM, "switch the arm off and let it cool down"),
@@ -233,7 +232,7 @@ def move(
     state = robot.read()
     start = in_force(state, sent)
     way = posture - start
-    duration = max(float(np.abs(way).max()) / speed, 1e-3)
+    duration = max(np.abs(way).max() / speed, 1e-3)
 
     def trajectory(time: Array) -> Array:
         return start + np.minimum(time / duration, 1.0)[:, None] * way
