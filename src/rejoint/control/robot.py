@@ -167,10 +167,9 @@ class Stillness:
         self._since = np.where(moved, time[:, None], self._since)
         return time[:, None] - self._since
 
-    def restart(self, where: Mask) -> None:
-        """Begin again for the arms in ``where`` (B,)."""
-        if len(self._anchor) == len(where):
-            self._anchor[where] = np.nan
+    def restart(self) -> None:
+        """Begin again."""
+        self._anchor = np.full_like(self._anchor, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,14 +249,14 @@ class WallClock(RobotWrapper):
     def __init__(self, robot: Robot, pace: Callable[[], float] = lambda: 1.0) -> None:
         super().__init__(robot)
         self._pace = pace
-        self._due: float | None = None  # [s] of the wall clock, until when the last step is to take
+        self._due = -np.inf  # [s] of the wall clock, until when the last step is to take
         self._time = 0.0  # [s] of the arm that is farthest
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Step, and wait for the time."""
         state = super().step(command, active)
         now, reached = time.monotonic(), float(state.time.max())
-        if self._due is None or now - self._due > BEHIND:
+        if now - self._due > BEHIND:
             self._due = now
         else:
             self._due += max(reached - self._time, 0.0) / self._pace()

@@ -21,9 +21,9 @@ from rejoint.arms.rotations import (
     Orientation,
     between_directions,
     quaternion_of,
+    roll_pitch_yaw,
     rotation_of,
     same_side,
-    to_coords,
     to_pose,
     tool_axis,
     turned,
@@ -131,9 +131,8 @@ def in_words(turn: Orientation) -> str:
         return ""
     if not turn.whole:
         return "direction {:.2f} {:.2f} {:.2f}".format(*(np.round(turn.rotation @ turn.axis, 2) + 0.0))
-    frame = np.eye(4)
-    frame[:3, :3] = turn.rotation
-    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(np.degrees(to_coords(frame)[3:]), 1) + 0.0))
+    angles = np.degrees(roll_pitch_yaw(turn.rotation))
+    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(angles, 1) + 0.0))
 
 
 def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[list[int], Array, list[Pose]]:

@@ -315,7 +315,7 @@ class TrialRunner:
     def _drive(self, robot: Robot, key: Key) -> Result:
         name, kind, places, first = key
         sets, part = [s for s, _ in places], slice(first, first + self._step)
-        targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
+        targets, turns = self.targets[sets, part], self.turns and self.turns[sets][:, part]
         self._text, settings = f"{name}: {kind} protocol", self.settings
 
         def see(cycle: Cycle) -> None:
@@ -397,6 +397,6 @@ def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:
         if name == best or not difference.any():
             continue
         if stats.ttest_1samp(difference, 0.0, alternative="greater").pvalue < LEVEL / tests:
-            factor = float(np.exp(difference.mean()))
+            factor = np.exp(difference.mean())
             out[name] = f"{WAS_WORSE}{best} (settles {factor:.1f} times as far off at {len(difference)} targets)"
     return out

@@ -102,8 +102,8 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
             name="of orientation",
             results={name: np.where(rows, turned, 0.0) for name, turned in results("turned").items()},
             unit="{:.2f} deg",
-            factor=float(np.degrees(1.0)),
-            plain=float(np.radians(1.0)),
+            factor=np.degrees(1.0),
+            plain=np.radians(1.0),
         )
     for within in (narrow, *wider):
         yield _Criterion(

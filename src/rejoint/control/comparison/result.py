@@ -334,9 +334,8 @@ def row_of(
     controller: str, found: Columns, protocol: Protocol, driven: Sequence[Driven] = (), *, out: str = ""
 ) -> ControllerRow:
     """Statistics of results (S, R, K), and what the guard did while they were ``driven``."""
-    cycles, reasons = sum(one.cycles for one in driven), Counter[str]()
-    for one in driven:
-        reasons.update(one.reasons)
+    cycles = sum(one.cycles for one in driven)
+    reasons = sum((Counter(one.reasons) for one in driven), Counter[str]())
     poses: dict[str, Any] = {}
     for whose in ("", "_true"):
         away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
@@ -364,10 +363,10 @@ def position_repeatability(places: Array) -> Array:
 
 def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) -> Comparison:  # noqa: ANN401
     """Put controllers' results (S, R, K) together; ``targets`` (S, K, 3) [m], ``facts``: the other fields."""
-    shape = next(iter(parts.values()))["crossed"].shape
-    together = {name: np.stack([one[name] for one in parts.values()]) for name in next(iter(parts.values()))}
+    names = next(iter(parts.values()))
+    together = {name: np.stack([one[name] for one in parts.values()]) for name in names}
     return Comparison(
-        repetitions=shape[1],
+        repetitions=together["crossed"].shape[2],
         targets=tuple(tuple(map(tuple, points)) for points in targets.tolist()),
         results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
         **facts,

@@ -43,7 +43,7 @@ MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
 """[s] trained; longest trusted"""
 PERIOD_SMOOTHING = 0.3
 """Share of the newest period (chosen)"""
-_ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
+_ONE_DEGREE, _FIFTH_OF_A_DEGREE = np.radians(1.0), np.radians(0.2)
 
 
 @dataclass(frozen=True, kw_only=True)

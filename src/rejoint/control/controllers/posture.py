@@ -143,11 +143,11 @@ def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     return limit_position(arm, goal)
 
 
-OFF, STANDS = float(np.radians(3.0)), 0.5
+OFF, STANDS = np.radians(3.0), 0.5
 """[rad] off its goal, and [s] without motion, of a stuck joint (chosen)"""
 PUSHED = 5.0
 """[s] the same for a nearer joint, which is pushed until then (chosen)"""
-STILL = float(np.radians(0.5))
+STILL = np.radians(0.5)
 """[rad] within which a joint stands (chosen)"""
 TRIES = 4
 """Postures tried for one goal (chosen)"""
@@ -165,7 +165,7 @@ class PlannedWay(Reference):
 
     def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`. The first call begins the way."""
-        time = float(now.state.time[0])
+        time = now.state.time[0]
         if time > self._time:
             self._since += (time - self._time) * pace(self._arm, self._way, self._since, now.state.position[0])
         self._time, arrived = time, np.array([self._since >= self._way.duration])
@@ -212,15 +212,15 @@ class Unloading:
         if joint is None:
             return ""
         away = np.degrees(abs(self._goal[joint] - position[joint]))
-        load = abs(float(gravity_torque(self._arm, self._goal)[joint]))
-        lifts = float(self._motors.usable[joint])
+        load = abs(gravity_torque(self._arm, self._goal)[joint])
+        lifts = self._motors.usable[joint]
         why = f", where it would carry {load:.2f} N m and surely lifts {lifts:.2f} N m" if load > lifts else ""
         return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
 
     def advance(self, wanted: ControlInput) -> ControlInput:
         """``wanted``, or with another goal, not arrived, from which a joint starts."""
         state, goal = wanted.state, wanted.goal[0]
-        now, position = float(state.time[0]), state.position[0]
+        now, position = state.time[0], state.position[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
             self._goal, self._tries, self._arrived, self._said = goal.copy(), 0, now, False
             self._legs.clear()
@@ -247,7 +247,7 @@ class Unloading:
                 self._tries = TRIES
                 return wanted
             self._legs.extend(PlannedWay(self._arm, leg) for leg in legs)
-            self._still.restart(np.ones(1, dtype=bool))
+            self._still.restart()
             return self._on_legs(wanted, 0.0 * stood)
         return replace(wanted, arrived=np.zeros(1, dtype=bool))
 
@@ -260,8 +260,8 @@ class Unloading:
         found = self._legs[0].advance(wanted)
         if found.arrived[0] or stood.min() > 2.0 * STANDS:  # there, or as near as it comes
             self._legs.popleft()
-            self._still.restart(np.ones(1, dtype=bool))
-            self._arrived = float(wanted.state.time[0])
+            self._still.restart()
+            self._arrived = wanted.state.time[0]
         return replace(found, arrived=np.zeros(1, dtype=bool))
 
 
