@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.logs.columns import ColumnFrame, RawMotion
+from rejoint.logs.columns import RawMotion
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import Reader
 from rejoint.logs.runlog import LOG_MOST
@@ -140,7 +140,8 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
     }
     origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    frames: list[ColumnFrame] = []
+    motions: list[RawMotion] = []
+    extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
     for topic in groups:  # states come first
         messages = found[topic]
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
@@ -148,8 +149,9 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
         titles = dict.fromkeys(title for one in messages for title in one.columns)
         columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
         about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
-        frames.append(ColumnFrame.of(file, columns, time=times, notes=() if frames else notes, **about))
-    return [RawMotion(file.stem, frames, {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})]
+        motions.append(RawMotion.of(file.stem, file, columns, time=times, notes=notes, extra=extra, **about))
+    state, *sent = motions
+    return [state.with_commands(sent[0]) if sent else state]
 
 
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:

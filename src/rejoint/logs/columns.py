@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,10 +102,15 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
     return np.array(counts)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ColumnFrame:
-    """Columns of a file on one clock, T rows."""
+FEWEST = 2
+"""Rows of a log"""
 
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawMotion:
+    """A motion as it is in a file: columns on one clock, T rows."""
+
+    name: str
     path: Path
     titles: tuple[str, ...]
     values: Callable[[Sequence[int]], Array]
@@ -122,13 +126,50 @@ class ColumnFrame:
     found: str = "a table"
     """kind of the file"""
     notes: Sequence[str] = ()
+    extra: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, path: Path, columns: Mapping[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
-        """Make a frame of columns (T,) in memory; ``about``: its other fields."""
+    def of(cls, name: str, path: Path, columns: Mapping[str, Array], **about: Any) -> RawMotion:  # noqa: ANN401
+        """Make a motion of columns (T,) in memory; ``about``: its other fields."""
         table = np.array([*columns.values()]).T
         about = {"number": np.arange(1, len(table) + 1)} | about
-        return cls(path=path, titles=tuple(columns), values=lambda chosen: table[:, chosen], **about)
+        return cls(name=name, path=path, titles=tuple(columns), values=lambda chosen: table[:, chosen], **about)
+
+    def with_commands(self, sent: RawMotion) -> RawMotion:
+        """Add what was ``sent``, on a clock of its own: to each state, the last command before it. FileError."""
+        time, times = np.asarray(self.time), np.asarray(sent.time)
+        for what, clock, file in (("state", time, self.path), ("command", times, sent.path)):
+            if len(clock) < FEWEST:
+                said = f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}"
+                raise FileError(file, said, "record it again")
+        late = ~(np.diff(times) >= 0)
+        if late.any():
+            where = f"command, {sent.place} {sent.number[1:][late][0]}"
+            raise FileError(sent.path, f"{where}: the clock goes back, or is no number", "cut the file there")
+        common = min(time[-1], times[-1]) - max(time[0], times[0])
+        if common < 0.5 * min(np.ptp(time), np.ptp(times)):
+            raise FileError(
+                self.path,
+                f"states last from {time[0]:.6f} to {time[-1]:.6f} s, commands from {times[0]:.6f} to "
+                f"{times[-1]:.6f} s: not one clock",
+                "record both on one clock, or take the times of recording (--stamp log) of a bag",
+            )
+        state, command = (one.values([*range(len(one.titles))]) for one in (self, sent))
+        # a message need not name all joints: each keeps its last command
+        newest = np.maximum.accumulate(np.where(np.isfinite(command), np.arange(len(times))[:, None], 0))
+        command = np.take_along_axis(command, newest, axis=0)
+        last = np.searchsorted(times, time, side="right") - 1
+        begun = last >= 0
+        early = int((~begun).sum())
+        table = np.concatenate([state[begun], command[last[begun]]], axis=1)
+        return replace(
+            self,
+            titles=(*self.titles, *sent.titles),
+            values=lambda chosen: table[:, chosen],
+            number=self.number[begun],
+            time=time[begun],
+            notes=[*self.notes, *[f"state: {early} samples before the first command left out"] * bool(early)],
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,15 +217,6 @@ class RecordedMotion:
         return replace(self, **arrays, command=command, more={name: one[rows] for name, one in self.more.items()})
 
 
-class RawMotion(NamedTuple):
-    """A motion in a file."""
-
-    name: str
-    frames: list[ColumnFrame]
-    """of states and commands; or both in one"""
-    extra: Mapping[str, str] = MappingProxyType({})
-
-
 UNITS: dict[str, dict[str, float]] = {
     "time": TIME_UNITS,
     "position": ANGLES,
@@ -204,8 +236,6 @@ MOTION = ("position", "command")
 """Groups of angles"""
 POINTS = ("target", "true_tcp")
 """Groups of places"""
-FEWEST = 2
-"""Rows of a log"""
 _TABLES = read_shipped(__file__, "columns.toml", dict[str, dict[str, Any]])
 _TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
@@ -218,50 +248,37 @@ class Column(NamedTuple):
 
     place: int
     title: str
-    group: str
+    group: str = "position"
     """key of `UNITS`"""
-    name: str
+    name: str = ""
     """joint, its number, or axis; empty: all joints"""
-    unit: str | None
+    unit: str | None = None
     """in the title"""
+    prefix: str = ""
+    """beginning of the title by which the group was found"""
     scale: float = 1.0
     offset: float = 0.0
     """in the column's unit"""
 
 
 def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: Path, kind: str) -> RecordedMotion:
-    """Make a motion of columns on one clock, or of states and commands on their own.
+    """Make a motion of the joints of ``arm`` of columns.
 
-    ``source`` and ``kind`` are its file and format. FileError for missing or double columns, no unit, or two clocks
-    without common time; InputError for a wrong map.
+    ``source`` and ``kind`` are its file and format. FileError for missing or double columns, or no unit; InputError for
+    a wrong map.
     """
-    frames = motion.frames
-    tables = [_GroupedColumns(frame, arm, options) for frame in frames]
-    first = frames[0]
-    for ours, theirs in options.columns.items():
-        if not any(ours in table.mapped for table in tables):
-            said = f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}"
-            raise FileError(first.path, said, "name one of these")
-    state, sent = (next((table for table in tables if table.of(group)), None) for group in MOTION)
-    if state is None:
-        titles = ", ".join(shown(frame.titles) for frame in frames)
-        raise FileError(
-            first.path,
-            f"no column with joint positions; found {first.found}: {titles}",
-            "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT and "
-            "command.JOINT are expected",
-        )
-    half = state.half_ranges()
-    position, columns, units = state.values("position", half)
-    more, measured = state.measured()
+    table = _GroupedColumns(motion, arm, options)
+    half = table.half_ranges()
+    position, columns, units = table.values("position", half)
+    more, measured = table.measured()
     found = RecordedMotion(
         name=motion.name,
-        path=state.frame.path,
-        place=state.frame.place,
-        number=state.frame.number,
-        time=state.clock(),
+        path=motion.path,
+        place=motion.place,
+        number=motion.number,
+        time=table.clock(),
         position=position,
-        command=sent.values("command", half)[0] if sent is state else None,
+        command=table.values("command", half)[0] if table.of("command") else None,
         columns=tuple(column.title for column in columns),
         angle_unit="/".join(sorted({*units})),
         half=half,
@@ -272,45 +289,51 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     )
     seen = np.asarray(np.isfinite(position).any(axis=1))
     if seen.any() and not seen.all():
-        state.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
+        table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
-    if sent is not None and sent is not state:
-        found = sent.held(found, half)
-    notes = (note for table in tables for note in table.notes)
-    return replace(found, notes=(*notes, *found.notes))
+    return replace(found, notes=tuple(table.notes))
 
 
 class _GroupedColumns:
-    def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
-        self.frame, self.arm, self.options = frame, arm, options
-        self.notes = [*frame.notes]
-        known = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
-        self.implied = dict.fromkeys(MOTION, frame.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
-        self.implied |= next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), {})
-        self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
-        mapped = [(ours, column) for pair in options.columns.items() for ours, column in self._mapped(*pair)]
-        self.mapped = {ours for ours, _ in mapped}
-        own = {column.place: column for _, column in mapped}
+    def __init__(self, motion: RawMotion, arm: Arm, options: ImportOptions) -> None:
+        self.motion, self.arm, self.options = motion, arm, options
+        self.notes = [*motion.notes]
+        self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
+        self.implied = dict.fromkeys(MOTION, motion.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
+        prefixes = (column.prefix for column in self.columns.values())
+        self.implied |= next((_RECORDERS[prefix] for prefix in prefixes if prefix in _RECORDERS), {})
+        mapped = [column for ours, theirs in options.columns.items() for column in self._mapped(ours, theirs)]
+        own = {column.place: column for column in mapped}
         if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
         self.columns |= own
         titles = [column.title for column in self.columns.values()]
-        if twice := sorted({title for title in titles if title and frame.titles.count(title) > 1}):
-            raise FileError(frame.path, f"line 1: column {', '.join(twice)} stands there twice", "rename one")
-        if ignored := [title or "(no name)" for i, title in enumerate(frame.titles) if i not in self.columns]:
+        if twice := sorted({title for title in titles if title and motion.titles.count(title) > 1}):
+            raise FileError(motion.path, f"line 1: column {', '.join(twice)} stands there twice", "rename one")
+        if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
             self.notes.append(f"columns ignored: {shown(ignored)}")
+        if not self.of("position"):
+            raise FileError(
+                motion.path,
+                f"no column with joint positions; found {motion.found}: {shown(motion.titles)}",
+                "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT "
+                "and command.JOINT are expected",
+            )
 
     def of(self, group: str) -> list[Column]:
         return [column for column in self.columns.values() if column.group == group]
 
-    def _mapped(self, ours: str, theirs: str) -> list[tuple[str, Column]]:
-        titles, joint, own = self.frame.titles, joint_of(ours, self.arm), _classified(ours)
-        if joint is None and own is None:
+    def _mapped(self, ours: str, theirs: str) -> list[Column]:
+        """Return the columns that ``theirs`` names, with the meaning of ``ours``."""
+        titles, joint = self.motion.titles, joint_of(ours, self.arm)
+        unit = split_unit(ours, ANGLES)[1]
+        meaning = _classified(ours) if joint is None else Column(-1, ours, name=joint, unit=unit)
+        if meaning is None:
             raise InputError(
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
-        given, factor, shift = read_linear(theirs, {*titles, *(column.name for column in self.columns.values())})
+        given, scale, offset = read_linear(theirs, {*titles, *(column.name for column in self.columns.values())})
         first, _, last = theirs.partition("..")
         if first in titles and last in titles:
             places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
@@ -320,19 +343,20 @@ class _GroupedColumns:
             places = [titles.index(given)] if given in titles else []
             if joint is not None and not places:
                 places = [i for i, column in self.columns.items() if column.name == given]
-            names = (joint or (own or ("",) * 3)[2],) * len(places)
+            names = (meaning.name,) * len(places)
+        if not places:
+            said = f"--map {ours}={theirs}: no such column; found {self.motion.found}: {shown(titles)}"
+            raise FileError(self.motion.path, said, "name one of these")
         found = []
         for place, name in zip(places, names, strict=True):
             unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
-            column = self.columns.get(place) or Column(place, titles[place], "position", "", unit)
-            scale, offset, unit = factor, shift, own and own[3]
-            if own is not None and joint is None:
-                column = column._replace(group=own[1])
-            elif column.group in MOTION:
-                unit = split_unit(ours, ANGLES)[1]
+            column = self.columns.get(place) or Column(place, titles[place], unit=unit)
+            group = meaning.group if joint is None else column.group
+            if joint is None or group in MOTION:
+                column = column._replace(unit=meaning.unit or column.unit, scale=scale, offset=offset)
             else:  # the gear's torque, the motor's current, and what has no gear
-                scale, offset = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(column.group, 1.0), 0.0
-            found.append((ours, column._replace(name=name, unit=unit or column.unit, scale=scale, offset=offset)))
+                column = column._replace(scale={"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0))
+            found.append(column._replace(group=group, name=name))
         return found
 
     def _unit(self, column: Column) -> str:
@@ -340,32 +364,32 @@ class _GroupedColumns:
         option, declared = f"--{kind}-unit", getattr(self.options, f"{kind}_unit", None)
         if column.unit and declared and column.unit != declared:
             said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
-            raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
+            raise FileError(self.motion.path, said, f"leave {option} out or rename the column")
         unit = column.unit or declared or self.implied.get(column.group)
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
             remedy = f"rename it {endings}" + f" or set {option}" * (kind in ("angle", "time"))
-            raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
+            raise FileError(self.motion.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
 
     def _read(self, columns: Sequence[Column]) -> Array:
         """Columns (T, k) in file units, mapped."""
         scale, offset = (np.array([getattr(column, key) for column in columns]) for key in ("scale", "offset"))
-        return self.frame.values([column.place for column in columns]) * scale + offset
+        return self.motion.values([column.place for column in columns]) * scale + offset
 
     def clock(self) -> Array:
         """Return times (T,) [s]."""
         times = self.of("time")
-        if self.frame.time is not None:
-            return self.frame.time
+        if self.motion.time is not None:
+            return self.motion.time
         if self.options.rate is not None and len(times) < 2:
-            return np.arange(len(self.frame.number)) / self.options.rate
+            return np.arange(len(self.motion.number)) / self.options.rate
         if len(times) != 1:
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
-                self.frame.path,
-                f"{found} of the columns {shown(self.frame.titles)} says the time, expected one; the "
-                f"file is {self.frame.found}",
+                self.motion.path,
+                f"{found} of the columns {shown(self.motion.titles)} says the time, expected one; the "
+                f"file is {self.motion.found}",
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
             )
@@ -378,12 +402,12 @@ class _GroupedColumns:
         if group in POINTS:
             if sorted(names) != [*AXES]:
                 said = f"columns of {group} are not x, y and z, once each"
-                raise FileError(self.frame.path, said, "name all three or none")
+                raise FileError(self.motion.path, said, "name all three or none")
             return sorted(columns, key=lambda column: column.name)
         if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
             return columns * self.arm.joints
         titles = [column.title for column in columns]
-        match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
+        match = match_joints(names, self.arm, self.motion.path, group, titles=titles)
         columns = [columns[i] for i in match.columns]
         if match.dropped and group in MOTION:
             self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
@@ -405,7 +429,7 @@ class _GroupedColumns:
         worst = float(np.nanmax(np.abs(raw), initial=0.0))
         if worst > NORMALISED_MOST:
             said = f"{worst:g} is no normalised value, which lie in -100..100"
-            raise FileError(self.frame.path, said, "set another --angle-unit")
+            raise FileError(self.motion.path, said, "set another --angle-unit")
         return raw * (half / 100.0), columns, units
 
     def half_ranges(self) -> Array | None:
@@ -415,41 +439,13 @@ class _GroupedColumns:
         if self.options.calibration is not None:
             return half_ranges(self.options.calibration, self.arm, self.options)
         raw = self._read(self._columns("position"))
-        counts = calibrated_ranges(raw[np.isfinite(raw).all(axis=1)], self.arm, self.frame.path)
+        counts = calibrated_ranges(raw[np.isfinite(raw).all(axis=1)], self.arm, self.motion.path)
         told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(self.arm.joint_names, counts, strict=True))
         self.notes.append(
             f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
             "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
         )
         return counts * np.pi / COUNTS_PER_TURN
-
-    def held(self, motion: RecordedMotion, half: Array | None) -> RecordedMotion:
-        """Add the commands of this table's clock to a motion: for each state the last before it; FileError."""
-        command = self.values("command", half)[0]
-        known = np.isfinite(command).any(axis=1)
-        times, command, path = self.clock()[known], command[known], self.frame.path
-        for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
-            if len(clock) < FEWEST:
-                raise FileError(
-                    file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", "record it again"
-                )
-        late = ~(np.diff(times) >= 0)
-        if late.any():
-            where = f"command, {self.frame.place} {self.frame.number[known][1:][late][0]}"
-            raise FileError(path, f"{where}: the clock goes back, or is no number", "cut the file there")
-        common = min(motion.time[-1], times[-1]) - max(motion.time[0], times[0])
-        if common < 0.5 * min(np.ptp(motion.time), np.ptp(times)):
-            raise FileError(
-                motion.path,
-                f"states last from {motion.time[0]:.6f} to {motion.time[-1]:.6f} s, commands from "
-                f"{times[0]:.6f} to {times[-1]:.6f} s: not one clock",
-                "record both on one clock, or take the times of recording (--stamp log) of a bag",
-            )
-        last = np.searchsorted(times, motion.time, side="right") - 1
-        begun = last >= 0
-        if not begun.all():
-            self.notes.append(f"state: {int((~begun).sum())} samples before the first command left out")
-        return replace(motion, command=command[last]).take(begun)
 
     def measured(self) -> tuple[dict[str, Array], dict[str, str]]:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""
@@ -472,8 +468,8 @@ class _GroupedColumns:
         return found, units
 
 
-def _classified(title: str) -> tuple[str, str, str, str | None] | None:
-    """Prefix, group, joint or axis, and unit of a title; None: another title."""
+def _classified(title: str, place: int = -1) -> Column | None:
+    """Return the column that a title names, or None."""
     for prefix, group in _PREFIXES:
         if not title.casefold().startswith(prefix):
             continue
@@ -483,5 +479,5 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
         name = found and (found["number"] or found["name"] or "")
         names = {"time": ("",), **dict.fromkeys(POINTS, AXES)}.get(group)
         if name is not None and (names is None or name in names):
-            return prefix, group, name, spelled.get(unit or "")
+            return Column(place, title, group, name, spelled.get(unit or ""), prefix)
     return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -276,13 +275,12 @@ def _file_name(motion: str) -> str:
 def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
     out = out.absolute()
     out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
-    try:
+    # it is renamed whole, so that nothing is left to clean up
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
         for name, log in logs.items():
-            log.save(temporary / f"{name}.parquet")
-        temporary.chmod(0o755)
+            log.save(folder / f"{name}.parquet")
+        folder.chmod(0o755)
         if out.exists():
             out.rmdir()
-        temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        folder.rename(out)

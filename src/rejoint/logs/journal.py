@@ -151,18 +151,14 @@ def read_journal(file: Path) -> RunLog | None:
         if magic != _MAGIC:
             return None
         n = len(about["joints"])
-        table = _whole_rows(rest, 1 + 2 * n + 6)
-        time, position, command, target, true_tcp = np.split(table, [1, 1 + n, 1 + 2 * n, 4 + 2 * n], axis=1)
+        time, *groups = np.split(_whole_rows(rest, 1 + 2 * n + 6), [1, 1 + n, 1 + 2 * n, 4 + 2 * n], axis=1)
         return RunLog(
             arm=about["arm"],
             joint_names=tuple(about["joints"]),
             robot=about["robot"],
             label=f"{about['label']}/{CUT_SHORT}",
             time=time[:, 0],
-            position=position,
-            command=command,
-            target=target,
-            true_tcp=true_tcp,
+            **dict[str, Any](zip(("position", "command", "target", "true_tcp"), groups, strict=True)),
         )
     except (ValueError, KeyError, TypeError, RecursionError, InputError):
         return None

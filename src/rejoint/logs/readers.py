@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from rejoint.arms import Array
-from rejoint.logs.columns import ColumnFrame, RawMotion
+from rejoint.logs.columns import RawMotion
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, read_parquet
 from rejoint.system.errors import FileError
@@ -53,11 +54,14 @@ def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
         text = read_bounded(file, TEXT_MOST, _CUT).decode("utf-8-sig")
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
-    files = {_STATE: "position", _CONTROL: "command"}
-    return [RawMotion(folder.resolve().name, [_sage_frame(folder / file, names, files[file], ticks) for file in files])]
+    state, sent = (
+        _sage_motion(folder / file, names, group, ticks)
+        for file, group in ((_STATE, "position"), (_CONTROL, "command"))
+    )
+    return [state.with_commands(sent)]
 
 
-def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
+def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawMotion:
     sheet, remedy = read_sheet(path), f"mend the line or leave this motion out; {_JOINTS} names the joints"
     if sheet.titles[1:3] != ("timestamp", "positions"):
         raise FileError(path, f"line 1: columns {shown(sheet.titles)}, expected type, timestamp, positions", remedy)
@@ -69,7 +73,7 @@ def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> Colum
             values[row] = numbers if len(numbers) == len(names) else "of another length"
     columns = {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)}
     about = {"number": sheet.lines, "place": "line", "angle_unit": "rad"}
-    return ColumnFrame.of(path, columns, time=sheet.numbers([1])[:, 0] / ticks, **about)
+    return RawMotion.of(path.parent.resolve().name, path, columns, time=sheet.numbers([1])[:, 0] / ticks, **about)
 
 
 _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
@@ -95,9 +99,10 @@ def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
     if (read := _columns_of(file)) is not None:
         columns, found = read(file)
-        return [RawMotion(file.stem, [ColumnFrame.of(file, columns, found=found)])]
+        return [RawMotion.of(file.stem, file, columns, found=found)]
     sheet = read_sheet(file, names=options.names, whole=False)
-    frame = ColumnFrame(
+    motion = RawMotion(
+        name=file.stem,
         path=file,
         titles=sheet.titles,
         values=sheet.numbers,
@@ -106,7 +111,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
         found=sheet.found,
         notes=sheet.remarks,
     )
-    return [RawMotion(file.stem, [frame])]
+    return [motion]
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
@@ -180,10 +185,17 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
         even = bool((np.abs(measured - nominal) < _TOLERANCE).all())
         said = "are" if even else "differ from"
         note = f"the stamps {said} frame numbers over {fps:g} Hz" + ", no measured times" * even
-        about = {"number": rows + 1, "place": f"{name}, row", "found": "a LeRobot dataset", "notes": [note]}
-        own = {title: column[rows] for title, column in columns.items()}
-        frame = ColumnFrame.of(source, own, time=nominal if even else measured, **about)
-        yield RawMotion(name, [frame], {"episode": str(number)})
+        yield RawMotion.of(
+            name,
+            source,
+            {title: column[rows] for title, column in columns.items()},
+            time=nominal if even else measured,
+            number=rows + 1,
+            place=f"{name}, row",
+            found="a LeRobot dataset",
+            notes=[note],
+            extra={"episode": str(number)},
+        )
 
 
 def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> list[str]:
@@ -202,13 +214,13 @@ def _read_frames(source: Path) -> dict[str, Array]:
     files = sorted((source / "data").glob("*/*.parquet"))
     if not files:
         raise FileError(source / "data", "no Parquet file in it", _REMEDY)
-    keys, found = (*_GROUPS, *_SCALARS), []
+    keys, tables = [*_GROUPS, *_SCALARS], list[pa.Table]()
     for file in files:
         with reading(file, "not the frames of a dataset", _REMEDY):
-            table = read_parquet(file, _REMEDY, [*keys])
-            found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
-    with reading(source, "files of different width", _REMEDY):
-        return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}
+            tables.append(read_parquet(file, _REMEDY, keys).select(keys))
+    with reading(source, "frames of different width, or no numbers", _REMEDY):
+        table = pa.concat_tables(tables)
+        return {key: np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys}
 
 
 SAGE = Reader(_sage_folders, _read_sage)
