@@ -107,26 +107,32 @@ FEWEST = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RawMotion:
-    """A motion as it is in a file: columns on one clock, T rows."""
+class FileMotion:
+    """A motion, T rows, and where it is from."""
 
     name: str
     path: Path
+    number: NDArray[np.int64]
+    """(T,) place in the file"""
+    place: str = "row"
+    """``line``, ``message`` or ``row``"""
+    extra: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawMotion(FileMotion):
+    """A motion as it is in a file: columns on one clock."""
+
     titles: tuple[str, ...]
     values: Callable[[Sequence[int]], Array]
     """reads columns (T, k) in file units"""
-    number: NDArray[np.int64]
-    """(T,) row in the file"""
-    place: str = "row"
-    """``line``, ``message`` or ``row``"""
     time: Array | None = None
     """(T,) [s]; None: in a column"""
     angle_unit: str | None = None
     """default of angles"""
     found: str = "a table"
     """kind of the file"""
-    notes: Sequence[str] = ()
-    extra: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, name: str, path: Path, columns: Mapping[str, Array], **about: Any) -> RawMotion:  # noqa: ANN401
@@ -173,15 +179,9 @@ class RawMotion:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RecordedMotion:
-    """A recorded motion before the checks, T rows; row k holds state k and the command in force."""
+class RecordedMotion(FileMotion):
+    """A motion of an arm before the checks; row k holds state k and the command in force."""
 
-    name: str
-    path: Path
-    place: str
-    """``line``, ``message`` or ``row``"""
-    number: NDArray[np.int64]
-    """(T,) place in the file"""
     time: Array
     """(T,) [s]"""
     position: Array
@@ -200,8 +200,6 @@ class RecordedMotion:
     """other data with T rows, as fields of `RunLog`"""
     units: Mapping[str, str] = field(default_factory=dict)
     """of `more`"""
-    extra: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -291,7 +289,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     if seen.any() and not seen.all():
         table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
-    return replace(found, notes=tuple(table.notes))
+    return replace(found, notes=table.notes)
 
 
 class _GroupedColumns:

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from rejoint.logs.bags import COMMAND_TOPIC, NANOSECONDS, STATE_TOPIC
+from rejoint.logs.readers import COMMAND_TOPIC, NANOSECONDS, STATE_TOPIC
 from rejoint.logs.runlog import AXES, RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -59,8 +59,8 @@ def export_log(log: RunLog, path: Path) -> None:
     if path.suffix == ".csv":
         write_whole(path, lambda temporary: _write_csv(log, temporary))
     elif path.suffix == ".mcap":
-        stamps = _stamps(log)
-        write_whole(path, lambda temporary: _write_mcap(log, stamps, temporary))
+        require("exporting MCAP (a .csv file would do without)", "logs")
+        write_whole(path, lambda temporary: _write_mcap(log, temporary))
     else:
         raise InputError(f"{path}: a log is exported to .csv or .mcap, not to {path.suffix or 'a name without ending'}")
 
@@ -81,17 +81,12 @@ def _write_csv(log: RunLog, path: Path) -> None:
         pacsv.write_csv(table, file, pacsv.WriteOptions(include_header=False))
 
 
-def _stamps(log: RunLog) -> list[int]:
-    stamps = [round(float(time) * NANOSECONDS) for time in log.time]
-    if stamps and (stamps[0] < 0 or stamps[-1] >= _LAST_SECOND * NANOSECONDS):
-        raise InputError(f"log {log.label}: times from {log.time[0]:g} to {log.time[-1]:g} s do not fit a ROS stamp")
-    return stamps
-
-
-def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
-    require("exporting MCAP (a .csv file would do without)", "logs")
+def _write_mcap(log: RunLog, path: Path) -> None:
     from mcap_ros2.writer import Writer
 
+    stamps = np.round(log.time * NANOSECONDS)
+    if ((stamps < 0) | (stamps >= _LAST_SECOND * NANOSECONDS)).any():
+        raise InputError(f"log {log.label}: times from {log.time[0]:g} to {log.time[-1]:g} s do not fit a ROS stamp")
     with path.open("wb") as stream, Writer(stream) as writer:
         writer.add_metadata(
             METADATA, {"arm": log.arm, "robot": log.robot, "label": log.label, "extra": json.dumps(log.extra)}
@@ -102,7 +97,7 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
         joint_topics = {STATE_TOPIC: (log.position, torque)}
         if log.commanded:
             joint_topics[COMMAND_TOPIC] = (log.command, np.zeros((len(log), 0)))
-        for row, stamp in enumerate(stamps):
+        for row, stamp in enumerate(stamps.astype(np.int64).tolist()):
             header = {"stamp": {"sec": stamp // NANOSECONDS, "nanosec": stamp % NANOSECONDS}, "frame_id": "base"}
             for topic, (position, effort) in joint_topics.items():
                 numbers = {"position": position[row].tolist(), "velocity": [], "effort": effort[row].tolist()}

@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask
-from rejoint.logs.bags import MCAP, ROSBAG
 from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
 from rejoint.logs.consistency import (
     BETWEEN,
@@ -27,7 +26,7 @@ from rejoint.logs.consistency import (
 )
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
-from rejoint.logs.readers import LEROBOT, SAGE, TABLE, Reader
+from rejoint.logs.readers import LEROBOT, MCAP, ROSBAG, SAGE, TABLE, Reader
 from rejoint.logs.runlog import TWO_TURNS, RunLog, describe
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
@@ -66,7 +65,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
         notes.append(f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; {cut}")
     for index, piece in enumerate(kept, start=1):
         name = f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name
-        yield replace(motion.take(piece), name=name, notes=tuple(notes))
+        yield replace(motion.take(piece), name=name, notes=notes)
 
 
 def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
@@ -109,7 +108,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     extra, origin = motion.extra, float(np.floor(motion.time[0]))
     if origin >= _EPOCH:
         motion = replace(motion, time=motion.time - origin)
-        extra = extra | {"clock_origin_s": f"{origin:.0f}"}
+        extra = {**extra, "clock_origin_s": f"{origin:.0f}"}
     take(check_units(motion, arm, options))
     take(check_states(motion, arm))
     rows = len(motion)
@@ -130,7 +129,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         time=motion.time,
         position=motion.position,
         command=np.full_like(motion.position, np.nan) if motion.command is None else motion.command,
-        extra=extra | {key: text for key, text in told.items() if text},
+        extra={**extra, **{key: text for key, text in told.items() if text}},
         units=dict(motion.units),
         **{"target": unknown, "true_tcp": unknown, **motion.more},
     )

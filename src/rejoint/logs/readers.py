@@ -1,17 +1,23 @@
-"""Readers of files and folders with columns: SAGE, tables, and LeRobot's datasets.
+"""Readers of files and folders with columns: SAGE, tables, LeRobot's datasets, bags of ROS 1 and 2, MCAP files.
 
 SAGE (github.com/isaac-sim2real/sage): a folder per motion. ``control.csv`` (type, timestamp, positions) holds commands,
 ``state_motor.csv`` states, in the order of ``joint_list.txt``, in microseconds and radians. Tables: text, JSON records,
 NumPy archives. LeRobot, versions 2 and 3 (huggingface/lerobot, folder ``datasets``): ``observation.state`` was
 measured, ``action`` sent; each episode is one log.
+
+Messages of bags are ``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.foxglove.dev/docs/sdk/schemas),
+``control_msgs/JointTrajectoryControllerState`` and ``std_msgs/Float64MultiArray``. A trajectory's goals do not tell
+what was commanded: the controller's state does.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +26,8 @@ from rejoint.arms import Array
 from rejoint.logs.columns import RawMotion
 from rejoint.logs.joints import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, read_parquet
-from rejoint.system.errors import FileError
+from rejoint.system.errors import FileError, first_line
+from rejoint.system.extras import require
 from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
 from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit
 
@@ -28,23 +35,23 @@ from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, 
 class Reader(NamedTuple):
     """Reads one format."""
 
-    found: Callable[[Path], list[Path]]
-    """its files or folders at a path, sorted by name"""
+    fits: Callable[[Path, bool], bool]
+    """whether it reads a file or folder, which the user has named, or not: it is in the folder that was named"""
     read: Callable[[Path, ImportOptions], Iterable[RawMotion]]
-    """the motions in one of these"""
+    """the motions in it"""
+
+    def found(self, source: Path) -> list[Path]:
+        """Return what it reads at a path, sorted by name."""
+        if self.fits(source, True):
+            return [source]
+        return [path for path in sorted(source.iterdir()) if self.fits(path, False)] if source.is_dir() else []
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _CUT = "cut it into several motions"
 
 
-def _sage_folders(source: Path) -> list[Path]:
-    if not source.is_dir():
-        return []
-    return [source] if _is_sage(source) else sorted(filter(_is_sage, source.iterdir()))
-
-
-def _is_sage(folder: Path) -> bool:
+def _is_sage(folder: Path, _: bool) -> bool:
     return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
 
 
@@ -80,13 +87,9 @@ _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
 _AGAIN = "record it again, or write its columns as text"
 
 
-def _tables(source: Path) -> list[Path]:
-    if not source.is_dir():
-        return [source] * (source.is_file() and _holds_columns(source))
-    return [file for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS and _holds_columns(file)]
-
-
-def _holds_columns(file: Path) -> bool:
+def _is_table(file: Path, named: bool) -> bool:
+    if not file.is_file() or not (named or file.suffix.lower() in _ENDINGS):
+        return False
     return _columns_of(file) is not None or head(file) is not None
 
 
@@ -153,8 +156,8 @@ _TOLERANCE = 1e-4
 _REMEDY = "download or record the dataset again"
 
 
-def _datasets(source: Path) -> list[Path]:
-    return [source] * (source / _INFO).is_file()
+def _is_dataset(source: Path, named: bool) -> bool:
+    return named and (source / _INFO).is_file()
 
 
 def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
@@ -223,6 +226,222 @@ def _read_frames(source: Path) -> dict[str, Array]:
         return {key: np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys}
 
 
-SAGE = Reader(_sage_folders, _read_sage)
-TABLE = Reader(_tables, _read_table)
-LEROBOT = Reader(_datasets, _episodes)
+NANOSECONDS = 1_000_000_000
+REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
+_RECORD_LIMIT = 1 << 28
+"""[bytes] (chosen: larger than recorded chunks)"""
+
+Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
+"""Topics and their types; and decoded messages of some topics, with topic and time of recording [ns]"""
+Opener = Callable[[Path], AbstractContextManager[Opened]]
+
+
+def _is_mcap(file: Path, named: bool) -> bool:
+    return (named or file.suffix == ".mcap") and begins_with(file, b"\x89MCAP0\r\n")
+
+
+def _is_rosbag(file: Path, _: bool) -> bool:
+    magic = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}.get(file.suffix)
+    return magic is not None and begins_with(file, magic)
+
+
+@contextmanager
+def _open_mcap(file: Path) -> Iterator[Opened]:
+    from mcap.decoder import DecoderFactory
+    from mcap.reader import SeekingReader
+    from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+    from mcap_ros2.decoder import DecoderFactory as Ros2Factory
+
+    class JsonFactory(DecoderFactory):
+        def decoder_for(self, message_encoding: str, schema: object) -> Callable[[bytes], Any] | None:  # noqa: ARG002
+            return json.loads if message_encoding == "json" else None
+
+    factories = [Ros2Factory(), ProtobufFactory(), JsonFactory()]
+    with file.open("rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
+        summary = reader.get_summary()
+        if summary is None:
+            channels = ((schema, channel) for schema, channel, _ in reader.iter_messages(log_time_order=False))
+        else:
+            channels = ((summary.schemas.get(one.schema_id), one) for one in summary.channels.values())
+
+        def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+            for _, channel, message, content in reader.iter_decoded_messages(topics=[*topics], log_time_order=False):
+                yield channel.topic, message.log_time, content
+
+        yield {channel.topic: schema.name if schema else "" for schema, channel in channels}, messages
+
+
+@contextmanager
+def _open_rosbag(file: Path) -> Iterator[Opened]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    require_file(file, LOG_MOST, "cut it into several bags")
+    unwritten = file.with_name(f"{file.name}-wal")
+    if unwritten.is_file() and unwritten.stat().st_size:
+        raise FileError(file, f"was not closed: part of it is still in {unwritten.name}", "run `ros2 bag reindex`")
+    # bags that hold no definitions: messages about joints are the same in all distributions
+    with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as bag:
+
+        def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+            chosen = [connection for connection in bag.connections if connection.topic in topics]
+            for connection, time, data in bag.messages(connections=chosen):
+                yield connection.topic, time, bag.deserialize(data, connection.msgtype)
+
+        yield {name: info.msgtype or "" for name, info in bag.topics.items()}, messages
+
+
+STATES = ("JointState", "JointStates")
+"""Message types with joint positions and names"""
+ARRAY, CONTROLLER = "Float64MultiArray", "JointTrajectoryControllerState"
+STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
+"""As of ROS 2's joint_state_broadcaster; and, chosen, its counterpart"""
+OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
+"""Topics without joint positions (chosen)"""
+
+
+class Message(NamedTuple):
+    """Joints in one message of states or commands."""
+
+    stamp: int
+    """[ns] of the message, or 0"""
+    logged: int
+    """[ns] of the recording"""
+    columns: Mapping[str, float]
+    """``position.elbow`` and the like"""
+
+
+def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]:
+    require(f"{file}: reading bags", "logs")
+    notes: list[str] = []
+    found: dict[str, list[Message]] = {}
+    try:
+        with opened(file) as (held, read):
+            groups = _topics(held, options, file, notes)
+            for topic, time, content in read({*groups}):
+                messages = found.setdefault(topic, [])
+                said = f"topic {topic}, message {len(messages) + 1}: no joint positions in {held[topic] or 'no type'}"
+                with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
+                    messages.append(_message(content, groups[topic], time, options))
+    except FileError:
+        raise
+    # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
+    except Exception as error:
+        said = f"damaged or not readable ({type(error).__name__}: {first_line(error)[:200]})"
+        raise FileError(file, said, REMEDY) from error
+    if silent := [topic for topic in groups if topic not in found]:
+        raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
+    bare = [topic for topic, messages in found.items() if not any(one.stamp for one in messages)]
+    stamped = options.stamp == "header" or (options.stamp is None and not bare)
+    if options.stamp is None and bare:
+        notes.append(f"times are those of the recording, messages on {bare[0]} have no stamps")
+    clocks = {
+        topic: np.array([one.stamp if stamped else one.logged for one in messages]) for topic, messages in found.items()
+    }
+    origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
+    origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
+    motions: list[RawMotion] = []
+    extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
+    for topic in groups:  # states come first
+        messages = found[topic]
+        # whole nanoseconds are subtracted before they become float64, which keeps them exact
+        times = (clocks[topic] - origin) / NANOSECONDS
+        titles = dict.fromkeys(title for one in messages for title in one.columns)
+        columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
+        about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
+        motions.append(RawMotion.of(file.stem, file, columns, time=times, notes=notes, extra=extra, **about))
+    state, *sent = motions
+    return [state.with_commands(sent[0]) if sent else state]
+
+
+def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
+    kinds = {name: schema.replace("/", ".").rpartition(".")[2] for name, schema in held.items()}
+    found = shown([f"{name} ({held[name] or 'no type'})" for name in sorted(held)])
+    controllers = [name for name, kind in kinds.items() if kind == CONTROLLER]
+    state, command = options.state_topic, options.command_topic
+    if not (state or command) and COMMAND_TOPIC not in held and len(controllers) == 1:
+        (state,) = controllers
+        notes.append(f"states and commands from {state} ({held[state]})")
+    state = state or STATE_TOPIC
+    if state not in held:
+        raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
+    if state in controllers:
+        return {state: "position"}
+    able = [name for name, kind in kinds.items() if kind in (*STATES, ARRAY) and name != state]
+    ours = [n for n in able if kinds[n] not in STATES and not any(word in n for word in OTHER_INTERFACES)]
+    if command is None and COMMAND_TOPIC not in held and len(ours) == 1:
+        (command,) = ours
+        notes.append(f"commands from {command} ({held[command]})")
+    if command is None and not able:
+        notes.append(f"no topic with commands; found {found}")
+        return {state: "position"}
+    command = command or COMMAND_TOPIC
+    if command not in held or command == state:
+        said = f"no topic {command} beside that of the states; found {found}"
+        raise FileError(file, said, "name one with --command-topic")
+    return {state: "position", command: "command"}
+
+
+_FIELDS = {
+    "stamp": ("header.stamp", "timestamp"),
+    "names": ("joint_names", "name", "joints.name"),
+    "values": ("position", "data", "feedback.positions", "actual.positions", "joints.position"),
+    "effort": ("effort", "feedback.effort", "actual.effort", "joints.effort"),
+    "sent": ("reference.positions", "desired.positions"),
+}
+"""What all types of messages call the same"""
+
+
+def _message(content: Any, group: str, logged: int, options: ImportOptions) -> Message:  # noqa: ANN401
+    """Joints of a decoded message; TypeError or ValueError for one of another kind."""
+    held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
+    names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
+    given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
+    if len(names) != len(given[group]):
+        raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")
+    if group == "position" and held["sent"] is not None:
+        given["command"] = held["sent"]
+    if group == "position" and len(effort) == len(names) and any(effort):
+        given["torque"] = effort
+    numbers = {key: [np.nan if value is None else float(value) for value in values] for key, values in given.items()}
+    return Message(
+        stamp, logged, {f"{key}.{name}": v for key, one in numbers.items() for name, v in zip(names, one, strict=True)}
+    )
+
+
+def _some(content: Any, paths: Sequence[str]) -> Any:  # noqa: ANN401
+    fields = (_field(content, path.split(".")) for path in paths)
+    return next((field for field in fields if field is not None and np.size(field)), None)
+
+
+def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
+    """Field of a field of a dict, an object, protobuf, or each of a list; or None."""
+    if not path or message is None:
+        return message
+    if not isinstance(message, dict | str) and hasattr(message, "__getitem__"):
+        return [_field(one, path) for one in message]
+    if isinstance(message, dict):
+        return _field(message.get(path[0]), path[1:])
+    declared = getattr(getattr(message, "DESCRIPTOR", None), "fields_by_name", {}).get(path[0])
+    absent = declared is not None and declared.has_presence and not message.HasField(path[0])
+    return None if absent else _field(getattr(message, path[0], None), path[1:])
+
+
+def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
+    """Time or duration [ns], or 0."""
+    if stamp is None:
+        return 0
+    seconds, rest = (
+        _some(stamp, names) for names in (("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs"))
+    )
+    if seconds is not None and rest is not None:
+        return int(seconds) * NANOSECONDS + int(rest)
+    raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
+
+
+SAGE = Reader(_is_sage, _read_sage)
+TABLE = Reader(_is_table, _read_table)
+LEROBOT = Reader(_is_dataset, _episodes)
+MCAP = Reader(_is_mcap, partial(_read, _open_mcap))
+ROSBAG = Reader(_is_rosbag, partial(_read, _open_rosbag))
