@@ -492,7 +492,7 @@ class ArmSession(ArmDriver):
                 return None
         with noted():
             motion.run()
-        self._tell_last()
+            self._tell_last()  # within: an interruption at the end would leave it for the next motion
         return self.state
 
     def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
