@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import (
     COUNTS_PER_TURN,
+    NAMES,
     TIME_UNITS,
     ImportOptions,
     half_ranges,
@@ -31,7 +32,6 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_shipped
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -234,8 +234,7 @@ MOTION = ("position", "command")
 """Groups of angles"""
 POINTS = ("target", "true_tcp")
 """Groups of places"""
-_TABLES = read_shipped(__file__, "columns.toml", dict[str, dict[str, Any]])
-_TITLES, _RECORDERS = _TABLES["titles"], _TABLES["recorders"]
+_TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")

@@ -16,7 +16,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import JSON_MOST, read_bounded, read_toml, reading, write_text
+from rejoint.system.files import JSON_MOST, read_bounded, read_shipped, read_toml, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
 
 AngleUnit = Literal["rad", "deg", "normalised"]
@@ -106,15 +106,8 @@ def read_map(texts: Iterable[str]) -> dict[str, str]:
     return dict(pairs)
 
 
-_SO101_NAMES = {
-    "Rotation": "shoulder_pan",
-    "Pitch": "shoulder_lift",
-    "Elbow": "elbow_flex",
-    "Wrist_Pitch": "wrist_flex",
-    "Wrist_Roll": "wrist_roll",
-}
-"""Joint names of the first SO-ARM100 model, as in SAGE, and of so101_new_calib.xml (TheRobotStudio/SO-ARM100, folder
-``Simulation``)."""
+NAMES = read_shipped(__file__, "columns.toml", dict[str, dict[str, Any]])
+"""Names that other programs give, by table"""
 
 COUNTS_PER_TURN = 4096
 """12-bit encoder; Feetech STS3215 datasheet"""
@@ -136,8 +129,8 @@ class Match(NamedTuple):
 def joint_of(name: str, arm: Arm) -> str | None:
     """Joint with this name (or LeRobot's, with ``.pos``, or SAGE's for an SO-101), perhaps with a unit."""
     short = split_unit(name.removesuffix(".pos"), ANGLES)[0]
-    if {*_SO101_NAMES.values()} == {*arm.joint_names}:
-        short = _SO101_NAMES.get(short, short)
+    if {*NAMES["so101"].values()} == {*arm.joint_names}:
+        short = NAMES["so101"].get(short, short)
     return short if short in arm.joint_names else None
 
 

@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from rejoint.arms import Array
 from rejoint.logs.columns import RawMotion
-from rejoint.logs.joints import TIME_UNITS, ImportOptions
+from rejoint.logs.joints import NAMES, TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, read_parquet
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
@@ -79,8 +79,15 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
             numbers = json.loads(text)
             values[row] = numbers if len(numbers) == len(names) else "of another length"
     columns = {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)}
-    about = {"number": sheet.lines, "place": "line", "angle_unit": "rad"}
-    return RawMotion.of(path.parent.resolve().name, path, columns, time=sheet.numbers([1])[:, 0] / ticks, **about)
+    return RawMotion.of(
+        path.parent.resolve().name,
+        path,
+        columns,
+        time=sheet.numbers([1])[:, 0] / ticks,
+        number=sheet.lines,
+        place="line",
+        angle_unit="rad",
+    )
 
 
 _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
@@ -383,19 +390,9 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
     return {state: "position", command: "command"}
 
 
-_FIELDS = {
-    "stamp": ("header.stamp", "timestamp"),
-    "names": ("joint_names", "name", "joints.name"),
-    "values": ("position", "data", "feedback.positions", "actual.positions", "joints.position"),
-    "effort": ("effort", "feedback.effort", "actual.effort", "joints.effort"),
-    "sent": ("reference.positions", "desired.positions"),
-}
-"""What all types of messages call the same"""
-
-
 def _message(content: Any, group: str, logged: int, options: ImportOptions) -> Message:  # noqa: ANN401
     """Joints of a decoded message; TypeError or ValueError for one of another kind."""
-    held = {key: _some(content, paths) for key, paths in _FIELDS.items()}
+    held = {key: _some(content, paths) for key, paths in NAMES["messages"].items()}
     names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
     given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
     if len(names) != len(given[group]):
