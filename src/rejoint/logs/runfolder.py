@@ -168,11 +168,9 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 
 
 def _put_right(folder: RunFolder) -> None:
-    logs = folder.path / "logs"
-    for place in (folder.path, logs, folder.training, folder.figures, folder.pictures):
-        for unfinished in place.glob(f".*{UNFINISHED}"):
-            unfinished.unlink()
-    for log in recover(logs):
+    for unfinished in folder.path.rglob(f".*{UNFINISHED}"):
+        unfinished.unlink()
+    for log in recover(folder.path / "logs"):
         LOGGER.warning("A run that was cut short is kept: %s", log)
 
 
