@@ -69,24 +69,26 @@ def install() -> None:
     _note.raised = None
     if not _note.noted:
         _drop()  # a command is not ended by what was asked of one before it
-    for signum in SIGNALS:
-        if signal.getsignal(signum) != signal.SIG_IGN:
-            signal.signal(signum, _handle)
+    _answer_all(_handle)
     if sys.unraisablehook is not _unraisable:
         _note.hook, sys.unraisablehook = sys.unraisablehook, _unraisable
 
 
 def close() -> None:
     """Ignore further signals: the program is ending."""
-    for signum in SIGNALS:
-        if signal.getsignal(signum) != signal.SIG_IGN:
-            signal.signal(signum, _pass_over)
+    _answer_all(_pass_over)
 
 
 def ignore() -> None:
     """Ignore signals for good: the result decides the exit code."""
+    _answer_all(signal.SIG_IGN)
+
+
+def _answer_all(handler: Handler) -> None:
+    """Set the handler of all `SIGNALS` that are not ignored."""
     for signum in SIGNALS:
-        signal.signal(signum, signal.SIG_IGN)
+        if signal.getsignal(signum) != signal.SIG_IGN:
+            signal.signal(signum, handler)
 
 
 def ending() -> bool:
@@ -231,12 +233,9 @@ def _set_handlers() -> dict[int, Handler]:
     before = {}
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
-        if handler in (signal.SIG_DFL, signal.default_int_handler) or _cancels(handler):
+        module = getattr(getattr(handler, "func", handler), "__module__", None)
+        if handler in (signal.SIG_DFL, signal.default_int_handler) or module in _CANCELLING:
             before[signum] = signal.signal(signum, _handle)
         elif callable(handler) and handler not in (_handle, _pass_over) and not isinstance(handler, _Hosts):
             before[signum] = signal.signal(signum, _Hosts(handler))
     return before
-
-
-def _cancels(handler: object) -> bool:
-    return getattr(getattr(handler, "func", handler), "__module__", None) in _CANCELLING
