@@ -125,17 +125,16 @@ class Film:
             vector = solve(problem.rows(good), vector).vector
             before, fitting = problem.seen, good
             problem, residuals, doubts = _judged(problem, rig, vector, views)
-            good = np.array([not why for why in doubts])
+            good = np.array([view.name not in doubts for view in views])
             if number > 0 and (good == fitting).all() and np.allclose(problem.seen, before, atol=1e-6):
                 break
             if good.sum() < max(FEWEST, _KEEP * len(shots)):
-                named = ", ".join(one.name for one, fits in zip(residuals, good, strict=True) if not fits)
                 raise InputError(
-                    f"{(~good).sum()} of {len(shots)} views do not fit the others ({named}); check that every picture "
-                    "is paired with the joint positions at which it was taken"
+                    f"{len(doubts)} of {len(shots)} views do not fit the others ({', '.join(doubts)}); check that "
+                    "every picture is paired with the joint positions at which it was taken"
                 )
         problem, kept = problem.rows(good), np.flatnonzero(good).tolist()
-        sights = problem.seen if self.carried == "board" else inverse(problem.seen)
+        sights = rig.carried_in(problem.seen)
         height, sigma = bow(rig_of(problem, rig, vector), [views[v] for v in kept], sights)
         if height > MOST * board.size.max() and height > SURE * sigma:
             raise InputError(
@@ -157,10 +156,7 @@ class Film:
             rig=rig_of(problem, rig, fitted.vector),
             rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[problem.layout.body :]), len(TERMS)),
             residuals=tuple(residuals[v] for v in kept),
-            left_out=(
-                *self.unusable,
-                *((one.name, why) for one, why in zip(residuals, doubts, strict=True) if why),
-            ),
+            left_out=(*self.unusable, *doubts.items()),
         )
 
 
@@ -334,7 +330,7 @@ def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array
     return ToolProblem(
         arm=arm,
         belief=own,
-        seen=sights if rig.carried == "board" else inverse(sights),
+        seen=rig.carried_in(sights),
         inverted=rig.carried == "camera",
         by_lens=np.zeros((len(sights), 6, len(TERMS))),
         known=np.ones((len(sights), 6), dtype=bool),
@@ -434,30 +430,28 @@ class Filmed:
 
 def _judged(
     problem: ToolProblem, rig: Rig, vector: Array, views: Sequence[BoardView]
-) -> tuple[ToolProblem, list[Residual], list[str]]:
-    """Choose each view's tilt by the fit; return also residuals, and why a view does not fit, or empty."""
+) -> tuple[ToolProblem, list[Residual], dict[str, str]]:
+    """Choose each view's tilt by the fit; return also residuals, and by name why views do not fit."""
     told = rig_of(problem, rig, vector).sight(
         problem.layout.displacement(vector).tool_pose(problem.arm, problem.position)
     )
     placed = [place(rig.lens, rig.board, view, near) for view, near in zip(views, told, strict=True)]
     sights = np.array([one.pose for one in placed])
-    problem = replace(problem, seen=inverse(sights) if problem.inverted else sights)
+    problem = replace(problem, seen=rig.carried_in(sights))
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))
     away, turned = np.linalg.norm(problem.misfit(vector).reshape(-1, 2, 3), axis=2).T
     usual, flat = max(1.0, float(np.median(off))), float(np.median([one.rms for one in placed]))
-    residuals, why = [], []
+    residuals, doubts = list[Residual](), dict[str, str]()
     for view, one, far, shift, turn in zip(views, placed, off, away.tolist(), turned.tolist(), strict=True):
         residuals.append(Residual(name=view.name, rms=one.rms, away=shift, turned=turn))
-        reason = ""
         if one.rms > max(CROOKED * flat, FLAT):
-            reason = (
+            doubts[view.name] = (
                 f"its corners lie {one.rms:.1f} px beside those of a flat board, the others {flat:.2f} px: "
                 "blurred, moved during the exposure, or the board is bent"
             )
         elif far > ELSEWHERE * usual:
-            reason = (
+            doubts[view.name] = (
                 f"shows the tool {1e3 * shift:.0f} mm and {np.degrees(turn):.0f} deg from where the joint positions "
                 "put it: not taken there, swapped with another one, or board or camera was shifted"
             )
-        why.append(reason)
-    return problem, residuals, why
+    return problem, residuals, doubts

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
-from rejoint.camera.board import Board, Detector, Picture
+from rejoint.camera.board import Board, BoardView, Detector, Picture
 from rejoint.camera.film import (
     POSTURES,
     USUAL,
@@ -135,6 +135,8 @@ class CameraGauge:
     """by the tool: ``board`` or ``camera``"""
     postures: int = CHOSEN
     """after those about rest"""
+    show: Callable[[Picture, BoardView], object] = lambda *_: None
+    """receives each picture, and what is seen in it"""
     scouts: ClassVar[int] = SCOUTS
     """pictures about rest"""
 
@@ -164,7 +166,7 @@ class CameraGauge:
             set_aside(pictures)
         with kept(pictures, fresh=fresh), self.camera(drive.robot) as camera:
             try:
-                return _Shooting(drive, camera, film, pictures, on_progress, total).take(count, visits)
+                return _Shooting(self, drive, camera, film, pictures, on_progress, total).take(count, visits)
             except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
                 if pictures is not None:
                     set_aside(pictures)
@@ -173,6 +175,7 @@ class CameraGauge:
 
 @dataclass(eq=False)
 class _Shooting:
+    gauge: CameraGauge
     drive: StandingDrive
     camera: StillCamera
     film: Film
@@ -202,6 +205,7 @@ class _Shooting:
         picture = self.camera.still(number)
         check()
         seen = self.detector.find(f"view-{number:03}.png", picture)
+        self.gauge.show(picture, seen)
         shot = Shot(number=number, position=position, posture=place, seen=seen)
         self.film = self.film.with_shot(shot, picture.shape[::-1])
         if self.pictures is not None:

@@ -51,6 +51,11 @@ class Lens:
         return cls(width=width, height=height, f=0.72 * width, cx=0.5 * (width - 1), cy=0.5 * (height - 1))
 
     @property
+    def size(self) -> tuple[int, int]:
+        """[px] width and height."""
+        return self.width, self.height
+
+    @property
     def numbers(self) -> Array:
         """(7,) its `TERMS`."""
         return np.array([getattr(self, name) for name in TERMS])
@@ -144,10 +149,13 @@ class Rig:
     mounted: Array
     """(4, 4) of the carried one, TCP frame"""
 
+    def carried_in(self, pose: Array) -> Array:
+        """Carried one in the frame of the standing one, for the board in the camera, (..., 4, 4); or the reverse."""
+        return pose if self.carried == "board" else inverse(pose)
+
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
-        between = board if self.carried == "board" else inverse(board)
-        return self.standing @ between @ inverse(self.mounted)
+        return self.standing @ self.carried_in(board) @ inverse(self.mounted)
 
     def spread(self, board: Array, covariance: Array) -> Array:
         """Covariance (V, 6, 6) of the tool's pose, base axes, from that of ``board`` (V, 4, 4), camera axes."""
@@ -158,8 +166,7 @@ class Rig:
 
     def sight(self, tool: Array) -> Array:
         """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
-        between = inverse(self.standing) @ tool @ self.mounted
-        return between if self.carried == "board" else inverse(between)
+        return self.carried_in(inverse(self.standing) @ tool @ self.mounted)
 
     def shows(self, tool: Array) -> Array:
         """Whether the whole board is visible at ``tool`` (..., 4, 4)."""
@@ -169,8 +176,8 @@ class Rig:
         facing = (pose[..., :3, 2] * middle).sum(axis=-1) / np.linalg.norm(middle, axis=-1)
         ahead = (outline[..., 2] > 0.05).all(axis=-1)
         pixel = self.lens.project(np.where(ahead[..., None, None], outline, [0.0, 0.0, 1.0]))
-        most = [self.lens.width - 1.0 - EDGE, self.lens.height - 1.0 - EDGE]
-        return ahead & (facing > np.cos(STEEPEST)) & ((pixel >= EDGE) & (pixel <= most)).all(axis=(-2, -1))
+        inside = (pixel >= EDGE) & (pixel <= np.array(self.lens.size) - 1.0 - EDGE)
+        return ahead & (facing > np.cos(STEEPEST)) & inside.all(axis=(-2, -1))
 
 
 def point_sigma(spread: Array) -> Array:

@@ -115,7 +115,7 @@ class LiveEye:
         self.name = name
         self.why = ""
         """why the last picture was unusable, or empty"""
-        self._camera, self._tracker, self._size = camera, ToolTracker(rig), (rig.lens.width, rig.lens.height)
+        self._camera, self._tracker = camera, ToolTracker(rig)
         self._newest: Sighting | None = None
         self._gone = False
         self._end = threading.Event()
@@ -123,11 +123,11 @@ class LiveEye:
 
     def __enter__(self) -> LiveEye:
         """Begin; InputError for pictures of another size than calibrated."""
-        height, width = self._camera.picture()[0].shape[:2]
-        if (width, height) != self._size:
+        size, calibrated = self._camera.picture()[0].shape[::-1], self._tracker.rig.lens.size
+        if size != calibrated:
             raise InputError(
-                f"{self.name} gives pictures of {width} x {height} px, it was calibrated with {self._size[0]} x "
-                f"{self._size[1]}; take that camera, or calibrate with this one"
+                f"{self.name} gives pictures of {size[0]} x {size[1]} px, it was calibrated with {calibrated[0]} x "
+                f"{calibrated[1]}; take that camera, or calibrate with this one"
             )
         self._thread.start()
         return self
@@ -171,6 +171,5 @@ def opened_camera(number: int, rig: Path | None, arm: Arm) -> Iterator[LiveEye]:
             f"{name}: it is not known where it stands; first `rejoint calibrate ROBOT RUN --measure camera={number}`"
         )
     found = read_rig(rig, arm)
-    size = (found.lens.width, found.lens.height)
-    with LiveCamera(number, size=size) as camera, LiveEye(camera, found, name=name) as eye:
+    with LiveCamera(number, size=found.lens.size) as camera, LiveEye(camera, found, name=name) as eye:
         yield eye

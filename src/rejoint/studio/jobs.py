@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.moving.drive import Deployed
 from rejoint.control.recording import StageObserver
-from rejoint.control.robot import Robot
 from rejoint.control.seeing import simulated
 from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
@@ -36,7 +35,7 @@ from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import read_shipped
 
 if TYPE_CHECKING:  # an extra
-    from rejoint.camera.board import Detector, Picture
+    from rejoint.camera.board import BoardView, Picture
     from rejoint.camera.filming import CameraGauge, StillCamera
 
 _TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
@@ -86,11 +85,11 @@ def look(studio: Studio) -> None:
 
 def choose(studio: Studio, address: str, name: str | None = None) -> None:
     """Connect to an arm; nothing moves."""
-    if not address.strip():
+    if not address:
         raise InputError("no arm answers there; choose another from the list, or type its address")
     studio.release()
-    named = named_arm(address.strip())
-    place = place_of(address.strip() if named is None else named.address)
+    named = named_arm(address)
+    place = place_of(address if named is None else named.address)
     arm = arm_of(place.text, name) if named is None or name else named.built
     known = runs(studio.home).get(place.text)
     studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
@@ -130,7 +129,7 @@ def nudge(studio: Studio) -> None:
     for number, goal in enumerate((away, here, away, here)):
         studio.progress(number / 4, f"{name} turns by {np.degrees(NUDGE):.0f} degrees, and back")
         session.move_joints(np.clip(goal, session.arm.lower, session.arm.upper), within_rad=np.radians(3.0))
-    if studio.ask(f"Did {name} alone turn a little, and come back?") != "yes":
+    if studio.ask(f"Did {name} alone turn a little, and come back?", "yes", "no") != "yes":
         raise NotReadyError(f"{name} did not move as expected: compare cables and IDs with the arm's description")
     studio.keep(nudged=True)
     studio.change(step="diagnose", done=f"{name} answers. The arm is ready.")
@@ -160,13 +159,13 @@ def left(studio: Studio) -> str:
     elapsed, share, turns = time.monotonic() - status.began, status.share, studio.travel / (2.0 * np.pi)
     if not status.busy or status.question:
         return ""
-    stage, arm, names = status.stage, status.arm, tuple(EXPECTED)
+    stage, arm = status.stage, status.arm
     if stage is None or status.run is None or arm is None:
         return "" if share < EARLY else f"about {_minutes(elapsed * (1.0 - share) / share)} left"
-    planned = stages_of(status.address, arm, RunFolder(status.run))
+    planned = list(stages_of(status.address, arm, RunFolder(status.run)))
     within = stage.total * share - (stage.number - 1)
     now = elapsed * (1.0 - within) / within if within > EARLY else max(EXPECTED.get(stage.name, 0.0) - elapsed, 0.0)
-    later = [name for name in names[names.index(stage.name) + 1 :] if name in planned]
+    later = planned[planned.index(stage.name) + 1 :]
     pace = 0.2 if is_virtual(status.address) else 1.0
     seconds = now + pace * sum(EXPECTED[name] for name in later)
     coming = sum(TURNS.get(name, 0.0) for name in later) + (1.0 - within) * TURNS.get(stage.name, 0.0)
@@ -200,7 +199,8 @@ def again(studio: Studio) -> None:
 
 def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> None:
     """Measure where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
-    run, gauge = studio.begin_run(), cast("GaugeLike | None", None)
+    run = studio.begin_run()
+    gauge: GaugeLike | None = None
     if by == RULER:
         gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
     elif by == CAMERA:
@@ -216,44 +216,33 @@ WIDTH = 480
 """[px] of a shown picture (chosen)"""
 
 
-class _ShownCamera(NamedTuple):
-    studio: Studio
-    camera: StillCamera
-    detector: Detector
+def show(studio: Studio, picture: Picture, seen: BoardView) -> None:
+    """Show a camera's picture with the corners of the board, or say why it is of no use."""
+    import cv2
 
-    def still(self, number: int) -> Picture:
-        """Take a picture, and show it."""
-        picture = self.camera.still(number)
-        import cv2
-
-        seen = self.detector.find(f"picture {number}", picture)
-        drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
-        if seen.why:
-            self.studio.message(f"Picture {number}: {seen.why}")
-        else:
-            for x, y in np.rint(seen.pixel).astype(int).tolist():
-                cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)
-        height = round(WIDTH * picture.shape[0] / picture.shape[1])
-        self.studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
-        return picture
+    drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+    if seen.why:
+        studio.message(f"{seen.name}: {seen.why}")
+    else:
+        for x, y in np.rint(seen.pixel).astype(int).tolist():
+            cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)
+    height = round(WIDTH * picture.shape[0] / picture.shape[1])
+    studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
 
 
 def shown_camera(studio: Studio, file: Path, number: int) -> CameraGauge:
     """Return the camera of this ``number``, which measures; ``file`` describes the board."""
-    from rejoint.camera.board import ON_TOOL, Detector, read_board
+    from rejoint.camera.board import ON_TOOL, read_board
     from rejoint.camera.filming import CameraGauge
     from rejoint.camera.tracker import LiveCamera
 
     emulated = is_virtual(studio.status.address)
     board = ON_TOOL if emulated and not file.exists() else read_board(file)
 
-    @contextmanager
-    def camera(robot: Robot) -> Iterator[StillCamera]:
-        opened = nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
-        with opened as taken:
-            yield _ShownCamera(studio, taken, Detector(board))
+    def camera(robot: rejoint.Robot) -> AbstractContextManager[StillCamera]:
+        return nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
 
-    return CameraGauge(camera=camera, board=board)
+    return CameraGauge(camera=camera, board=board, show=partial(show, studio))
 
 
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
@@ -278,7 +267,7 @@ def prove(studio: Studio, points: Sequence[Array]) -> None:
     if not points:
         raise InputError("there are no points yet; add some, or click on the table")
     studio.keep(proof=None)
-    run, proof = studio.run, list[Deployed]()
+    run, proof = studio.run, list[rejoint.Deployed]()
     plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
     for number, settings in enumerate((plain, studio.settings)):
         part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
 from rejoint.control.robot import JointState, Robot, WatchedRobot
+from rejoint.logs.history import plain_name
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
@@ -53,6 +53,8 @@ class Status:
     stopping: bool = False
     question: str = ""
     """what the job asks the owner, or empty"""
+    choices: tuple[str, ...] = ()
+    """answers to it; none: any text"""
     picture: Array | None = None
     """(height, width, 3) of a camera"""
     served: str = ""
@@ -219,7 +221,7 @@ class Studio(Observer):
         if status.arm is None:
             raise InputError("no arm is chosen yet; find it first")
         if path is None:
-            home = self.home / "-".join(re.findall(r"\w+", f"{status.arm.name} {status.address}"))
+            home = self.home / plain_name(f"{status.arm.name}-{status.address}")
             path = newest_or_new(status.address, status.arm, 0, home)
         if quick is False and RunFolder(path).quick.exists():
             path = path.parent / f"{int(path.name) + 1:03}"
@@ -228,9 +230,9 @@ class Studio(Observer):
 
     # --- what the job asks and tells ---------------------------------------------------------------
 
-    def ask(self, question: str) -> str:
-        """Ask the owner, and wait for the answer; Interrupted by `stop`."""
-        self.change(question=question)
+    def ask(self, question: str, *choices: str) -> str:
+        """Ask the owner, and wait for the answer, one of the ``choices`` if any; Interrupted by `stop`."""
+        self.change(question=question, choices=choices)
         try:
             answer = self._answers.get()
         finally:

@@ -9,6 +9,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from http import HTTPStatus
 from http.cookies import SimpleCookie
 from pathlib import Path
@@ -25,7 +26,7 @@ from rejoint.arms import CATALOGUE, Array, load_arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observers
 from rejoint.pages.html import macros
-from rejoint.pages.live.page import PACES, SLOWER, TARGET, WebPage
+from rejoint.pages.live.page import SLOWER, TARGET, WebPage
 from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
@@ -111,7 +112,7 @@ TITLES: dict[StepName, str] = {
 class StudioPage(WebPage):
     """Shows a studio to any number of browsers."""
 
-    label = "rejoint studio"
+    label, stop_label = "rejoint studio", "STOP"
 
     def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
         """Serve it; InputError if the port is taken."""
@@ -121,7 +122,6 @@ class StudioPage(WebPage):
         self._admission = Admission(token, self._report)
         self._drawn: tuple[object, ...] = ()
         self._busy = False  # when it was drawn: a job may be over before the next look
-        self._frames = 0
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
         self._marked: object = None
         self._words = macros("studio.html")
@@ -137,21 +137,20 @@ class StudioPage(WebPage):
     def furnish(self, gui: viser.GuiApi) -> None:
         """Put the parts that never change into the panel, in the order of what matters."""
         gui.add_html(str(self._words.style()))
-        self._stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP)
-        self._stop.hint = "The arm stops and keeps its position, powered."
-        self._stop.on_click(lambda _: self.studio.stop())
-        self._now = gui.add_html("")
-        self._bar = gui.add_progress_bar(0.0, color="teal", visible=False)
+        self.add_stop(gui)
         self._step = gui.add_dropdown("Step", list(TITLES.values()))
         self._step.on_update(lambda event: self._go(event.client is not None))
         self._panel_of_step = gui.add_folder("Find the arm")
         with gui.add_folder("The arm now", expand_by_default=False):
-            self.state = gui.add_html("")
-            self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
+            self.add_state(gui)
         with gui.add_folder("When the browser is closed", expand_by_default=False):
             self._closed = gui.add_dropdown("The arm", [HOLDS, "goes on"])
         self.build(load_arm(DEFAULT_ARM), Protocol.threshold)
         self.server.scene.on_click()(lambda event: self._clicked(event.ray_origin, event.ray_direction))
+
+    def stop(self) -> None:
+        """Stop the job."""
+        self.studio.stop()
 
     # --- parts of a panel ---------------------------------------------------------------------------
 
@@ -199,9 +198,19 @@ class StudioPage(WebPage):
         """Add text by a macro of the template."""
         self.server.gui.add_html(str(getattr(self._words, macro)(*given)))
 
-    def picture(self, image: Array) -> None:
-        """Add a picture (height, width, 3)."""
-        self.server.gui.add_image(image.astype(np.uint8))
+    def question(self, status: Status) -> None:
+        """Add what the job shows and asks: a button for each choice, or a line to type into."""
+        if status.picture is not None:
+            self.server.gui.add_image(status.picture.astype(np.uint8))
+        if not status.question:
+            return
+        self.html("question", status.question)
+        for choice in status.choices:
+            self.button(choice.capitalize(), partial(self.studio.answer, choice), anyway=True)
+        if not status.choices:
+            self.form["answer"] = ""
+            self.field("Answer", "answer")
+            self.button("Enter", lambda: self.studio.answer(str(self.form["answer"])), anyway=True)
 
     # --- drawing ------------------------------------------------------------------------------------
 
@@ -224,9 +233,8 @@ class StudioPage(WebPage):
         """Draw new cycles, and what has changed in the studio."""
         self._alone = None
         super().draw(shown, doing)
-        if self._frames % SLOWER == 0:
+        if self._count % SLOWER == 0:
             self.render()
-        self._frames += 1
 
     def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what follows the arm."""
@@ -236,10 +244,10 @@ class StudioPage(WebPage):
         """Show the status."""
         status, studio = self.studio.status, self.studio
         left = jobs.left(studio)
-        self._now.content = str(self._words.now(status, left, TITLES))
+        self._head.content = str(self._words.now(status, left, TITLES))
         self._bar.visible = status.busy
         self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
-        self._stop.label = "Stopping ..." if status.stopping else "STOP"
+        self._stop.label = "Stopping ..." if status.stopping else self.stop_label
         title = TITLES[status.step]
         if self._step.value != title:
             self._step.value = title  # type: ignore[misc]  # declared read-only, and is not
@@ -261,6 +269,7 @@ class StudioPage(WebPage):
         self._panel_of_step = self.server.gui.add_folder(TITLES[status.step], order=before.order)
         before.remove()
         with self._panel_of_step:
+            self.question(status)
             PANELS[status.step](self, status)
 
     def _go(self, by_hand: bool) -> None:
@@ -310,24 +319,18 @@ def find(page: StudioPage, status: Status) -> None:
         page.choice("Arm", "arm", list(known))
     page.field("or its address", "address")
     page.choice("Kind", "kind", ["as its address says", *CATALOGUE])
-    page.job("Connect", lambda studio: connect(studio, page.form, known), first=True)
+
+    def connect(studio: Studio) -> None:
+        typed, listed = page.form["address"].strip(), known.get(page.form.get("arm", ""), "")
+        jobs.choose(studio, typed or listed, page.form["kind"] if page.form["kind"] in CATALOGUE else None)
+
+    page.job("Connect", connect, first=True)
     page.job("Look for arms again", jobs.look)
-
-
-def connect(studio: Studio, form: Mapping[str, Any], known: Mapping[str, str]) -> None:
-    """Connect to the typed address, else to the chosen arm, of the chosen kind."""
-    kind = form["kind"] if form["kind"] in CATALOGUE else None
-    jobs.choose(studio, str(form["address"] or known.get(form.get("arm", ""), "")), kind)
 
 
 def check(page: StudioPage, status: Status) -> None:
     """Look at servos and surroundings, and confirm a small motion."""
     page.html("checks", status.found.get("checks") or ())
-    if status.question:
-        page.html("question", status.question)
-        page.button("Yes", lambda: page.studio.answer("yes"), first=True, anyway=True)
-        page.button("No", lambda: page.studio.answer("no"), anyway=True)
-        return
     page.html("surroundings")
     page.job("The table is clear: move one joint", jobs.nudge, first=True)
     page.job("Look again", jobs.see)
@@ -364,25 +367,17 @@ def repair(page: StudioPage, status: Status) -> None:
 
 def calibrate(page: StudioPage, status: Status) -> None:
     """Measure where the tool really is."""
-    if status.picture is not None:
-        page.picture(status.picture)
-    if status.question:
-        page.html("question", status.question)
-        page.form["measured"] = ""
-        page.field("x y z in mm", "measured")
-        page.button("Enter", lambda: page.studio.answer(str(page.form["measured"])), first=True, anyway=True)
-        return
     page.html("hint", "Encoders do not see everything. A few measured points show where the tool really is.")
     page.choice("Measure with", "gauge", jobs.gauges(status.address))
     page.field("Postures", "count", 10)
     page.field("Board", "board", "board.toml")
     page.field("Camera", "camera", 0)
-    page.job("Calibrate", lambda studio: measure(studio, page.form), first=True)
 
+    def measure(studio: Studio) -> None:
+        form = page.form
+        jobs.calibrate(studio, form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
 
-def measure(studio: Studio, form: Mapping[str, Any]) -> None:
-    """Calibrate with what was typed."""
-    jobs.calibrate(studio, form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
+    page.job("Calibrate", measure, first=True)
 
 
 def prove(page: StudioPage, status: Status) -> None:

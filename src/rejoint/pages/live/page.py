@@ -133,8 +133,8 @@ class Limbs:
 class WebPage:
     """A page for any number of browsers."""
 
-    label = "rejoint live"
-    """above the panel"""
+    label, stop_label = "rejoint live", "Hold the arm"
+    """above the panel, and of its first button"""
 
     def __init__(self, host: str, port: int) -> None:
         """Serve it; InputError if the port is taken or the host is another computer."""
@@ -165,13 +165,20 @@ class WebPage:
 
     def furnish(self, gui: viser.GuiApi) -> None:
         """Put everything into the panel."""
-        self._head = gui.add_html("")
-        self._bar = gui.add_progress_bar(0.0, color="teal")
-        self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
-        self._hold.on_click(lambda _: self._ask_to_hold())
-        self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
+        self.add_stop(gui)
+        self.add_state(gui)
+
+    def add_stop(self, gui: viser.GuiApi) -> None:
+        """Add the button that stops the arm, and what is being done."""
+        hint = "The arm stops and keeps its position, powered."
+        self._stop = gui.add_button(self.stop_label, color="red", hint=hint, icon=viser.Icon.HAND_STOP)
+        self._stop.on_click(lambda _: self.stop())
+        self._head, self._bar = gui.add_html(""), gui.add_progress_bar(0.0, color="teal")
+
+    def add_state(self, gui: viser.GuiApi) -> None:
+        """Add what follows the arm."""
         self.state = gui.add_html("")
-        """what follows the arm"""
+        self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
 
     @property
     def pace(self) -> float:
@@ -223,6 +230,7 @@ class WebPage:
 
     def draw(self, shown: Shown | None, doing: Doing) -> None:
         """Draw new cycles of the run, if there is one."""
+        self._count += 1
         if shown is None:
             return
         if shown is not self.shown:
@@ -249,7 +257,6 @@ class WebPage:
                 self._tool.draw(1)
                 self._aims.draw(MOVES)
                 self.write(shown, newest, doing)
-        self._count += 1
 
     def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
         """Write what changed into the panel."""
@@ -274,8 +281,9 @@ class WebPage:
         legend = write.legend(colours, self._ghost is not None, cell_of(reach(arm)))
         self.state.content = f"{write.error(error, true, shown.within)}{guarded}{joints}{legend}"
 
-    def _ask_to_hold(self) -> None:
-        self._hold.label, self._hold.disabled = "Asked to hold", True
+    def stop(self) -> None:
+        """Ask the arm to hold."""
+        self._stop.label, self._stop.disabled = "Asked to hold", True
         ask("the button of the live view")
 
     def close(self) -> None:

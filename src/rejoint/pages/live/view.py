@@ -15,6 +15,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Cycle, Look, Observer
 from rejoint.control.robot import JointState, Robot, RobotWrapper, WallClock
+from rejoint.pages.words import sentence
 from rejoint.robots import is_virtual
 from rejoint.system.errors import LOGGER, first_line
 from rejoint.system.extras import require
@@ -124,8 +125,7 @@ class LiveView(Observer):
     def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
         """Show the last frame, and end."""
         if error is not None:
-            said = first_line(error) or type(error).__name__
-            self._doing.stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
+            self._doing.stopped = " ".join([sentence(first_line(error)), *getattr(error, "__notes__", ())])
         elif self._doing.title:
             self.progress(1.0, "done")
         page = cast("WebPage", self._page)

@@ -282,6 +282,6 @@ def write_datasheet(folder: Path, out: Path) -> Path:
         out,
         "datasheet.html",
         it=it,
-        reversal=spread(back, np.arange(len(back))) if len(back) else None,
+        reversal=spread(back, np.arange(len(back))),
         **_NAMES,
     )
