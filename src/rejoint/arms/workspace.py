@@ -124,6 +124,7 @@ class _Survey(NamedTuple):
         return frames_clear & (f.tcp_position[..., 2] > height)
 
 
+@lru_cache(maxsize=1)
 def _survey(arm: Arm) -> _Survey:
     low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
     low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
