@@ -127,6 +127,10 @@ def _search(
 where: Any = torch.where  # also of what types call arrays
 
 
+LAW = ("correction", "speed", "position", "pushed", "eager", "came", "asked")
+"""Attributes of a law that its memory keeps"""
+
+
 class _TensorLaw(Commander):
     """The law of one arm on tensors (1, n), whose goal stands."""
 
@@ -141,16 +145,14 @@ class _TensorLaw(Commander):
         """Go on from the memory; ``goal``: raised (1, n) [rad], and its Jacobian, transposed (n, 3)."""
         self._raised, self._transpose = goal
         self._pace.last = _tensor([0.0])  # so times are periods
-        self._correction, self._speed, self._position = old["correction"], old["speed"], old["position"]
-        self._pushed, self._asked = old["pushed"], old["asked"]
-        self._eager, self._came = where(fresh, 1.0, old["eager"]), where(fresh, 0.0, old["came"])
+        for name in LAW:
+            setattr(self, f"_{name}", old[name])
+        self._eager, self._came = where(fresh, 1.0, self._eager), where(fresh, 0.0, self._came)
         self._correction = self._correction - where(fresh, self._far(distance), 0.0) * self._unneeded()
 
     def memory(self) -> dict[str, Any]:
         """Return what the next cycle goes on from."""
-        names = ("correction", "speed", "position", "pushed", "eager", "came")
-        found = self._correction, self._speed, self._position, self._pushed, self._eager, self._came
-        return dict(zip(names, found, strict=True))
+        return {name: getattr(self, f"_{name}") for name in LAW}
 
     def on_the_way(self, inputs: ControlInput) -> Any:  # noqa: ANN401, ARG002
         """See `Commander`."""
