@@ -6,7 +6,7 @@ import hashlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +31,7 @@ from rejoint.system.shell import __version__
 from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
 
-Kind = Literal["urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2"]
-KINDS: tuple[str, ...] = get_args(Kind)
+KINDS = ("urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2")
 
 
 def export_run(
@@ -166,7 +165,6 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
         "design": design,
         "notice": notice,
         "package": package,
-        "version": __version__.split("+")[0],
         "file": path.name,
         "md5": hashlib.md5(data, usedforsecurity=False).hexdigest(),
         "sha256": hashlib.sha256(data).hexdigest(),
@@ -270,61 +268,25 @@ BRISTLES = 1000.0
 
 def mjcf_text(arm: Arm, twin: Twin) -> str:
     """MuJoCo model of ``arm`` with the servos of its twin; its comment names what is missing."""
-    import mujoco
-
     from rejoint.twin.table import twin_spec
 
-    spec, p, dry = twin_spec(arm), twin.parameters, twin.parameters.coulomb
-    beside = back_emf(arm, p)
-    option = spec.option
-    option.timestep, option.disableflags = STEP, 0
-    # the implicit integrators take bristles for viscous, which is as much inertia again (measured)
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.solver, option.jacobian = mujoco.mjtSolver.mjSOL_NEWTON, mujoco.mjtJacobian.mjJAC_AUTO
-    spec.compiler.degree = False
+    spec, p, missing = twin_spec(arm), twin.parameters, _missing(arm, twin)
     for joint, armature in zip(spec.joints, p.armature, strict=True):
         joint.armature = armature
-    inertia, delay = 1.0 / spec.compile().dof_invweight0, max(float(p.delay), 0.0)
-    for i, (joint, servo) in enumerate(zip(spec.joints, spec.actuators, strict=True)):
-        stiffness, limit = float(p.stiffness[i]), float(p.torque_limit[i])
-        joint.limited, joint.range = True, (arm.lower[i], arm.upper[i])
-        joint.damping = beside[i], 0.0, 0.0
-        joint.frictionloss = 0.0
-        servo.set_to_pid(
-            kp=stiffness,
-            kv=float(p.damping[i] - beside[i]),
-            slewmax=float(p.ramp_speed),
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
-        )
-        servo.biasprm[0], servo.forcerange = stiffness * p.offset[i], (-limit, limit)
-        if delay:
-            servo.delay, servo.nsample = delay, math.ceil(delay / STEP) + 1
-        friction = spec.add_actuator(name=f"{joint.name}_friction", target=joint.name)
-        friction.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        friction.set_to_dcmotor(
-            motorconst=(0.0, 0.0),
-            resistance=1.0,  # without a motor, but MuJoCo asks for one
-            lugre=(
-                inertia[i] * BRISTLES**2,
-                inertia[i] * BRISTLES,
-                dry[i],
-                twin.parameters.stiction[i] * dry[i],
-                STRIBECK_SPEED,
-            ),
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
-        )
-    rest = arm.rest.tolist()
-    spec.add_key(name="rest", qpos=rest, ctrl=rest, act=[*rest, *[0.0] * arm.joints])
-    lines = [
-        f"The arm {arm.name} with its servos as rejoint found them, for MuJoCo 4. ctrl: commanded positions in rad.",
-        "Begin with the keyframe, or set the first values of act, the references, to where the arm is.",
-        *_missing(arm, twin),
-    ]
     if twin.acceleration < math.inf:
-        lines.append(f"The references of the servos also accelerate by at most {twin.acceleration:.4g} rad/s^2.")
-    spec.comment = "\n".join(lines)
-    spec.compile()
-    return str(spec.to_xml())
+        missing.append(f"The references of the servos also accelerate by at most {twin.acceleration:.4g} rad/s^2.")
+    return render(
+        "export/mjcf.xml.txt",
+        arm=arm,
+        p=p,
+        beside=back_emf(arm, p),
+        inertia=1.0 / spec.compile().dof_invweight0,
+        delay=max(float(p.delay), 0.0),
+        step=STEP,
+        bristles=BRISTLES,
+        stribeck=STRIBECK_SPEED,
+        missing=missing,
+    )
 
 
 def isaaclab_text(arm: Arm, twin: Twin) -> str:
