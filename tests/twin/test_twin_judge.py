@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from motion_logs import ARM, TRUTH, pressing, record, wandering
 
+import rejoint
 from rejoint.arms import tcp_position
 from rejoint.system.errors import InputError
 from rejoint.twin.judge import Candidate, judge, predict_logs, read_published
@@ -61,7 +62,9 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
 @pytest.mark.parametrize("names", [("truth", "truth"), (NO_TWIN,)])
 def test_every_prediction_has_a_name_of_its_own(logs, names):
     with pytest.raises(InputError, match="a name of its own"):
-        predict_logs(ARM, [Candidate(name=name, parameters=TRUTH) for name in names], logs[:1])
+        predict_logs(ARM, beside := [Candidate(name=name, parameters=TRUTH) for name in names], logs[:1])
+    with pytest.raises(InputError, match="a name of its own"):
+        rejoint.identify(logs, arm=ARM, plan=rejoint.LogPlan(beside=beside))  # at once, not after the fit
 
 
 def test_a_published_set_is_read(tmp_path):

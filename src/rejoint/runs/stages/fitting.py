@@ -114,12 +114,14 @@ def identify(
     """
     from rejoint.twin.identify import LogSettings, identify_logs
     from rejoint.twin.identify import identify as fit
+    from rejoint.twin.judge import predict_logs
 
     what, size = plan or LogPlan(), dict[str, Any]()
     with pacing(observer) as update, ExitStack() as stack:
         if logs is not None:
             about, chosen = run_of_logs(run, logs, arm)
             stack.enter_context(exclusive(about))
+            predict_logs(chosen, what.beside, [])  # twins of one name are refused now, and not after the fit
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
         elif run is not None:
