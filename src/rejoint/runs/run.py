@@ -17,6 +17,7 @@ from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.robot import JointState, Robot, WatchedRobot
+from rejoint.control.servogains import GainsFound
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
@@ -167,6 +168,12 @@ class Run(Readable):
     def policy(self) -> Policy | None:
         """The policy, if trained."""
         return Policy.load(self.folder.policy) if self.folder.policy.exists() else None
+
+    @property
+    def gains(self) -> GainsFound | None:
+        """Better gains of the servos, if searched."""
+        path = self.folder.gains
+        return read_json(path, GainsFound) if path.exists() else None
 
     @property
     def comparison(self) -> Comparison | None:

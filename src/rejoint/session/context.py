@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures, too_heavy
 from rejoint.arms.rotations import Orientation
@@ -33,67 +32,41 @@ from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands
 from rejoint.control.moving.tracker import joint_weights
-from rejoint.control.robot import Controller, Robot, heeds_turn
+from rejoint.control.robot import Controller, heeds_turn
 from rejoint.control.servogains import (
     GEARED,
     GEARED_POLICY,
     GEARED_PREDICTIVE,
     RIVALS,
-    GainsFound,
     ServoGains,
     differing,
-    gains_in_force,
     geared,
     in_words,
     inner_name,
     stiffness_under,
 )
 from rejoint.control.start import Stance
-from rejoint.control.targets import in_mm
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.session.inputs import (
-    CalibrationLike,
     ControllerLike,
     Period,
-    as_calibration,
     laden,
 )
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
-from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 
-Say: TypeAlias = Callable[[str], object]
-"""Receives sentences for the user"""
-
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
-SURE = 3.0
-"""Standard errors from which a load counts as noticed (chosen)"""
 ALONE = 0.08
 """[kg] standard error of one posture's estimate (measured)"""
-LEAST = 0.04
-"""[kg] that counts as a load at least (chosen)"""
 UNSEEN = 3.0
 """Factor on torque limits that a twin never saw (chosen)"""
-_NAMED = 5  # targets that a line names
-
-
-def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
-    """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
-    if twin is None or not isinstance(arm, LoadedArm):
-        return
-    points = targets.reshape(-1, 3)
-    judged = heavy(arm, twin, points, turns and turns.flat)
-    found = [f"{in_mm(point)}: {why}" for point, why in zip(points, judged, strict=True) if why]
-    if found:
-        more = f", and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-        say(f"Too heavy by the twin: {'; '.join(found[:_NAMED])}{more}. The arm tries, but may not come there.")
 
 
 def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
@@ -141,20 +114,6 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
-def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:
-    """Report an unexpected load that the sag of a ``log`` shows."""
-    if twin is None or log is None:
-        return
-    found = noticed_load(arm, twin, log)
-    if found is None or not found[0] > max(LEAST, SURE * found[1]):
-        return
-    more = " more than was told" if isinstance(arm, LoadedArm) else ""
-    say(
-        f"The joints sag as if the hand carried about {1e3 * found[0]:.0f} g{more}: tell it with --payload, or "
-        "identify again if the arm itself has changed."
-    )
-
-
 def _standing(log: RunLog) -> NDArray[Any]:
     """Rows (K,) of the postures in which the arm stood for `STILL`, the last of each."""
     steps = np.abs(np.diff(log.position, axis=0))
@@ -170,7 +129,7 @@ def _standing(log: RunLog) -> NDArray[Any]:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Guard's limits, with friction bands if ``robot`` is the run's own."""
     limits = GuardLimits.of(arm)
-    if run is None or not _is_own(run, robot) or (told := run.diagnosis) is None:
+    if run is None or not is_own(run, robot) or (told := run.diagnosis) is None:
         return limits
     paths = [run.folder.log(name) for name in ("excitation", "targets")]
     if not all(path.exists() for path in paths):
@@ -179,7 +138,8 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     return replace(limits, bands=bands, gains=told.servo_gains)
 
 
-def _is_own(run: Run, robot: str) -> bool:
+def is_own(run: Run, robot: str) -> bool:
+    """Whether ``robot`` is at the address of a run's own robot."""
     try:
         own, here = place_of(run.robot), place_of(robot)
     except AddressError:  # a robot that was opened by other means
@@ -203,14 +163,6 @@ def _expected(twin: Twin) -> Stance:
     return Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
 
 
-def twin_in_force(run: Run, robot: Robot) -> Twin | None:
-    """Return a run's twin, as stiff as the gains of ``robot`` make it now."""
-    twin, diagnosis = run.twin, run.diagnosis
-    if twin is None or diagnosis is None:
-        return twin
-    return twin_under(twin, diagnosis.servo_gains, gains_in_force(robot))
-
-
 def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) -> Twin:
     """Return a ``twin`` fitted under the gains ``before``, made as stiff as ``now``."""
     stiffness = stiffness_under(twin.parameters.stiffness, before, now)
@@ -230,25 +182,6 @@ def correction_of(
     correct = partial(Modelled, displacement=calibration.displacement)
     correct(arm).aim(places, np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool))
     return correct
-
-
-def calibration_of(
-    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, say: Say
-) -> Calibration | None:
-    """Calibration given, or that of the run for its own robot, where it helps; ``say`` receives why not.
-
-    ContractError for another arm.
-    """
-    found = as_calibration(given, run, arm)
-    if found is None:
-        return None
-    own = given is not None or run is None or _is_own(run, robot)
-    if own and found.used:
-        return found
-    why = "it did not clearly help" if own else f"it is not of {robot}"
-    name = given if isinstance(given, str | Path) else "the calibration" if run is None else run.folder.calibration
-    say(f"Not corrected: {name} is not applied; {why}.")
-    return None
 
 
 def quick_note(run: Run | None) -> str:
@@ -288,13 +221,6 @@ def named(given: Controllers) -> dict[str, ControllerLike]:
     return found
 
 
-def tuned_gains(run: Run | None) -> GainsFound | None:
-    """Gains that the run's search found."""
-    if run is None or not run.folder.gains.exists():
-        return None
-    return read_json(run.folder.gains, GainsFound)
-
-
 @dataclass(frozen=True, eq=False)
 class ControllerMaker:
     """Makes controllers of an arm by name."""
@@ -328,7 +254,7 @@ class ControllerMaker:
     @property
     def trained_for_tuned(self) -> bool:
         """Whether the policy of the run was trained for its tuned gains."""
-        found, policy = tuned_gains(self.run), None if self.run is None else self.run.policy
+        found, policy = (None, None) if self.run is None else (self.run.gains, self.run.policy)
         gains = None if policy is None else policy.contract.servo_gains
         return found is not None and gains is not None and not differing(gains, found.under)
 
@@ -351,7 +277,8 @@ class ControllerMaker:
 
     def contenders(self, *, real: bool, posed: bool) -> tuple[str, ...]:
         """Name the controllers compared by default; a real arm gets the generic policy until it has its own."""
-        tuned, own = tuned_gains(self.run) is not None, self.policy_file is not None and not posed
+        tuned = self.run is not None and self.run.gains is not None
+        own = self.policy_file is not None and not posed
         geared = own and self.trained_for_tuned
         left_out = {
             SHELF: posed or (real and own) or not self.suits_shelf,
@@ -414,8 +341,8 @@ class ControllerMaker:
         return make_controller(name, arm, policy=self.policy_file, stiffness=stiffness)
 
     def _geared(self, name: str, arm: Arm) -> Controller:
-        run, found = self.run, tuned_gains(self.run)
-        if run is None or found is None:
+        run = self.run
+        if run is None or (found := run.gains) is None:
             where = "RUN" if run is None else str(run.path)
             raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
         if name == GEARED_POLICY and not self.trained_for_tuned:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.inertia import LoadedArm
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -34,8 +35,9 @@ from rejoint.control.robot import (
     part_of,
     turned_off,
 )
-from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
+from rejoint.control.servogains import Rung, ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import Playback, begin, check_ready, move
+from rejoint.control.targets import in_mm
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
@@ -44,12 +46,14 @@ from rejoint.runs.run import Run, dated, exclusive, staged
 from rejoint.session.context import (
     ControllerMaker,
     Factory,
-    calibration_of,
     correction_of,
     guard_limits,
+    heavy,
+    is_own,
+    noticed_load,
     quick_note,
     stance_of,
-    twin_in_force,
+    twin_under,
 )
 from rejoint.session.inputs import (
     ArmLike,
@@ -60,6 +64,7 @@ from rejoint.session.inputs import (
     Settings,
     address_of,
     arm_of,
+    as_calibration,
     as_twin,
     equipped,
     period_of,
@@ -72,6 +77,7 @@ from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
+    from rejoint.arms.rotations import Orientation
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
@@ -222,9 +228,7 @@ class RehearsedRobot(WatchedRobot):
         """Take ``gains``; the arm keeps its own."""
         self._gains = dict(gains)
 
-    def keep(self, gains: ServoGains) -> None:
-        """Do as `tune`."""
-        self.tune(gains)
+    keep = tune
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the arm's search order."""
@@ -352,6 +356,12 @@ class GoalStream(Reference):
         return replace(now, goal=self._posture[None], arrived=np.array([arrived]))
 
 
+NAMED = 5
+"""Targets that a line names at most (chosen)"""
+SURE, LEAST = 3.0, 0.04
+"""Standard errors, and [kg], from which a load counts as noticed (chosen)"""
+
+
 class ArmDriver:
     """An arm with everything that drives it; a session adds the motions."""
 
@@ -453,14 +463,28 @@ class ArmDriver:
     @property
     def twin_now(self) -> Twin | None:
         """The twin under the gains in force."""
-        if self.settings.twin is not None or self.run is None:
+        diagnosis = None if self.settings.twin is not None or self.run is None else self.run.diagnosis
+        if self.twin is None or diagnosis is None:
             return self.twin
-        return twin_in_force(self.run, self.robot)
+        return twin_under(self.twin, diagnosis.servo_gains, gains_in_force(self.robot))
 
     @cached_property
     def calibration(self) -> Calibration | None:
-        """The calibration in use; a message says why one is not."""
-        return calibration_of(self.settings.calibration, self.run, self.arm, self.address, self.observer.message)
+        """The calibration of the settings, or that of the run for its own robot, where it helps.
+
+        A message says why one is not in use. ContractError for another arm's.
+        """
+        given, run = self.settings.calibration, self.run
+        found = as_calibration(given, run, self.arm)
+        if found is None:
+            return None
+        own = given is not None or run is None or is_own(run, self.address)
+        if own and found.used:
+            return found
+        why = "it did not clearly help" if own else f"it is not of {self.address}"
+        name = given if isinstance(given, str | Path) else "the calibration" if run is None else run.folder.calibration
+        self.observer.message(f"Not corrected: {name} is not applied; {why}.")
+        return None
 
     @cached_property
     def correction(self) -> Modelled | None:
@@ -512,6 +536,32 @@ class ArmDriver:
             self._gains.enter_context(under_gains(robot, controller))
             self.limits, self._in_charge = limits_under(self._base, robot, controller), controller
 
+    def say_heavy(self, targets: Array, turns: Orientation | None = None) -> None:
+        """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
+        arm, twin = self.arm, self.twin
+        if twin is None or not isinstance(arm, LoadedArm):
+            return
+        points = targets.reshape(-1, 3)
+        judged = heavy(arm, twin, points, turns and turns.flat)
+        found = [f"{in_mm(point)}: {why}" for point, why in zip(points, judged, strict=True) if why]
+        if found:
+            more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
+            self.observer.message(
+                f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not come there."
+            )
+
+    def say_noticed(self, log: RunLog | None) -> None:
+        """Report an unexpected load that the sag of a ``log`` shows."""
+        twin = self.twin_now
+        found = None if twin is None or log is None else noticed_load(self.arm, twin, log)
+        if found is None or not found[0] > max(LEAST, SURE * found[1]):
+            return
+        more = " more than was told" if isinstance(self.arm, LoadedArm) else ""
+        self.observer.message(
+            f"The joints sag as if the hand carried about {1e3 * found[0]:.0f} g{more}: tell it with --payload, or "
+            "identify again if the arm itself has changed."
+        )
+
     def posture_controller(self, gains: PostureGains | None = None) -> PostureController:
         """Return what brings every joint to its goal, by the twin."""
         twin = self.twin_now
@@ -523,11 +573,12 @@ class ArmDriver:
 
     # --- the one place where the control loop is called ---------------------------------------
 
-    def begin(self, controller: Controller | None = None, *, rest: bool = True) -> None:
-        """Look at the arm, and bring it to rest the first time.
+    def begin(self, motion: str, by: str, controller: Controller | None = None, *, rest: bool = True) -> None:
+        """Look at the arm, and bring it to rest the first time; record a ``motion`` of this name ``by`` a controller.
 
         NotReadyError if it is unsafe to move the arm; ContractError if ``controller`` does not suit the period.
         """
+        self.recorder.begin(self.robot, motion, f"{motion}/{by}")
         self.take_up(controller)
         if rest and not self._rested:
             stance = stance_of(self.twin_now, self.run)

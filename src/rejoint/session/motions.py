@@ -42,7 +42,7 @@ from rejoint.control.robot import Controller, Robot
 from rejoint.control.seeing import Eye, Finishing, Seen
 from rejoint.control.targets import require_reachable
 from rejoint.runs.run import Run
-from rejoint.session.context import correction_of, say_heavy, say_noticed
+from rejoint.session.context import correction_of
 from rejoint.session.driver import ArmMotion
 from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Settings, Targets, as_targets
 from rejoint.session.session import ArmSession
@@ -127,9 +127,8 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
 
     def work(_: object) -> Deployed:
         with opened_eye(settings.eye, session.robot, session.run, session.seed) as eye:
-            session.recorder.begin(session.robot, "deploy", f"deploy/{name}")
             done = _deployed(session, job, controller, ways, eye)
-        say_noticed(arm, session.twin_now, done.log, session.observer.message)
+        session.say_noticed(done.log)
         return done
 
     return work
@@ -140,7 +139,7 @@ def _deployed(
 ) -> Deployed:
     """Drive; a run keeps what is recorded also after ``kill -9``."""
     arm, total, correction, seen = session.arm, len(job.targets), session.correction, None
-    session.begin(controller)
+    session.begin("deploy", job.controller, controller)
     if eye is not None:
         seen = Seen(arm, Displacement.none(arm) if correction is None else correction.displacement, eye=eye)
         controller, correction = Finishing(arm, controller, seen), seen
@@ -294,7 +293,7 @@ class PathDrive:
         if isinstance(known := self.guide, Path):
             self.duration = LEAD_IN + known.duration
             places, turns = known.poses(known.time[:: max(1, len(known.time) // LOOKED_AT)])
-            say_heavy(arm, session.twin, places, session.observer.message, turns)
+            session.say_heavy(places, turns)
             correction_of(session.calibration, arm, places)
         self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
         self.controller = settings.controller or TRACKER
@@ -321,8 +320,7 @@ class PathDrive:
         if session.settings.controller is not None or name == TRACKER:
             session.announce(name, "for paths, by the twin" if session.settings.controller is None else "as asked for")
         label = f"follow/{name}/{guide.name}"
-        session.recorder.begin(session.robot, "follow", label)
-        session.begin()
+        session.begin("follow", f"{name}/{guide.name}")
         if session.correction is not None:
             guide = corrected(arm, guide, session.correction, home)
         aimed, passes, lesson = guide, list[Pass](), None
@@ -342,7 +340,7 @@ class PathDrive:
         session.followed = Followed(
             path=guide.name, controller=name, within=self.within, passes=tuple(passes), **last.timing()
         )
-        say_noticed(arm, session.twin_now, passes[-1].log, session.observer.message)
+        session.say_noticed(passes[-1].log)
         return session.followed
 
     def _show(self, number: int, cycle: Cycle) -> None:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 WIRE_JOINTS = 6
 """Joints of the only arm whose wire is spoken: a myCobot"""
-LABEL = "serve/posture"
 LONGEST_PIECE = 3.0 * PIECE
 """[s] longest run log of a served arm (chosen)"""
 OBSTACLES = np.uint16(Reason.FLOOR | Reason.COLLISION | Reason.POSITION)
@@ -105,7 +104,7 @@ def serve(
     >>> rejoint.serve("tcp://192.168.1.20:9000", "runs/mine", listen="127.0.0.1:9001")
     >>> rejoint.serve("tcp://192.168.1.20:9000", "runs/mine", pty=True)
     """
-    over = threading.Event() if stop is None else stop
+    over = stop or threading.Event()
     with (
         noted(),
         ExitStack() as stack,
@@ -125,8 +124,7 @@ def serve(
         path = about.path / "logs" / f"serve-{datetime.now():%Y%m%d-%H%M%S}.jsonl"
         log = OrderLog(path, say=say)
         stack.callback(log.close)
-        session.recorder.begin(session.robot, "serve", LABEL)
-        session.begin()
+        session.begin("serve", "posture")
         served, clients = _put_together(session, log, listener)
         server = clients.server()
         session.beside.append(clients.relay)

@@ -166,8 +166,7 @@ class ArmSession(ArmDriver):
         name, controller = self.driver(posed=turns is not None)
 
         def work(motion: ArmMotion) -> None:
-            self.begin(controller)
-            self.recorder.begin(self.robot, "move", f"move/{name}")
+            self.begin("move", name, controller)
             arrival = GoalCheck(motion, self.arm, within, within_rad)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival), reference)
             arrival.require(wanted, timeout)
@@ -211,9 +210,8 @@ class ArmSession(ArmDriver):
         way = plan(self.arm, self.state.joints_rad, goal, motors=self.motors)
 
         def work(motion: ArmMotion) -> None:
-            self.begin(rest=False)
+            self.begin("joints", PostureController.name, rest=False)
             controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
-            self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within, goal)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival), unloaded)
             arrival.require(f"{np.degrees(within):g} deg", timeout)
@@ -260,9 +258,8 @@ class ArmSession(ArmDriver):
         goals = GoalStream(self.apparent, self.robot.read().position[0].copy())
 
         def work(motion: ArmMotion) -> None:
-            self.begin(rest=False)
+            self.begin("joints", PostureController.name, rest=False)
             controller, unloaded = self._joint_drive(goals)
-            self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             while not motion.ended.is_set():
                 self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
                 if not motion.ended.is_set():  # else the braking command is the last row

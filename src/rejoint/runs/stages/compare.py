@@ -40,7 +40,6 @@ from rejoint.session.context import (
     guard_limits,
     is_name,
     named,
-    say_heavy,
     stance_of,
 )
 from rejoint.session.inputs import (
@@ -387,7 +386,7 @@ def comparison_job(
     block = BLOCK if real and not plan.full else 0
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
-    say_heavy(arm, twin, points, session.observer.message, turns)
+    session.say_heavy(points, turns)
     trials = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,

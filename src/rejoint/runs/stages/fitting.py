@@ -19,7 +19,7 @@ from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS, RunFolder, locked
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
-from rejoint.session.context import ControllerMaker, tuned_gains, twin_under
+from rejoint.session.context import ControllerMaker, twin_under
 from rejoint.session.inputs import (
     ArmLike,
     LogsLike,
@@ -332,7 +332,7 @@ def train(
                 raise InputError("training: a run has its own twin; give either a run or a twin")
             found = Run.open(run).seeded(how.seed)
             stack.enter_context(exclusive(found))
-            told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
+            told, tuned, known = found.diagnosis, found.gains, found.twin
             if known is None and not how.generic:
                 raise InputError(
                     f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
@@ -428,7 +428,7 @@ def gains_to_keep(run: Run) -> ServoGains:
 
     FileError without a search, InputError if nothing else is recommended.
     """
-    found = tuned_gains(run)
+    found = run.gains
     if found is None:
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
     best = ControllerMaker(run.arm, run=run).choice()[0] if run.folder.comparison.exists() else GEARED
