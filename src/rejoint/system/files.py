@@ -171,11 +171,12 @@ def saving(result: object) -> Iterator[None]:
         raise UnsavedError(error, result) from error
 
 
-def set_aside(path: Path) -> None:
-    """Rename an existing file by its time."""
+def set_aside(path: Path) -> Path:
+    """Rename what exists at ``path`` by its time; returns ``path``."""
     if path.exists():
         made = datetime.fromtimestamp(path.stat().st_mtime)
         path.replace(unused(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}")))
+    return path
 
 
 def unused(path: Path) -> Path:

@@ -232,8 +232,7 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
 
 def _write(run: Run, result: Calibrated) -> None:
     run.begin()
-    set_aside(run.folder.calibration)
-    write_calibration(run.folder.calibration, result.calibration)
+    write_calibration(set_aside(run.folder.calibration), result.calibration)
     write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
     if result.filmed is not None:
         result.filmed.write(run.folder)

@@ -186,8 +186,7 @@ class ComparisonJob:
                 error.add_note(kept)
             raise
         with saving(found):
-            set_aside(run.folder.comparison)
-            write_json(run.folder.comparison, found.comparison)
+            write_json(set_aside(run.folder.comparison), found.comparison)
             ledger.close()
             summarise(run)
         return found
@@ -199,8 +198,7 @@ class ComparisonJob:
         def keep(label: str, log: RunLog) -> None:
             logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
             if self.run is not None:
-                set_aside(self.run.folder.log(label))
-                log.save(self.run.folder.log(label))
+                log.save(set_aside(self.run.folder.log(label)))
 
         def see(driven: Driven, recording: Recording) -> None:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures

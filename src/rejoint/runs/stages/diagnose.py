@@ -145,10 +145,8 @@ def _write(run: Run, result: Diagnosed, *, quick: bool) -> None:
     run.begin()
     mark_quick(run, quick=quick)
     for name in ("targets", "excitation"):
-        set_aside(run.folder.log(name))
-        getattr(result, name).save(run.folder.log(name))
-    set_aside(run.folder.diagnosis)
-    write_json(run.folder.diagnosis, result.diagnosis)
+        getattr(result, name).save(set_aside(run.folder.log(name)))
+    write_json(set_aside(run.folder.diagnosis), result.diagnosis)
     summarise(run)
 
 

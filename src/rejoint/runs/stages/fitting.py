@@ -418,8 +418,7 @@ def gains(
         found = search(tried, points, limits=session.limits, on_progress=update)
         if session.run is not None:
             with saving(found):
-                set_aside(session.run.folder.gains)
-                write_json(session.run.folder.gains, found)
+                write_json(set_aside(session.run.folder.gains), found)
     return found
 
 
