@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, HelperProcess, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
@@ -197,8 +197,13 @@ def repair(
         return about
     found = about.begin()
     files = stages_of(robot, found.arm, found.folder, what, quick=quick)
-    works = _works(robot, found, what, chosen, quick=quick)
     prepared, ahead = partial(_comparison, robot, found, what, chosen, quick=quick), None
+
+    def compared(observer: Observer) -> Compared:
+        with prepared(observer) as job:
+            return job.drive(observer.progress, ahead)
+
+    works = _works(robot, found, what, chosen, quick=quick) | {"compare": compared}
     early = is_batchable(robot) and only is None and not what.controllers
     early = early and not (found.folder.policy.exists() or found.folder.comparison.exists())
     with ExitStack() as stack:
@@ -209,9 +214,8 @@ def repair(
                 if ahead is not None:
                     stack.enter_context(closing(ahead))
             if only in (None, name):
-                work = partial(_compare, prepared, ahead) if name == "compare" else works[name]
                 stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
-                _do(stage, work, found, watching, alone=only is not None)
+                _do(stage, works[name], found, watching, alone=only is not None)
     watching.progress(1.0, "done")
     return found
 
@@ -247,16 +251,6 @@ def _comparison(
         targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
     with ArmSession(robot, run=run, settings=compared, observer=observer) as session:
         yield comparison_job(session, plan.controllers, targets, trials)
-
-
-def _compare(
-    prepared: Callable[[Observer], AbstractContextManager[ComparisonJob]],
-    ahead: HelperProcess | None,
-    *,
-    observer: Observer,
-) -> Compared:
-    with prepared(observer) as job:
-        return job.drive(observer.progress, ahead)
 
 
 def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer, *, alone: bool) -> None:
