@@ -155,9 +155,7 @@ def serial_ports(_: Surroundings) -> Iterator[Symptom]:
     """List the ports, with who may open them."""
     found = lines.ports()
     for device, what in found.items():
-        may = os.access(device, os.R_OK | os.W_OK)
-        why = "" if may else lines.why_closed(PermissionError(13, ""), device) or ""
-        yield Symptom(f"{device}, {what}", why.partition("; ")[2])
+        yield Symptom(f"{device}, {what}", (lines.refused(device) or "").partition("; ")[2])
     if not found:
         yield Symptom("none on this computer")
 

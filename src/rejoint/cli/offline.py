@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import webbrowser
 from dataclasses import replace as changed
 from pathlib import Path
@@ -21,7 +20,6 @@ from rejoint.logs.runfolder import RunFolder, read_info
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
-from rejoint.robots.family import SerialAddress
 from rejoint.runs.fleet.file import name_arm, names_file, read_fleet, remove_name
 from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import arm_of_twin
@@ -156,11 +154,8 @@ def ports(call: Call) -> object:
     """List the serial ports of this computer, each with the arm that answers there; nothing moves."""
     found = []
     for device, what in lines.ports().items():
-        wire = SerialAddress(text=device, device=device, baud=0)
-        may = os.access(device, os.R_OK | os.W_OK)
-        heard = lines.answering(wire) if may else None
-        why = None if may else lines.why_closed(PermissionError(13, ""), device)
-        address = None if heard is None else lines.address_at(wire, *heard)
+        why, heard = lines.refused(device), lines.arm_at(device)
+        address = heard and heard[1]
         found.append({"port": device, "what": what, "address": address, "problem": why})
         call.result(f"{device}  {what}: {address or why or 'no arm answers'}")
     if not found:

@@ -66,6 +66,18 @@ def why_closed(error: BaseException, device: str) -> str | None:
     return None
 
 
+def refused(device: str) -> str | None:
+    """Say why this user may not open a ``device``, and what to do; None: they may."""
+    return None if os.access(device, os.R_OK | os.W_OK) else why_closed(PermissionError(errno.EACCES, ""), device)
+
+
+def arm_at(device: str) -> tuple[str, str] | None:
+    """Return name and address of the arm that answers at a serial port, or None."""
+    wire = SerialAddress(text=device, device=device, baud=0)
+    heard = answering(wire)
+    return None if heard is None else (heard[0].name.strip(","), address_at(wire, *heard))
+
+
 def answering(wire: Wire) -> tuple[Kind, int] | None:
     """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None."""
     bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)

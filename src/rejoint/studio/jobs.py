@@ -23,8 +23,7 @@ from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
 from rejoint.logs.history import find_rows
 from rejoint.logs.runfolder import LOGS, RunFolder, read_info
 from rejoint.robots import is_virtual, place_of, usable
-from rejoint.robots.family import SerialAddress
-from rejoint.robots.ports import address_at, answering, ports
+from rejoint.robots.ports import arm_at, ports
 from rejoint.runs.exports import export_run
 from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
 from rejoint.runs.history import arms_of, cells
@@ -55,12 +54,11 @@ def candidates(home: Path) -> dict[str, str]:
     path = names_file()
     found = {f"{one.name}, {one.address}": one.name for one in (read_fleet(path).arms if path.exists() else ())}
     for device, what in ports().items():
-        wire = SerialAddress(text=device, device=device, baud=0)
-        heard = answering(wire)
+        heard = arm_at(device)
         if heard is None:
             found[f"{device} ({what}): no arm answers; is it switched on?"] = ""
         else:
-            found[f"{heard[0].name.strip(',')}, on {device}"] = address_at(wire, *heard)
+            found[f"{heard[0]}, on {device}"] = heard[1]
     for address in runs(home):
         if address not in (*found.values(), *EMULATED.values()):
             found[f"{address}, known from before"] = address
