@@ -120,13 +120,6 @@ def test_bad_input_is_one_line_and_exit_code_2(line, tmp_path, cli, monkeypatch)
     assert says in cli(*(word.format(**places) for word in call.split()), code=2).error
 
 
-@pytest.mark.parametrize("words", [("emulate",), ("research", "tune", "adaptive")])
-def test_without_the_lab_its_commands_say_so(words, cli, monkeypatch):
-    for name in ("rejoint_lab", "rejoint_lab.commands"):
-        monkeypatch.setitem(sys.modules, name, None)
-    assert "package rejoint_lab, which is not installed" in cli(*words, code=2).error
-
-
 def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     step, steps = EmulatedRobot.step, []
 

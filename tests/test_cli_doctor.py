@@ -5,7 +5,6 @@ import fcntl
 import os
 import pty
 import shutil
-import sys
 import termios
 import time
 from contextlib import ExitStack
@@ -153,7 +152,6 @@ PLANTED = {
     "damaged run": (damaged, "run", "twin.toml", "identify"),
     "no compiler": (environment("NUMBA_DISABLE_JIT", "1"), "compiler", "NUMBA_DISABLE_JIT is set", "unset it"),
     "unreadable home": (environment("HOME", "/nowhere"), "home", "cannot be read", "set HOME"),
-    "old Python": (patched(sys, "version_info", (3, 10, 4)), "Python", "version 3.10.4", "install Python 3.11"),
 }
 
 

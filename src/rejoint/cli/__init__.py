@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
-from types import ModuleType
 from typing import Annotated, Any
 
 import msgspec
@@ -28,7 +27,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rejoint.cli.console import into_nothing, notes, with_place
-from rejoint.system.errors import InputError, RejointError
+from rejoint.system.errors import RejointError
 from rejoint.system.extras import require_compiler
 from rejoint.system.shell import __version__
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -62,14 +61,13 @@ class LazyCommand(TyperCommand):
     """A command, or a group of commands, by its line in the list; its module is loaded when it is wanted."""
 
     def __init__(self, name: str, entry: Mapping[str, Any]) -> None:
-        """Take its ``entry`` in `texts`; ``module`` is one of this package, or of another one with its whole name."""
+        """Take its ``entry`` in `texts`."""
         super().__init__(name, help=entry["help"], rich_help_panel=entry["panel"])
         self._entry = entry
 
     def loaded(self) -> Any:  # noqa: ANN401 - the framework's own kind
         """Return the function or the group of this name in the module."""
-        name = str(self.name)
-        module = _module_of(name, self._entry["module"])
+        name, module = str(self.name), import_module(self._entry["module"])
         function = getattr(module, name, None) or getattr(module, f"{name}_")
         if isinstance(function, typer.Typer):
             return typer.main.get_command(function)
@@ -91,17 +89,6 @@ class CommandGroup(_Helped, TyperGroup):
     def __init__(self, **words: Any) -> None:  # noqa: ANN401
         super().__init__(**words)
         self.commands = {name: LazyCommand(name, entry) for name, entry in self.table.items()}
-
-
-def _module_of(command: str, name: str) -> ModuleType:
-    whole = name if "." in name else f"{__name__}.{name}"
-    try:
-        return import_module(whole)
-    except ModuleNotFoundError as error:
-        if not f"{whole}.".startswith(f"{error.name}."):
-            raise
-        package = whole.partition(".")[0]
-        raise InputError(f"rejoint {command} is a command of the package {package}, which is not installed") from error
 
 
 def command_group(kind: type[CommandGroup], name: str, text: str, *, completion: bool = False) -> typer.Typer:

@@ -101,15 +101,8 @@ class Run(Readable):
         return cls.plan(path, robot, arm, seed).begin()
 
     def begin(self) -> Run:
-        """Write the description of the run, if missing.
-
-        FileError if the folder has another run.
-        """
+        """Write the description of the run, if missing; FileError."""
         if self.folder.info.exists():
-            there = read_info(self.folder.info)
-            if (there.robot, there.arm, there.created) != (self.info.robot, self.info.arm, self.info.created):
-                taken = f"another run's folder ({there.robot}, begun {there.created}) has taken the place of this one's"
-                raise FileError(self.path, taken, "bring back the folder, or begin another run")
             return self
         run = self
         if self.arm.name not in CATALOGUE:
@@ -224,9 +217,9 @@ def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> 
     return newest.path if again else home / f"{last + 1:03}"
 
 
-def mark_quick(run: Run | None, *, quick: bool) -> None:
+def mark_quick(run: Run, *, quick: bool) -> None:
     """Mark a quick stage: the folder's results are not valid."""
-    if run is not None and quick:
+    if quick:
         write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
 
 

@@ -225,8 +225,6 @@ class Comparison(Readable):
     robot: str = ""
     """address"""
     arm: str = ""
-    targets_file: str = ""
-    """empty: drawn"""
     period: tuple[float, float] | None = None
     """[s] requested; None: the robot's own"""
     left_out: tuple[str, ...] = ()

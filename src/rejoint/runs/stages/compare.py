@@ -11,7 +11,6 @@ from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from multiprocessing.connection import Connection, Pipe
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,8 +144,6 @@ class ComparisonJob:
     twin: Twin | None = None
     trials: dict[str, Any] = field(default_factory=dict)
     """what holds for the trials of all controllers: fields of `TrialRunner`"""
-    file: str = ""
-    """of the targets, or empty"""
     before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
     observer: Observer = field(default_factory=Observer)
@@ -231,7 +228,6 @@ class ComparisonJob:
             result,
             robot=address_of(self.robot),
             arm=self.arm.name,
-            targets_file=self.file,
             period=self.period,
             calibration=model.date if model else "",
         )
@@ -259,7 +255,8 @@ class ComparisonJob:
     def _help(self) -> HelperProcess | None:
         size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
-        if not (plain and self.settings.batched and size >= LEAST and core_to_spare()):
+        spare = os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+        if not (plain and self.settings.batched and size >= LEAST and spare):
             return None
         trials = self.trials | {"model": None}
         return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer(), threads=1))
@@ -417,7 +414,6 @@ def comparison_job(
         },
         observer=session.observer,
         by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
-        file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )
 
@@ -426,11 +422,6 @@ LEAST = 400
 """Targets of all trials that are worth a helper; chosen"""
 
 _START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
-
-
-def core_to_spare() -> bool:
-    """Whether a second core is free, by OMP_NUM_THREADS."""
-    return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
 class HelperProcess:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, s
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
-from rejoint.logs.runfolder import LOGS, RunFolder, locked
+from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.context import ControllerMaker, twin_under
@@ -235,14 +235,13 @@ def replay(
     motions = as_logs(logs)
     require_commands(motions, "replay")
     page = None
-    with nullcontext() if out is None else locked(RunFolder(Path(out))):
-        paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
-        judgement = judge(chosen, paths, motions)
-        if out is not None:
-            from rejoint.pages.report.page import write_replay
+    paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
+    judgement = judge(chosen, paths, motions)
+    if out is not None:
+        from rejoint.pages.report.page import write_replay
 
-            named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
-            page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
+        named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
+        page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
     return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
 
 
