@@ -181,15 +181,16 @@ def test_what_is_to_be_ignored_stays_ignored(tmp_path):
 
 def test_the_newest_unfinished_run_is_resumed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    first = newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
+    robot, arm = "emulated:worn?seed=3", mycobot280()
+    first = Run.plan(None, robot, arm).path
     assert first == Path("runs/mycobot280-emulated-worn-seed-3-seed0/001")
     info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
     write_json(first / "run.json", info)
-    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == first
+    assert newest_or_new(robot, arm, first.parent) == first
     (first / "report.html").write_text("of what there is")
-    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == first
+    assert newest_or_new(robot, arm, first.parent) == first
     (first / "finished.json").write_text("{}")
-    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == first.with_name("002")
+    assert newest_or_new(robot, arm, first.parent) == first.with_name("002")
     with pytest.raises(FileError, match="it holds runs, name one of: 001"):
         Run.open(first.parent)
     with pytest.raises(FileError, match=f"it holds runs, name one of: {first.parent.name}/001"):

@@ -358,7 +358,7 @@ def fleet(
                 if verb == "check":
                     rejoint.check(arm.address, **about)
                 else:
-                    run = newest_or_new(arm.address, arm.built, 0, found.folder / "repairs" / arm.name)
+                    run = newest_or_new(arm.address, arm.built, found.folder / "repairs" / arm.name)
                     rejoint.repair(arm.address, run=run, quick=rules.quick, **about)
         return {"fleet": file}
     if address is not None and not has_token():

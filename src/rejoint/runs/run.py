@@ -75,10 +75,10 @@ class Run(Readable):
     def plan(cls, path: Run | Path | str | None, robot: str, arm: Arm, seed: int | None = 0) -> Run:
         """Open the run folder, or plan what `create` writes; same errors.
 
-        Default path: `newest_or_new`. Default seed: the folder's.
+        Default path: `newest_or_new` of this robot below `RUNS`. Default seed: the folder's.
         """
         if path is None:
-            path = newest_or_new(robot, arm, as_seed(seed))
+            path = newest_or_new(robot, arm, RUNS / plain_name(f"{arm.name}-{robot}-seed{as_seed(seed)}"))
         folder = path.folder if isinstance(path, Run) else RunFolder(Path(path))
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
@@ -203,10 +203,8 @@ class Run(Readable):
         return {name: RunLog.load(path) for name, path in self.folder.logs().items()}
 
 
-def newest_or_new(robot: str, arm: Arm, seed: int, home: Path | None = None) -> Path:
-    """Return the newest run folder in ``home`` if interrupted, else a new one; default: the robot's, below `RUNS`."""
-    if home is None:
-        home = RUNS / plain_name(f"{arm.name}-{robot}-seed{seed}")
+def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
+    """Return the newest run folder in ``home`` if interrupted, else a new one."""
     last = max((int(p.name) for p in home.glob("*") if p.name.isdecimal()), default=0)
     newest = RunFolder(home / f"{last:03}")
     again = last > 0 and not newest.finished.exists()

@@ -222,7 +222,7 @@ class Studio(Observer):
             raise InputError("no arm is chosen yet; find it first")
         if path is None:
             home = self.home / plain_name(f"{status.arm.name}-{status.address}")
-            path = newest_or_new(status.address, status.arm, 0, home)
+            path = newest_or_new(status.address, status.arm, home)
         if quick is False and RunFolder(path).quick.exists():
             path = path.parent / f"{int(path.name) + 1:03}"
         self.change(run=path)

@@ -184,7 +184,7 @@ class Campaign:
         folder, before = self.fleet.folder, self.info.runs.get(arm.name)
         if before is not None and RunFolder(folder / before).finished.exists():
             return before
-        return str(newest_or_new(arm.address, arm.built, 0, folder / "repairs" / arm.name).relative_to(folder))
+        return str(newest_or_new(arm.address, arm.built, folder / "repairs" / arm.name).relative_to(folder))
 
     def run_folder(self, arm: FleetArm) -> RunFolder:
         """Run folder of an arm under repair."""
