@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
     from rejoint.camera.board import Board
     from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
-    from rejoint.runs.fleet.campaign import Executor
-    from rejoint.runs.fleet.file import FleetArm
 
 
 @takes
@@ -290,7 +287,7 @@ def check(
     if prometheus is not None:
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
     value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
-    call.code = code_of(outlook.state, over=outlook.over)
+    call.code = code_of(outlook)
     return value | {"over": outlook.over}
 
 
@@ -370,10 +367,7 @@ def fleet(
     rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-
-    def executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
-        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
-
+    executor = partial(RayExecutor, address=address, cpus=cpus, training_cpus=training_cpus)
     with call.watched("fleet", bar=False):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
     show.fleet(call, result)

@@ -156,12 +156,9 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     for metric, value, labels in samples:
         if value is not None:
             pairs = ({"arm": name} | labels).items()
-            words = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in pairs)
+            words = ",".join(f"{key}={msgspec.json.encode(text).decode()}" for key, text in pairs)
             lines.append(f"rejoint_{metric}{{{words}}} {value:.10g}\n")
     return "".join(lines)
-
-
-_ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
@@ -203,9 +200,9 @@ DRIFTS, ALARM = 6, 7
 """Exit codes of a check: watch the arm, repair it"""
 
 
-def code_of(state: str, *, over: bool) -> int:
-    """Exit code of a check with this ``state``, ``over`` its tolerance or not."""
-    return ALARM if over or state == "alarm" else DRIFTS if state == "drifting" else 0
+def code_of(check: HistoryRow | Outlook) -> int:
+    """Exit code of a check."""
+    return ALARM if check.over or check.state == "alarm" else DRIFTS if check.state == "drifting" else 0
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:

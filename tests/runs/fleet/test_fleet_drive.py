@@ -29,10 +29,7 @@ class PlayedExecutor:
         self.held: list[str] = []
         self.running: list[Work] = []
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_): ...
+    def close(self): ...
 
     def begin(self, work):
         self.running.append(work)

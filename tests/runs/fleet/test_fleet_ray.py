@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import closing
 from datetime import datetime, timedelta
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -55,7 +54,7 @@ class World:
 
     def executor(self, arms):
         """Start Ray."""
-        return closing(RayExecutor(arms, cpus=1))
+        return RayExecutor(arms, cpus=1)
 
     def now(self):
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -21,7 +21,6 @@ from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import FileError
-from rejoint.system.extras import require
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
@@ -130,6 +129,9 @@ class Executor(Protocol):
     def hold(self, work: Work) -> None:
         """Ask an arm to hold and its task to end."""
 
+    def close(self) -> None:
+        """Release all processes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignInfo:
@@ -199,7 +201,7 @@ class Campaign:
         if rules.needed and not files.info.exists():  # an interrupted repair is gone on with in any case
             if seen is None:
                 return ("check",)
-            if code_of(seen.state, over=seen.over) != ALARM:
+            if code_of(seen) != ALARM:
                 return ()
         if files.finished.exists():
             return ()
@@ -402,17 +404,14 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
         found=seen.line.partition(" Do: ")[0] + (f" Use {seen.controller}." if repaired else ""),
         todo=what_to_do(seen),
         folder=files.path if repaired else campaign.fleet.folder / CHECKS / arm.name,
-        code=0 if repaired else code_of(seen.state, over=seen.over),
+        code=0 if repaired else code_of(seen),
     )
-
-
-MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
 
 
 def run_fleet(
     fleet: Fleet,
     verb: Verb,
-    executor: MakeExecutor,
+    executor: Callable[[Sequence[FleetArm]], Executor],
     rules: FleetRules,
     *,
     only: tuple[str, ...] = (),
@@ -420,10 +419,9 @@ def run_fleet(
 ) -> FleetResult:
     """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    ``executor`` makes what does the work; ``tell`` receives a line for each event. FileError or UnsavedError if the
-    folder is in use or not writable; InputError for an unknown arm or cluster.
+    ``executor`` makes what does the work of these arms; ``tell`` receives a line for each event. FileError or
+    UnsavedError if the folder is in use or not writable; InputError for an unknown arm or cluster.
     """
-    require(f"rejoint fleet {verb}", "report")
     begun, place = time.monotonic(), fleet.home
     with locked(RunFolder(place)):
         campaign = Campaign(fleet, verb, rules, only)
@@ -431,7 +429,7 @@ def run_fleet(
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
         tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
-        with executor([one.arm for one in campaign.arms]) as ready:
+        with closing(executor([one.arm for one in campaign.arms])) as ready:
             campaign.drive(ready, tell)
         rows = [_row(campaign, one) for one in campaign.arms]
         result = FleetResult(

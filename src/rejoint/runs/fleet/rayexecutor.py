@@ -17,7 +17,6 @@ from typing import Any
 from rejoint.runs.fleet.campaign import HELD, ROBOT, Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
-from rejoint.system.extras import require
 from rejoint.system.stopping import check, install, noted
 
 STORE = 80 * 2**20
@@ -63,7 +62,6 @@ class RayExecutor:
         training_cpus: float = 1.0,
     ) -> None:
         """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
-        require("rejoint fleet", "fleet")
         real = {arm.resource for arm in arms if not arm.virtual}
         self._training_cpus, self._running = training_cpus, dict[Any, Work]()
         self._ray = _begun(address, cpus, dict.fromkeys(real, 1.0))
