@@ -10,11 +10,11 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, Literal, NamedTuple, TextIO, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -86,6 +86,15 @@ def _results() -> TextIO:
     return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
 
 
+class ShownTable(NamedTuple):
+    """A table, with one row set off."""
+
+    title: str
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    bold: int | None = None
+
+
 class Terminal:
     """Where a command writes. One per command."""
 
@@ -108,6 +117,14 @@ class Terminal:
     def result(self, text: str) -> None:
         """Print a line of the result."""
         self.results.print(f"{self._of}{text}", markup=False)
+
+    def show(self, parts: Iterable[str | ShownTable]) -> None:
+        """Print lines and tables of the result."""
+        for part in parts:
+            if isinstance(part, ShownTable):
+                self.table(*part)
+            else:
+                self.result(part)
 
     def next(self, text: str) -> None:
         """Print the command that comes next; a dry run leads to none."""
@@ -174,14 +191,6 @@ def _least(column: Sequence[str]) -> int:
     words = [cell_len(word) for cell in column for word in cell.split()]
     whole = [wide for wide in map(cell_len, column[1:]) if wide <= _CELL]
     return min(max([*words, *whole]), WIDTH // 2)
-
-
-def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data of any kind
-    """Return a result as plain data without its ``traces``, fields of thousands of numbers that are in its files."""
-    plain = msgspec.to_builtins(value, enc_hook=_plain)
-    if isinstance(plain, dict):
-        return {key: results_of(one, *traces) for key, one in plain.items() if key not in traces}
-    return [results_of(one, *traces) for one in plain] if isinstance(plain, list | tuple) else plain
 
 
 def picked(value: object, *names: str) -> dict[str, Any]:

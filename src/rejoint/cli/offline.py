@@ -10,7 +10,6 @@ from urllib.parse import quote
 
 import rejoint
 from rejoint.arms import Arm
-from rejoint.cli.console import results_of
 from rejoint.cli.options import Call, listed, takes
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.exporting import export_log
@@ -88,7 +87,7 @@ def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
     call.table(title, ["motion", "s", *names], rows, len(rows) - 1)
     for line in answer(judgement):
         call.result(line)
-    return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
+    return vars(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def _cell(errors: Errors) -> str:

@@ -116,7 +116,7 @@ class Call(Terminal, Observer):
         with self.watched(name) as observer:
             found = work(*given, observer=observer, **options)
         if not (self.settings.dry_run and name in ("diagnose", "gains")):  # of a simulation they say nothing of the arm
-            show.stage(self, name, found)
+            self.show(show.stage(name, found))
         return found
 
     @contextmanager
@@ -160,7 +160,7 @@ class Call(Terminal, Observer):
         if stage.state == "kept":
             self.message(f"already done, as it was asked for then: {stage.file}")
         if stage.state != "started":
-            show.stage(self, stage.name, stage.result)
+            self.show(show.stage(stage.name, stage.result))
             return
         self._stage, self._title = stage, stage.name
         self._show_bar(stage.name)
@@ -168,7 +168,7 @@ class Call(Terminal, Observer):
     def partial(self, result: object) -> None:
         """Print what was done until an error."""
         self.bars.close()
-        show.stage(self, self._title, result)
+        self.show(show.stage(self._title, result))
 
     def served(self, address: str) -> None:
         """Print where a served arm is."""

@@ -1,123 +1,116 @@
-"""How results look at the terminal."""
+"""How results look at the terminal: lines and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+import rejoint
 from rejoint.arms import Array
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import ShownTable
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder import Effort, cost
 
 if TYPE_CHECKING:
-    from rejoint.control.moving.drive import Deployed, Followed
     from rejoint.control.servogains import GainsFound
     from rejoint.runs.fleet.campaign import FleetResult
-    from rejoint.runs.stages.calibrate import Calibrated
-    from rejoint.runs.stages.check import Checked
-    from rejoint.runs.stages.compare import Compared
-    from rejoint.runs.stages.diagnose import Diagnosed
-    from rejoint.runs.stages.fitting import TrainedPolicy
-    from rejoint.twin.twin import Twin
 
 
-def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 - of each stage another
-    """Print what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
+Shown: TypeAlias = Iterator[str | ShownTable]
+
+
+def stage(name: str, result: Any) -> Shown:  # noqa: ANN401 - of each stage another
+    """Yield what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
     if result is not None and name in STAGES:
-        STAGES[name](terminal, result)
+        yield from STAGES[name](result)
 
 
-def diagnosis(terminal: Terminal, done: Diagnosed) -> None:
-    """Print the verdict in words."""
-    terminal.result(done.verdict)
+def diagnosis(done: rejoint.Diagnosed) -> Shown:
+    """Yield the verdict in words."""
+    yield done.verdict
     for finding in done.findings:
-        terminal.result(f"  - {finding.sentence}")
+        yield f"  - {finding.sentence}"
     for limit in done.diagnosis.unseen:
-        terminal.result(f"  ? {limit}")
+        yield f"  ? {limit}"
     if (errors := done.diagnosis.open_loop) is not None:
-        terminal.result(
-            f"Open loop: {errors.error_mm.value:.1f} mm off by the encoders; the tool itself: {errors.true_error}."
-        )
+        yield f"Open loop: {errors.error_mm.value:.1f} mm off by the encoders; the tool itself: {errors.true_error}."
 
 
-def twin(terminal: Terminal, result: Twin) -> None:
-    """Print how well the twin predicts motion it has not seen."""
+def twin(result: rejoint.Twin) -> Shown:
+    """Yield how well the twin predicts motion it has not seen."""
     errors = result.held_out
-    terminal.result(
+    yield (
         f"On {errors.seconds:.0f} s of motion that the fit has not seen, the twin predicts the joints within "
         f"{np.degrees(errors.twin.joint):.2f} deg and the tool within {1e3 * errors.twin.tcp:.1f} mm rms "
         f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm)."
     )
     if result.unknown:
-        terminal.result(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
+        yield f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range."
     for note in result.notes:
-        terminal.result(f"  ! {note}")
+        yield f"  ! {note}"
 
 
-def calibration(terminal: Terminal, found: Calibrated) -> None:
-    """Print where the tool is behind the encoders, and whether correcting for it helps."""
+def calibration(found: rejoint.Calibrated) -> Shown:
+    """Yield where the tool is behind the encoders, and whether correcting for it helps."""
     own, filmed, points = found.calibration, found.filmed, found.measurements.point
     for name, why in () if filmed is None else filmed.left_out:
-        terminal.result(f"  ! {name} is not used: {why}")
+        yield f"  ! {name} is not used: {why}"
     for row in own.suspects:
         name = f"Measurement {row + 1} ({_place(points[row])} mm)" if filmed is None else filmed.residuals[row].name
-        terminal.result(f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again.")
+        yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
     if disturbed(own.suspects, own.points):
-        terminal.result(f"  ! {DISTURBED}")
+        yield f"  ! {DISTURBED}"
     if filmed is not None:
         rig = filmed.rig
         standing, mounted = ("camera", "board") if rig.carried == "board" else ("board", "camera")
-        terminal.result(
+        yield (
             f"{len(filmed.residuals)} pictures, corners within {filmed.rms:.2f} px. Focal length {rig.lens.f:.0f} px; "
             f"{standing} in the base at {_place(rig.standing[:3, 3])} mm; {mounted} on the tool at "
             f"{_place(rig.mounted[:3, 3])} mm."
         )
     before, after = 1e3 * found.before, 1e3 * found.after
-    terminal.result(
+    yield (
         f"At {own.points} measurements, each predicted without its own posture, the tool was {before:.2f} mm from "
         f"where the encoders see it, and {after:.2f} mm from where the calibration does."
     )
     if own.frame_name != "base":
-        terminal.result(
-            f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
-        )
+        yield f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
     if astray(own.arm, own.missed):
-        terminal.result(
+        yield (
             "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
             "the points right, and is it this arm?"
         )
     helps = "clearly helps and will be used" if own.used else "does not clearly help and will not be used"
-    terminal.result(f"The correction {helps}.")
+    yield f"The correction {helps}."
 
 
-def gains(terminal: Terminal, found: GainsFound) -> None:
-    """Print what the servos' own gains were, and what better ones leave of the errors."""
+def gains(found: GainsFound) -> Shown:
+    """Yield what the servos' own gains were, and what better ones leave of the errors."""
     for what, values, seen in (
         ("as they are", found.found, found.before),
         ("under a controller", found.under, found.with_under),
         ("alone", found.alone, found.with_alone),
     ):
         joints = f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
-        terminal.result(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
+        yield f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}"
 
 
-def training(terminal: Terminal, done: TrainedPolicy) -> None:
-    """Print what the training reached."""
+def training(done: rejoint.TrainedPolicy) -> Shown:
+    """Yield what the training reached."""
     result = done.training
-    terminal.result(
+    yield (
         f"{result.steps:,} transitions in {result.wall_s:.0f} s; on randomised twins "
         f"{100 * result.success_rate:.0f} % of the targets reached, median error {result.error_mm:.2f} mm. "
         f"Policy: {result.policy}"
     )
 
 
-def comparison(terminal: Terminal, done: Compared) -> None:
-    """Print the table of all controllers and the one to use."""
+def comparison(done: rejoint.Compared) -> Shown:
+    """Yield the table of all controllers and the one to use."""
     from rejoint.pages.report.tables import columns, plain_table
     from rejoint.pages.words import plural
 
@@ -126,26 +119,26 @@ def comparison(terminal: Terminal, done: Compared) -> None:
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
     title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"
-    terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
+    yield ShownTable(title, headers, rows, bold=result.controllers.index(advice.controller))
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
-            terminal.result(f"  ! {line}")
+            yield f"  ! {line}"
     tie = f" (a tie with {', '.join(advice.tied)})" if advice.tied else ""
-    terminal.result(f"Recommended: {advice.controller}{tie}")
+    yield f"Recommended: {advice.controller}{tie}"
     for reason in advice.why:
-        terminal.result(f"  - {reason}")
+        yield f"  - {reason}"
 
 
-def effort(terminal: Terminal, spent: Effort | None) -> None:
-    """Print what a repair cost, stage by stage."""
+def effort(spent: Effort | None) -> Shown:
+    """Yield what a repair cost, stage by stage."""
     for stage in () if spent is None else spent.stages:
-        terminal.result(f"  {stage.name}: {cost(stage)}")
+        yield f"  {stage.name}: {cost(stage)}"
     if spent is not None and spent.stages:
-        terminal.result(f"In all: {cost(spent.total)}.")
+        yield f"In all: {cost(spent.total)}."
 
 
-def followed(terminal: Terminal, done: Followed) -> None:
-    """Print how well a path was followed, each time."""
+def followed(done: rejoint.Followed) -> Shown:
+    """Yield how well a path was followed, each time."""
     rows = [
         [
             str(number),
@@ -170,14 +163,14 @@ def followed(terminal: Terminal, done: Followed) -> None:
         "rms of the tool",
     ]
     title = f"{done.path}, {done.controller}: errors along the way by the encoders"
-    terminal.table(title, headers, rows)
+    yield ShownTable(title, headers, rows)
     if not done.followed:
-        terminal.result(f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected.")
-    _say_gaps(terminal, done.gaps)
+        yield f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected."
+    yield from _gaps(done.gaps)
 
 
-def deployment(terminal: Terminal, done: Deployed) -> None:
-    """Print what became of each target."""
+def deployment(done: rejoint.Deployed) -> Shown:
+    """Yield what became of each target."""
     rows = [
         [
             str(number),
@@ -204,30 +197,30 @@ def deployment(terminal: Terminal, done: Deployed) -> None:
         "remark",
     ]
     reached = f"reached: within {1e3 * done.within:g} mm by the encoders"
-    terminal.table(f"Errors of {done.controller} at the end of each target ({reached})", headers, rows)
+    yield ShownTable(f"Errors of {done.controller} at the end of each target ({reached})", headers, rows)
     if done.missed:
-        terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
+        yield f"Not reached: {len(done.missed)} of {len(done.visits)} targets."
     seen = [visit.seen_error for visit in done.visits if visit.seen_error is not None]
     if seen:
-        terminal.result(
+        yield (
             f"Seen by the camera: {_mm(sum(seen) / len(seen), 2)} mm off on average at the end of {len(seen)} of "
             f"{len(done.visits)} targets, {_mm(max(seen), 2)} mm at most."
         )
-    _say_gaps(terminal, done.gaps)
+    yield from _gaps(done.gaps)
 
 
-def check(terminal: Terminal, found: Checked) -> None:
-    """Print the line of a check."""
-    terminal.result(found.line)
+def check(found: rejoint.Checked) -> Shown:
+    """Yield the line of a check."""
+    yield found.line
 
 
-def fleet(terminal: Terminal, found: FleetResult) -> None:
-    """Print the table of all arms, and what was found of each."""
+def fleet(found: FleetResult) -> Shown:
+    """Yield the table of all arms, and what was found of each."""
     from rejoint.runs.fleet.campaign import HEADERS
 
-    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in found.rows])
+    yield ShownTable("All arms, the worst first", HEADERS, [row.cells for row in found.rows])
     for row in found.rows:
-        terminal.result(f"{row.name}: {row.found}")
+        yield f"{row.name}: {row.found}"
 
 
 def _mm(metres: float | None, digits: int) -> str:
@@ -242,14 +235,12 @@ def _degrees(angle: float | None) -> str:
     return "" if angle is None else f"{np.degrees(angle):.2f}"
 
 
-def _say_gaps(terminal: Terminal, gaps: Sequence[float]) -> None:
+def _gaps(gaps: Sequence[float]) -> Shown:
     if gaps:
-        terminal.result(
-            f"The answers stayed away {len(gaps)} times, for up to {max(gaps):.1f} s; the arm held meanwhile."
-        )
+        yield f"The answers stayed away {len(gaps)} times, for up to {max(gaps):.1f} s; the arm held meanwhile."
 
 
-STAGES: dict[str, Callable[[Terminal, Any], None]] = {
+STAGES: dict[str, Callable[[Any], Shown]] = {
     "diagnose": diagnosis,
     "identify": twin,
     "train": training,
@@ -261,4 +252,4 @@ STAGES: dict[str, Callable[[Terminal, Any], None]] = {
     "check": check,
     "fleet": fleet,
 }
-"""What prints the result of a stage"""
+"""What yields the result of a stage"""

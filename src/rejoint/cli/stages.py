@@ -19,7 +19,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import HERE, is_loopback, picked, results_of
+from rejoint.cli.console import HERE, is_loopback, picked
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
@@ -29,7 +29,6 @@ from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.runs.stages.compare import TrialPlan
 from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
@@ -102,7 +101,7 @@ def repair(
     controllers: str = "all",
     measure: str | None = None,
     *,
-    trials: TrialPlan,
+    trials: rejoint.TrialPlan,
     seed: int = 0,
     quick: bool = False,
 ) -> object:
@@ -134,15 +133,22 @@ def repair(
     contents = read_contents(job.path)
     errors, steps = contents.before_after(), contents.next_steps()
     spent = read_effort(job.folder)
-    show.effort(call, spent)
+    call.show(show.effort(spent))
     if errors is not None and errors.sentence:
         call.result(errors.sentence)
     call.result(str(page))
     call.message("Next:")
     for what, line in {"look at the report": command("open", job.path), **steps}.items():
         call.message(f"  {line}  # {what}")
-    value = {"run": job.path, "recommended": found.recommendation, "policy": job.folder.policy}
-    return value | {"report": page, "errors": errors, "effort": spent, "next": steps}
+    return {
+        "run": job.path,
+        "recommended": found.recommendation,
+        "policy": job.folder.policy,
+        "report": page,
+        "errors": errors,
+        "effort": spent,
+        "next": steps,
+    }
 
 
 MISSED = 5
@@ -264,7 +270,7 @@ def compare(
     targets: Path | None = None,
     controllers: str = "all",
     *,
-    plan: TrialPlan,
+    plan: rejoint.TrialPlan,
 ) -> object:
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     names = opt.controller_names(controllers)
@@ -273,7 +279,7 @@ def compare(
     return {
         "run": run,
         "recommended": found.recommendation,
-        "comparison": results_of(found.comparison, "results"),
+        "comparison": {name: value for name, value in vars(found.comparison).items() if name != "results"},
         "true_error": {row.controller: row.true_error for row in found.comparison.rows},
         "effort": read_effort(RunFolder(run)),
     }
@@ -319,12 +325,13 @@ def goto(
         rejoint.connect(robot, run=run, arm=call.pick.arm, settings=call.settings, observer=observer) as session,
     ):
         try:
-            found = session.move_to(target, timeout_s=timeout)
+            session.move_to(target, timeout_s=timeout)
         except NotReachedError as error:
-            found, call.code = session.state, MISSED
+            call.code = MISSED
             call.result(f"Not reached: {error}")
-    error_mm = None if found is None or found.error_m is None else 1e3 * found.error_m
-    if error_mm is not None and found is not None and not call.code:
+        found = session.state
+    error_mm = None if found.error_m is None else 1e3 * found.error_m
+    if error_mm is not None and not call.code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
         call.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
     return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}

@@ -22,13 +22,13 @@ from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
+from rejoint.logs.history import find_rows
 from rejoint.robots import place_of
-from rejoint.runs.fleet.campaign import FleetRules
-from rejoint.runs.history import code_of, prometheus_text
+from rejoint.runs.fleet.campaign import FleetRules, Verb, run_fleet
+from rejoint.runs.history import HEADERS, arms_of, cells, code_of, prometheus_text, write_history
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.runs.stages.calibrate import POINTS
-from rejoint.runs.stages.check import BETWEEN, CheckNotes
-from rejoint.runs.stages.compare import TrialPlan
+from rejoint.runs.stages.check import BETWEEN
 from rejoint.session.inputs import NO_GAUGE, GaugeLike
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
@@ -255,7 +255,7 @@ def check(
     name: str | None = None,
     tolerance: float | None = None,
     *,
-    notes: CheckNotes,
+    notes: rejoint.CheckNotes,
     repeat: int = 1,
     prometheus: Path | None = None,
     seed: int | None = None,
@@ -286,9 +286,8 @@ def check(
     outlook = found.outlook
     if prometheus is not None:
         write_text(prometheus, prometheus_text(found.arm, outlook, found.measures))
-    value = picked(found, "arm", "robot", "line", "outlook", "measures", "folder")
     call.code = code_of(outlook)
-    return value | {"over": outlook.over}
+    return {**picked(found, "arm", "robot", "line", "outlook", "measures", "folder"), "over": outlook.over}
 
 
 @takes
@@ -298,9 +297,6 @@ def history(
     page: Path | None = None,
 ) -> object:
     """Show all arms of a folder, the worst first, as a table and as a page."""
-    from rejoint.logs.history import find_rows
-    from rejoint.runs.history import HEADERS, arms_of, cells, write_history
-
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     rows, unread = find_rows(folder)
@@ -328,12 +324,12 @@ def history(
 @takes
 def fleet(
     call: Call,
-    verb: Literal["check", "repair"],
+    verb: Verb,
     file: Path,
     only: str = "",
     *,
     rules: FleetRules,
-    trials: TrialPlan,
+    trials: rejoint.TrialPlan,
     address: str | None = None,
     cpus: int | None = None,
     training_cpus: float = 1.0,
@@ -342,7 +338,6 @@ def fleet(
 ) -> object:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
-    from rejoint.runs.fleet.campaign import run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
@@ -370,7 +365,7 @@ def fleet(
     executor = partial(RayExecutor, address=address, cpus=cpus, training_cpus=training_cpus)
     with call.watched("fleet", bar=False):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
-    show.fleet(call, result)
+    call.show(show.fleet(result))
     if rules.quick:
         call.message("A quick try: little of everything was done, so none of this is a result.")
     call.result(f"Page: {os.path.relpath(result.page)}")
