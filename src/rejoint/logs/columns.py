@@ -161,21 +161,9 @@ class RawMotion(FileMotion):
                 "record both on one clock, or take the times of recording (--stamp log) of a bag",
             )
         state, command = (one.values([*range(len(one.titles))]) for one in (self, sent))
-        # a message need not name all joints: each keeps its last command
-        newest = np.maximum.accumulate(np.where(np.isfinite(command), np.arange(len(times))[:, None], 0))
-        command = np.take_along_axis(command, newest, axis=0)
         last = np.searchsorted(times, time, side="right") - 1
-        begun = last >= 0
-        early = int((~begun).sum())
-        table = np.concatenate([state[begun], command[last[begun]]], axis=1)
-        return replace(
-            self,
-            titles=(*self.titles, *sent.titles),
-            values=lambda chosen: table[:, chosen],
-            number=self.number[begun],
-            time=time[begun],
-            notes=[*self.notes, *[f"state: {early} samples before the first command left out"] * bool(early)],
-        )
+        table = np.concatenate([state, np.where((last < 0)[:, None], np.nan, command[last])], axis=1)
+        return replace(self, titles=(*self.titles, *sent.titles), values=lambda chosen: table[:, chosen])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -288,6 +276,10 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     if seen.any() and not seen.all():
         table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
+    told = np.asarray(np.isfinite(found.position if found.command is None else found.command).any(axis=1))
+    if early := int(told.argmax()):
+        table.notes.append(f"state: {early} samples before the first command left out")
+        found = found.take(np.arange(early, len(found)))
     return replace(found, notes=table.notes)
 
 
