@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from rejoint.arms import Array
 from rejoint.logs.columns import RawMotion
@@ -224,13 +223,13 @@ def _read_frames(source: Path) -> dict[str, Array]:
     files = sorted((source / "data").glob("*/*.parquet"))
     if not files:
         raise FileError(source / "data", "no Parquet file in it", _REMEDY)
-    keys, tables = [*_GROUPS, *_SCALARS], list[pa.Table]()
+    keys, found = [*_GROUPS, *_SCALARS], []
     for file in files:
         with reading(file, "not the frames of a dataset", _REMEDY):
-            tables.append(read_parquet(file, _REMEDY, keys).select(keys))
-    with reading(source, "frames of different width, or no numbers", _REMEDY):
-        table = pa.concat_tables(tables)
-        return {key: np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys}
+            table = read_parquet(file, _REMEDY, keys)
+            found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
+    with reading(source, "files of different width", _REMEDY):
+        return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}
 
 
 NANOSECONDS = 1_000_000_000
@@ -330,7 +329,10 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
                 messages = found.setdefault(topic, [])
                 said = f"topic {topic}, message {len(messages) + 1}: no joint positions in {held[topic] or 'no type'}"
                 with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                    messages.append(_message(content, groups[topic], time, options))
+                    message = _message(content, groups[topic], time, options)
+                if messages and groups[topic] == "command":  # one need not name all joints: each keeps its last command
+                    message = message._replace(columns={**messages[-1].columns, **message.columns})
+                messages.append(message)
     except FileError:
         raise
     # Decoders, decompressors and message compilers stand behind this; none lists what it raises.
