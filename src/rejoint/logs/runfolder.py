@@ -168,9 +168,11 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 
 
 def _put_right(folder: RunFolder) -> None:
-    for unfinished in folder.path.rglob(f".*{UNFINISHED}"):
-        unfinished.unlink()
-    for log in recover(folder.path / "logs"):
+    logs = folder.path / "logs"
+    for place in (folder.path, logs, folder.training, folder.figures, folder.pictures):
+        for unfinished in place.glob(f".*{UNFINISHED}"):
+            unfinished.unlink()
+    for log in recover(logs):
         LOGGER.warning("A run that was cut short is kept: %s", log)
 
 
