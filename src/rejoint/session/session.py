@@ -489,7 +489,8 @@ class ArmSession(ArmDriver):
                 return None
         with noted():
             motion.run()
-            self._tell_last()  # within: an interruption at the end would leave it for the next motion
+            self._motion = None  # else an interruption at the end would leave it for the next motion to raise
+        motion.result()
         return self.state
 
     def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
