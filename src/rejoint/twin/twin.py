@@ -325,7 +325,8 @@ def read_twin(path: Path, arm: Arm | None = None) -> Twin:
             name: msgspec.convert(data[name], kinds[name], dec_hook=array_of) for name in _WHOLE if name in data
         }
         for name in ("value", *_COLUMNS):
-            own[name] = np.concatenate([np.array(data[p.name][name]) for p in PARAMETERS])
+            kind = bool if name == "identified" else float
+            own[name] = np.concatenate([np.array(data[p.name][name], dtype=kind) for p in PARAMETERS])
         return Twin(parameters=shaped(own.pop("value"), len(own["joint_names"])), **own)
 
     twin = read_sealed(path, build, name="twin", version=FORMAT, again="identify the arm")
