@@ -30,7 +30,7 @@ from rejoint.training.learner import CurvePoint
 from rejoint.training.train import TrainingOptions, export_policy, know_stiffness, policy_contract, write_curves
 from rejoint.twin.judge import read_published
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.twin import read_twin, write_twin
+from rejoint.twin.twin import read_twin
 from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
@@ -80,7 +80,7 @@ def plain_log(path):
 
 
 def make_twin(path):
-    write_twin(path, made_twin(ARM, unpack(prior(ARM).mean, ARM.joints), fit_seconds=98.5, notes=("one",)))
+    made_twin(ARM, unpack(prior(ARM).mean, ARM.joints), fit_seconds=98.5, notes=("one",)).save(path)
 
 
 def plain_twin(path):

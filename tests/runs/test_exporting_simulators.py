@@ -21,7 +21,6 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.twin.identify import EXCITATION_WINDOW, HOLD_OUT, identify
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.replay import Replay, cut, measured_velocity
-from rejoint.twin.twin import write_twin
 
 LEAD = 40
 """Rows before a window, for references and commands on their way"""
@@ -53,9 +52,9 @@ def rms(paths, measured):
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     robot = open_robot(address, seed=0)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
-    twin = identify(arm, logs, starts=8, iterations=8, threads=1)
+    twin = identify(arm, logs, threads=1)
     run = Run.create(tmp_path / "run", address, arm, 0)
-    write_twin(run.folder.twin, twin)
+    twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
     replay = Replay(arm, logs, windows)
@@ -77,7 +76,7 @@ def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     run = Run.create(tmp_path / "run", "emulated:so101", arm, 0)
     with pytest.raises(FileError, match="rejoint identify"):
         export_run(run, "isaaclab")
-    write_twin(run.folder.twin, made_twin(arm, parameters))
+    made_twin(arm, parameters).save(run.folder.twin)
     stub = types.ModuleType("isaaclab.actuators")
     stub.DelayedPDActuatorCfg = SimpleNamespace
     monkeypatch.setitem(sys.modules, "isaaclab.actuators", stub)

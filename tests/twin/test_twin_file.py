@@ -8,7 +8,7 @@ import pytest
 from madetwin import made_twin
 from rejoint.arms import mycobot280
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.twin import HeldOut, PredictionError, read_twin, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError, read_twin
 
 ARM = mycobot280()
 
@@ -35,7 +35,7 @@ def make_twin(seed=0):
 @pytest.mark.parametrize("seed", range(5))
 def test_round_trip_is_exact(tmp_path, seed):
     twin = make_twin(seed)
-    write_twin(tmp_path / "twin.toml", twin)
+    twin.save(tmp_path / "twin.toml")
     back = read_twin(tmp_path / "twin.toml", ARM)
     np.testing.assert_array_equal(pack(back.parameters), pack(twin.parameters))
     for name in ("covariance", "lower", "upper", "narrowing", "identified"):

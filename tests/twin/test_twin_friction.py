@@ -21,7 +21,7 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.training.ranges import IdentifiedRanges, BroadRanges
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.twin import read_twin, write_twin
+from rejoint.twin.twin import read_twin
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.parameters import PARAMETERS, nominal_parameters, pack, prior, vector_names
 from rejoint.twin.twin import PredictionError
@@ -67,7 +67,7 @@ twin = Twin(arm=arm.name, joint_names=arm.joint_names, parameters=truth, covaria
             lower=belief.lower, upper=belief.upper, narrowing=sigma / belief.sigma, identified=sigma > 0.0,
             held_out=HeldOut(seconds=1.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0)
 path = Path(tempfile.mkdtemp()) / "twin.toml"
-write_twin(path, twin)
+twin.save(path)
 print(*read_twin(path, arm).parameters.asymmetry, sep=",")
 draw = IdentifiedRanges(broad=BroadRanges(arm=arm), twin=twin).draw(rng, 2000)
 print(*draw.twin.asymmetry.mean(axis=0), sep=",")

@@ -14,7 +14,7 @@ from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, Structure, find_acceleration
-from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin, write_twin
+from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
@@ -72,7 +72,7 @@ def test_the_table_is_found_and_contacts_predicted(found, logs):
 
 
 def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
-    write_twin(tmp_path / "twin.toml", found)
+    found.save(tmp_path / "twin.toml")
     back = read_twin(tmp_path / "twin.toml", ARM)
     assert back.table == found.table
     assert back.digest() == found.digest()
@@ -80,7 +80,7 @@ def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
     assert back.acceleration == found.acceleration == np.inf
     limited = replace(back, acceleration=39.0)
     assert limited.digest() != back.digest()
-    write_twin(tmp_path / "limited.toml", limited)
+    limited.save(tmp_path / "limited.toml")
     assert read_twin(tmp_path / "limited.toml", ARM).acceleration == 39.0
 
 

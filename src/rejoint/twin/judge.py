@@ -120,7 +120,7 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
         part = order[start : start + GROUP * threads]
         windows = [Window(log=i, first=0, last=len(logs[i])) for i in part]
         replay = Replay(arm, logs, windows, timestep, threads, candidate.acceleration)
-        found = replay.predict(candidate.parameters.repeat(1), tables)
+        found = replay.predict(candidate.parameters.repeat(1), tables, resting=True)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]
 

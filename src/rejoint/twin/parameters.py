@@ -369,6 +369,17 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
     return (coulomb + load_friction * load) * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 
+def held_stiction(arm: Arm, twin: TwinParameters, position: Array, reference: Array) -> Array:
+    """Return the stiction (..., n), or what holds joints at a ``position`` (..., n) [rad] if that is more.
+
+    Within its bound.
+    """
+    driving, gravity = twin.stiffness * (reference + twin.offset - position), gravity_torque(arm, position)
+    at_rest = dry_friction(friction_terms(twin), np.zeros(()), 0.5 * np.abs(driving + gravity))
+    held = twin.stiction * np.abs(driving - gravity) / at_rest
+    return np.clip(held, twin.stiction, PARAMETERS[number("stiction")].upper)
+
+
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
 

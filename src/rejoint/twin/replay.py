@@ -19,13 +19,16 @@ from rejoint.arms import Arm, Array, Index, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.twin.parameters import TIMESTEP, TwinParameters
+from rejoint.twin.parameters import TIMESTEP, TwinParameters, held_stiction
 from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import ChainBatch
 
 if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
     from rejoint.twin.twin import TablePlane
+
+STILL_SPEED = 0.03
+"""[rad/s] of a joint at rest; chosen"""
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -150,13 +153,22 @@ class Replay:
     def _known(self) -> dict[bytes, dict[int, ServoReference]]:
         return {}
 
-    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
+    def predict(
+        self, parameters: TwinParameters, tables: Sequence[TablePlane] = (), *, resting: bool = False
+    ) -> list[Array]:
+        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``.
+
+        ``resting``: joints at rest at the start have at least the static friction that holds them there. It differs
+        from rest to rest; in a fit it would explain friction away.
+        """
         m, count = parameters.shape[0], len(self.windows)
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start, velocity, gain = np.repeat(self._start, m, axis=1)
         arms = parameters[which]
-        arms = replace(arms, stiffness=arms.stiffness * gain)
+        arms, control = replace(arms, stiffness=arms.stiffness * gain), self._control(parameters)
+        if resting:
+            held = held_stiction(self.arm, arms, start, control[:, 0])
+            arms = replace(arms, stiction=np.where(np.abs(velocity) < STILL_SPEED, held, arms.stiction))
         twins: ChainBatch | TableBatch
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
@@ -169,7 +181,7 @@ class Replay:
             twins = self._batches[m * count]
             twins.write(arms)
         twins.restart(start, velocity)
-        passed = twins.rollout(self._control(parameters))
+        passed = twins.rollout(control)
         path = np.concatenate([start[:, None], passed], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self.logs[w.log].time[w.first : w.last])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from itertools import compress
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
-from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
+from rejoint.system.files import array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.results import Readable
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
@@ -197,7 +197,12 @@ class Twin(Readable):
 
     def save(self, path: Path | str) -> None:
         """Write a TOML file, atomically; FileError if that fails."""
-        write_twin(Path(path), self)
+        told: dict[str, Any] = {"format": FORMAT, **{name: getattr(self, name) for name in _WHOLE}, "order": self.names}
+        columns = dict(zip(("value", "low95", "high95"), map(flat, (self.parameters, *self.interval)), strict=True))
+        columns |= {name: getattr(self, name) for name in _COLUMNS}
+        for p in PARAMETERS:
+            told[p.name] = {name: column[self.layout.at(p.name)] for name, column in columns.items()}
+        write_sealed(Path(path), toml_of(told), _ABOUT)
 
     def __post_init__(self) -> None:
         k = len(self.names)
@@ -281,17 +286,11 @@ class Twin(Readable):
 
     def digest(self) -> str:
         """Fingerprint of what decides the twins drawn from this one."""
-        h = hashlib.sha256("\n".join([self.arm, *self.names]).encode())
-        for array in (flat(self.parameters), self.covariance, self.lower, self.upper, self.identified.astype(float)):
-            h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        if self.acceleration != np.inf:
-            h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
-        if self.gain is not None:
-            h.update(b"gain" + np.asarray(self.gain, dtype="<f8").tobytes())
-        if self.table is not None:
-            h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
-        return h.hexdigest()[:16]
+        decided = [flat(self.parameters), *(getattr(self, name) for name in _DECIDING)]
+        return digest(msgspec.json.encode(decided, enc_hook=methodcaller("tolist"))).decode()
 
+
+_DECIDING = ("arm", "joint_names", "covariance", "lower", "upper", "identified", "acceleration", "gain", "table")
 
 FORMAT = 3
 
@@ -304,16 +303,6 @@ _ABOUT = "".join(
 )
 _WHOLE = ("arm", "joint_names", "fit_seconds", "notes", "acceleration", "gain", "held_out", "table", "covariance")
 _COLUMNS = ("lower", "upper", "narrowing", "identified")  # of each parameter
-
-
-def write_twin(path: Path, twin: Twin) -> None:
-    """Write a twin, atomically."""
-    told: dict[str, Any] = {"format": FORMAT, **{name: getattr(twin, name) for name in _WHOLE}, "order": twin.names}
-    columns = dict(zip(("value", "low95", "high95"), map(flat, (twin.parameters, *twin.interval)), strict=True))
-    columns |= {name: getattr(twin, name) for name in _COLUMNS}
-    for p in PARAMETERS:
-        told[p.name] = {name: column[twin.layout.at(p.name)] for name, column in columns.items()}
-    write_sealed(path, toml_of(told), _ABOUT)
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:

@@ -36,7 +36,9 @@ def uncertainty(problem: Problem, fit: Fit, clusters: Index) -> Array:
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     weight = fit.weights.precision * influence(residual)
-    curvatures, scores = _by_cluster(problem, jacobian, weight, residual, clusters)
+    rows = np.arange(clusters.max() + 1)[:, None] == clusters
+    parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
+    curvatures, scores = map(np.stack, zip(*parts, strict=True))
     covariance = jackknife(prior, curvatures, scores) + _scale(problem, fit.vector)
     covariance += fixed_covariance(problem, fit, residual, jacobian, weight, curvatures.sum(axis=0) + prior.precision)
     covariance += np.diag(problem.layout.has("beside") ** 2)
@@ -63,15 +65,6 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
         + factor * inverse @ whole @ inverse
         + inverse @ precision @ inverse
     )
-
-
-def _by_cluster(
-    problem: Problem, jacobian: Array, weight: Array, residual: Array, clusters: Index
-) -> tuple[Array, Array]:
-    """Curvature (g, k, k) and score (g, k) of each cluster."""
-    rows = np.arange(clusters.max() + 1)[:, None] == clusters
-    parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
-    return np.stack([curvature for curvature, _ in parts]), np.stack([score for _, score in parts])
 
 
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:

@@ -16,7 +16,6 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
-from rejoint.twin.twin import write_twin
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=5.0, hold=4.0, window=0.5)
@@ -87,7 +86,7 @@ def before_policy(tmp_path_factory):
     """A run folder with everything that comes before the policy."""
     run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM, 0)
     rejoint.diagnose("emulated:worn", run=run)
-    write_twin(run.folder.twin, bad.softer_twin(ARM))
+    bad.softer_twin(ARM).save(run.folder.twin)
     return run.folder
 
 

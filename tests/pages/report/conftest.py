@@ -28,7 +28,7 @@ from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, PredictionError, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError
 
 
 @pytest.fixture(scope="session")
@@ -125,7 +125,7 @@ def fill(folder, arm, diagnosis, twin, comparison):
         RunInfo(robot="emulated:worn", arm=arm.name, seed=7, version="0.1.0", created="2026-11-20T06:00:00"),
     )
     write_json(folder.diagnosis, diagnosis)
-    write_twin(folder.twin, twin)
+    twin.save(folder.twin)
     write_json(folder.comparison, comparison)
     keep_calibration(folder, arm)
     write_curves(folder.curves)

@@ -158,10 +158,9 @@ def _motions(run: Run) -> list[RunLog]:
 
 
 def _write(run: Run, twin: Twin) -> None:
-    from rejoint.twin.twin import write_twin
 
     run.folder.judgement.unlink(missing_ok=True)
-    write_twin(run.folder.twin, twin)
+    twin.save(run.folder.twin)
     if twin.judgement is not None:
         write_json(run.folder.judgement, twin.judgement)
 

@@ -30,7 +30,7 @@ from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress, no_progress, part
-from rejoint.twin.twin import Twin, read_twin, write_twin
+from rejoint.twin.twin import Twin, read_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 
@@ -178,7 +178,7 @@ def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress
     if not folder.twin.exists():
         robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
         logs = record(robot, seed=seed, on_progress=part(on_progress, 0.0, 0.5))[0]
-        write_twin(folder.twin, identify(arm, [logs.excitation, logs.targets], on_progress=part(on_progress, 0.5, 1.0)))
+        identify(arm, [logs.excitation, logs.targets], part(on_progress, 0.5, 1.0)).save(folder.twin)
     return read_twin(folder.twin, arm)
 
 
