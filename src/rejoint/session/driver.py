@@ -578,15 +578,15 @@ class ArmDriver:
 
         NotReadyError if it is unsafe to move the arm; ContractError if ``controller`` does not suit the period.
         """
+        if not rest and self._sent is None:
+            check_ready(self.robot)
+            self._sent = self.robot.read().position.copy()
         self.recorder.begin(self.robot, motion, f"{motion}/{by}")
         self.take_up(controller)
         if rest and not self._rested:
             stance = stance_of(self.twin_now, self.run)
             start = self._seen_through(lambda see: begin(self.robot, self.limits, stance, see))
             self.usual, self._rested = start.usual_period(), True
-        elif self._sent is None:
-            check_ready(self.robot)
-            self._sent = self.robot.read().position.copy()
         if controller is not None:
             check_controller_period(controller, self.usual)
 

@@ -220,7 +220,7 @@ def show(studio: Studio, picture: Picture, seen: BoardView) -> None:
 
     drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     if seen.why:
-        studio.message(f"{seen.name}: {seen.why}")
+        studio.message(f"One picture: {seen.why}")
     else:
         for x, y in np.rint(seen.pixel).astype(int).tolist():
             cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)

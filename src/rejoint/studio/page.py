@@ -210,7 +210,7 @@ class StudioPage(WebPage):
         if not status.choices:
             self.form["answer"] = ""
             self.field("Answer", "answer")
-            self.button("Enter", lambda: self.studio.answer(str(self.form["answer"])), anyway=True)
+            self.button("Enter", lambda: self.studio.answer(str(self.form["answer"])), first=True, anyway=True)
 
     # --- drawing ------------------------------------------------------------------------------------
 
@@ -270,7 +270,8 @@ class StudioPage(WebPage):
         before.remove()
         with self._panel_of_step:
             self.question(status)
-            PANELS[status.step](self, status)
+            if not status.question:
+                PANELS[status.step](self, status)
 
     def _go(self, by_hand: bool) -> None:
         step: StepName = next(name for name, title in TITLES.items() if title == self._step.value)

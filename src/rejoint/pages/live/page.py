@@ -155,7 +155,7 @@ class WebPage:
         self._built: tuple[Arm, float] | None = None
         self.shown: Shown | None = None
         """the run that is drawn"""
-        self._count, self._recent = 0, list[SeenCycle]()
+        self._count, self._recent = -1, list[SeenCycle]()
         self._panel = macros("live.html")
         self.furnish(gui)
 
