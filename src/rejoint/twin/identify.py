@@ -180,6 +180,8 @@ def identify(
     logs: Sequence[RunLog],
     on_progress: Progress = no_progress,
     *,
+    starts: int = STARTS,
+    iterations: int = ITERATIONS,
     threads: int = 2,
     seed: int = 0,
 ) -> Twin:
@@ -201,12 +203,12 @@ def identify(
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
     rng = np.random.default_rng(seed)
-    x = fit(coarse, search(coarse, _starts(arm, belief, STARTS, rng), rng), ITERATIONS).vector
-    x = search(coarse, np.tile(x, (STARTS, 1)), rng, rounds=2)
+    x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
+    x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
     x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
     fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
-    found = fit(fine, x, ITERATIONS)
+    found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     stretches = np.stack([fine.window, (fine.replay.time // CLUSTER).astype(int)], axis=1)
