@@ -419,10 +419,11 @@ def _chains(tree: Tree, start: int | None) -> dict[int, int]:
         if start not in (None, WORLD, *path):
             continue
         joints = tree.joints_of(path[path.index(start) + 1 :] if start in path else path)
-        kinds = [joint.kind for joint in joints]
+        kinds, names = [joint.kind for joint in joints], [joint.name for joint in joints]
         if start is None and kinds[:1] == ["free"]:
             del joints[0]
-        if kinds[-1:] != ["slide"] and all(_passable(tree, joint) for joint in joints):
+        # Where a joint of an arm follows another one of it, what comes later refuses both.
+        if kinds[-1:] not in (["slide"], ["coupled"]) and all(j.leader in names or _passable(tree, j) for j in joints):
             hinges[body] = kinds.count("hinge")
     return hinges
 

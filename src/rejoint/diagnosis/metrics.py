@@ -343,10 +343,13 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 def _repeating_share(pieces: list[Array]) -> float:
-    """Largest autocorrelation, 0 to 1, over one to five readings; 0 if it may be that of noise without its line."""
+    """Largest autocorrelation, 0 to 1, over one to five readings, or half a piece.
+
+    0 if it may be that of noise without its line.
+    """
     noise, share = [detrend(np.eye(len(piece)), axis=0) for piece in pieces], 0.0
-    for shift in range(1, 6):
-        pairs = sum(max(len(piece) - shift, 0) for piece in pieces)
+    for shift in range(1, min(5, min(map(len, pieces)) // 2) + 1):
+        pairs = sum(len(piece) - shift for piece in pieces)
         both, chance = _correlation(pieces, shift), _correlation(noise, shift)
         if abs(both - chance) * pairs**0.5 > CHANCE:
             share = max(share, abs(both))

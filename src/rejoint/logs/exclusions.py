@@ -139,7 +139,7 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
     They move less than a tenth of the command's travel, or unlike it.
     """
     silent = np.isin(log.joint_names, log.extra.get(UNPOWERED, "").split(","))
-    if log.commanded and len(log) > 1:
+    if log.commanded and log.duration > LAGS[-1]:
         lowest, highest = correlations(log.time, log.position, log.command)
         answer = np.maximum(-np.diag(lowest), np.diag(highest))
         moved, asked = np.ptp(log.position, axis=0), np.ptp(log.command, axis=0)

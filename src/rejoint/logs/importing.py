@@ -36,7 +36,7 @@ from rejoint.system.textfile import DAMAGED
 PAUSE = 1.0
 """[s] between motions (chosen: ten times a hobby servo's lag)"""
 PAUSE_PERIODS = 5.0
-"""median periods in a pause at least (chosen)"""
+"""median periods in a pause at least, and around scattered corrupt rows (chosen)"""
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
@@ -50,10 +50,14 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     if not len(steps) or not (steps >= 0).all():
         yield motion  # what `clean` will say
         return
-    paused = steps > max(PAUSE, PAUSE_PERIODS * float(np.median(steps)))
-    pieces = np.split(good, np.flatnonzero(paused | (np.diff(good) > 1)) + 1)
+    period = float(np.median(steps))
+    far, holes = steps > PAUSE_PERIODS * period, np.diff(good) > 1
+    paused = far & (steps > PAUSE)
+    pieces = np.split(good, np.flatnonzero(paused | holes) + 1)
+    if min(map(len, pieces)) * period < PAUSE:  # holes so close would leave no motion
+        pieces = np.split(good, np.flatnonzero(paused | far & holes) + 1)
     kept = [piece for piece in pieces if len(piece) >= FEWEST] or [good]
-    cut = f"cut there into {len(kept)} log(s)"
+    cut = f"cut there into {len(kept)} log(s)" if len(kept) > 1 else "left out"
     if paused.any():
         worst = int(np.argmax(steps))
         notes.append(

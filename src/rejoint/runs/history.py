@@ -99,12 +99,12 @@ def _measures(head: HistoryRow, joints: Collection[HistoryRow]) -> CheckMeasures
 
 
 def summarise(run: Run) -> None:
-    """Write ``summary.parquet`` into a run folder; FileError if that fails.
+    """Write ``summary.parquet`` into a run folder that is no quick try; FileError if that fails.
 
     A finished repair keeps its time.
     """
     diagnosis, comparison = run.diagnosis, run.comparison
-    if diagnosis is None and comparison is None:
+    if run.folder.quick.exists() or (diagnosis is None and comparison is None):
         return
     path, kind, before = run.path / SUMMARY, "repair" if run.folder.finished.exists() else "run", list[HistoryRow]()
     with suppress(FileError, FileNotFoundError):

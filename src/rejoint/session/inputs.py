@@ -253,7 +253,7 @@ class Settings:
     dwell: float = 4.0
     """[s] time per target"""
     within: float | None = None
-    """[m] accepted error by the encoders; by default 2 mm at a point, 5 mm rms along a path"""
+    """[m] accepted error by the encoders; by default 2 mm at a point, 10 mm for `deploy`, 5 mm rms along a path"""
     dry_run: bool = False
     """move nothing: simulate it, and say how far, how long and how close to limits"""
 

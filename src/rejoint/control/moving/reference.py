@@ -166,8 +166,8 @@ class Path:
         k = int(beyond.argmax())
         if beyond[k] > NEAR:
             raise InputError(
-                f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
-                f"{unit_hint(self.place)} give places that the tool can reach"
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach on this way, the tool comes within "
+                f"{1e3 * beyond[k]:.0f} mm;{unit_hint(self.place)} give other places, or another way to them"
             )
         k = int(places[:, 2].argmin())
         if places[k, 2] < arm.floor:

@@ -33,8 +33,8 @@ SLACK = 1.25
 """Slack of the CUSUM in standard deviations; chosen"""
 ALARM = 6.0
 """CUSUM of an alarm; shared facts on monitoring; 0.5 % false alarms in two years"""
-CUT = 4.0
-"""Largest distance that counts, in standard deviations"""
+CUT = 4.1
+"""Largest distance that counts, in standard deviations; chosen: one such check is a drift, three are an alarm"""
 PRIOR_CHECKS = 6.0
 """Checks that the prior scatter counts for; chosen"""
 
@@ -70,11 +70,13 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     count, warm = len(value), np.nan_to_num(temperature - temperature[0])
     cusum, changes = np.zeros(count), np.zeros(count)
     sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
-    usual, since = float(np.mean(value)), FEWEST - 1
+    usual, since, base = float(np.mean(value)), FEWEST - 1, FEWEST
     for t in range(FEWEST, count):
-        usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], min(t, MOST), scatter, per_degree)
+        usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], base, scatter, per_degree)
         changes[t] = value[t] - usual - slope
         step = float(np.clip(changes[t] / deviation, -CUT, CUT))
+        if base == t and abs(step) < CUT:  # what is odd is no part of the baseline
+            base = min(t + 1, MOST)
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         sums = np.maximum(sums + sides * step - SLACK, 0.0)
         began = np.where(sums > 0.0, began, t)
