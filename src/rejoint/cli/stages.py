@@ -168,7 +168,7 @@ def diagnose(
     """Find out what is wrong with an arm: by moving it, or from logs."""
     if logs is not None and (robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given()):
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
-    robot = robot or FIRST_ROBOT
+    robot = FIRST_ROBOT if robot is None else robot
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
     about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
     found = call.do(rejoint.diagnose, logs or robot, run=job, **about).diagnosis

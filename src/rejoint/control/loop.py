@@ -166,9 +166,10 @@ MOST_DOUBTED = 2
 
 
 def own(state: JointState) -> JointState:
-    """Copy what is kept beyond this cycle."""
-    load = None if state.load is None else state.load.copy()
-    return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
+    """Copy what is kept beyond this cycle, and what no controller can change."""
+    load, position = None if state.load is None else state.load.copy(), state.position.copy()
+    position.setflags(write=False)
+    return replace(state, time=state.time.copy(), position=position, load=load)
 
 
 @dataclass(eq=False)

@@ -236,6 +236,7 @@ def import_logs(
                             for remark in dict.fromkeys(remarks):
                                 notes.setdefault(remark, []).append(name)
         on_progress(done / len(paths), _file_name(path.stem))
+    count = len(logs)
     for name, original in copies(logs.items()).items():
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
@@ -247,7 +248,7 @@ def import_logs(
     return Imported(
         logs=tuple(logs.values()),
         notes=tuple(
-            f"{names[0] if len(names) == 1 else f'{len(names)} of {len(logs)} logs ({names[0]}, ...)'}: {remark}"
+            f"{names[0] if len(names) == 1 else f'{len(names)} of {count} logs ({names[0]}, ...)'}: {remark}"
             for remark, names in notes.items()
         ),
         skipped=tuple(f"{name} skipped: {error.problem}; {error.remedy}" for name, error in refused),

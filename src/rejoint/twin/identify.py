@@ -40,6 +40,7 @@ from rejoint.twin.parameters import (
     is_hobby,
     pack,
     prior,
+    unknown_prior,
     unpack,
 )
 from rejoint.twin.replay import (
@@ -197,7 +198,9 @@ def identify(
             f"first log; expected at least {SHORTEST_EXCITATION:.0f} s, and {HOLD_OUT} windows; record a longer log"
         )
     by_loads = prior_by_loads(arm, logs)
-    belief = prior(arm) if by_loads is None else Structure(belief=by_loads, frozen=UNSEEN).prior
+    belief = prior(arm)
+    if by_loads or not is_hobby(arm):
+        belief = Structure(belief=by_loads or unknown_prior(arm), frozen=UNSEEN).prior
     rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")

@@ -319,8 +319,8 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
-        names = [f"{log.label} ({i + 1})" for i in range(len(pieces))] if len(pieces) > 1 else [log.label] * len(pieces)
-        found += [replace(piece, label=name, extra=extra) for piece, name in zip(pieces, names, strict=True)]
+        names = [f"{log.label} ({i + 1})" for i in range(len(pieces))] if len(pieces) > 1 else [log.label]
+        found += [replace(piece, label=name, extra=extra) for piece, name in zip(pieces, names, strict=False)]
     return found
 
 

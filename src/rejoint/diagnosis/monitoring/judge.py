@@ -68,15 +68,14 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     Prior: ``scatter``, sigma of one check; ``per_degree``, effect of a degree.
     """
     count, warm = len(value), np.nan_to_num(temperature - temperature[0])
-    cusum, changes = np.zeros(count), np.zeros(count)
+    cusum, changes = np.zeros((2, count))
     sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
     usual, since, base = float(np.mean(value)), FEWEST - 1, FEWEST
     for t in range(FEWEST, count):
         usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], base, scatter, per_degree)
         changes[t] = value[t] - usual - slope
         step = float(np.clip(changes[t] / deviation, -CUT, CUT))
-        if base == t and abs(step) < CUT:  # what is odd is no part of the baseline
-            base = min(t + 1, MOST)
+        base += base == t < MOST and abs(step) < CUT  # what is odd, and what follows, is no part of it
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         sums = np.maximum(sums + sides * step - SLACK, 0.0)
         began = np.where(sums > 0.0, began, t)
