@@ -131,3 +131,9 @@ def test_assumed_encoders_move_the_tool_of_a_longer_arm_no_farther_than_of_a_sho
     path.write_text(urdf(joints))
     arm, small = load_arm(path), mycobot280()
     assert arm.encoder_step * reach(arm) <= small.encoder_step * reach(small) * (1.0 + 1e-9)
+
+
+def test_a_joint_of_the_chain_that_follows_another_is_refused(tmp_path: Path) -> None:
+    end = '</joint><link name="l4"'
+    with pytest.raises(InputError, match=r"j3 .* j2"):
+        read_arm(written(tmp_path, urdf(SIX).replace(end, f'<mimic joint="j2"/>{end}')))

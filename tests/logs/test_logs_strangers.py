@@ -40,8 +40,13 @@ def test_a_long_pause_parts_a_recording(tmp_path: Path):
     assert [len(log) for log in found.logs] == [400, 300, ROWS - 700]
     assert max(np.diff(log.time).max() for log in found.logs) < 0.021
     np.testing.assert_array_equal(np.concatenate([log.command for log in found.logs]), FOUND.command)
-    (note,) = [note for note in found.notes if "pause" in note]
-    assert "2 pause(s) longer than 1 s, the longest 3.6e+03 s before line 702; cut there into 3 log(s)" in note
+
+
+def test_holes_close_together_are_left_out(tmp_path: Path):
+    position = FOUND.position.copy()
+    position[[100, 110], 1] = np.nan
+    source = write_table(tmp_path / "day.csv", replace(FOUND, position=position))
+    assert [len(log) for log in import_logs(source, ARM, out=tmp_path / "logs").logs] == [ROWS - 2]
 
 
 def test_two_arms_that_take_turns_are_refused():
