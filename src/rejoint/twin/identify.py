@@ -45,7 +45,6 @@ from rejoint.twin.parameters import (
 )
 from rejoint.twin.replay import (
     GAIN,
-    STILL_SPEED,
     Replay,
     Window,
     at_gain,
@@ -74,6 +73,9 @@ FITTED, HEALTHY = "fitted twin", "healthy twin"
 
 IDENTIFIED = 0.5
 """Sigma over the prior's of an identified parameter; chosen"""
+
+STILL_SPEED = 0.03
+"""[rad/s] of a still joint; chosen"""
 
 SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
 """[s] least motion, and least free motion; chosen"""

@@ -375,6 +375,7 @@ def held_stiction(arm: Arm, twin: TwinParameters, position: Array, reference: Ar
     Within its bound.
     """
     driving, gravity = twin.stiffness * (reference + twin.offset - position), gravity_torque(arm, position)
+    driving = np.clip(driving, -twin.torque_limit, twin.torque_limit)
     at_rest = dry_friction(friction_terms(twin), np.zeros(()), 0.5 * np.abs(driving + gravity))
     held = twin.stiction * np.abs(driving - gravity) / at_rest
     return np.clip(held, twin.stiction, PARAMETERS[number("stiction")].upper)

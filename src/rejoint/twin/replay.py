@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, gravity_torque
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
     from rejoint.twin.twin import TablePlane
 
-STILL_SPEED = 0.03
-"""[rad/s] of a joint at rest; chosen"""
+RESTED = 1.0
+"""[s] from which a joint rests; chosen"""
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -135,6 +135,17 @@ class Replay:
         return np.stack([(position[k], velocity[k], gain) for k, position, velocity, gain in starts], axis=1)
 
     @cached_property
+    def _resting(self) -> Mask:
+        """(windows, n) joints that stand still under an unchanged command at first."""
+        found = []
+        for w in self.windows:
+            log = self.logs[w.log].rows(slice(w.first, w.last))
+            first = log.time < log.time[0] + RESTED
+            moved = np.maximum(np.ptp(log.position[first], axis=0), np.ptp(log.command[first], axis=0))
+            found.append(moved < 1.5 * self.arm.encoder_step)
+        return np.array(found)
+
+    @cached_property
     def _even(self) -> set[int]:
         turn = 2j * np.pi / self.timestep
         return {i for i, log in self._shown.items() if abs(np.exp(turn * log.time).mean()) > IN_STEP}
@@ -168,7 +179,7 @@ class Replay:
         arms, control = replace(arms, stiffness=arms.stiffness * gain), self._control(parameters)
         if resting:
             held = held_stiction(self.arm, arms, start, control[:, 0])
-            arms = replace(arms, stiction=np.where(np.abs(velocity) < STILL_SPEED, held, arms.stiction))
+            arms = replace(arms, stiction=np.where(np.repeat(self._resting, m, axis=0), held, arms.stiction))
         twins: ChainBatch | TableBatch
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
