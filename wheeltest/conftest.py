@@ -26,7 +26,7 @@ from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, PredictionError, Twin, write_twin
+from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
 ROOT = Path(__file__).parent.parent
 CONSTRAINTS = ROOT / "constraints.txt"
@@ -107,7 +107,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Make a run folder with logs, a twin (of the prior's medians) and a policy that has hardly been trained."""
     run = Run.create(tmp_path_factory.mktemp("runs") / "one", "emulated:worn", mycobot280(), 0)
     twin = _twin(run.arm)
-    write_twin(run.folder.twin, twin)
+    twin.save(run.folder.twin)
     train(run.arm, twin, out=run.folder.path, options=TrainingOptions(iterations=2, agents=16, threads=1))
     robot = open_robot("emulated:worn", arm=run.arm)
     targets = run.arm.targets.sample(np.random.default_rng(0), (1, 4))
