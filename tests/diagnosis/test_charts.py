@@ -37,10 +37,10 @@ def test_a_step_is_an_alarm_and_dated(sign):
 
 
 def test_a_single_odd_check_is_a_drift_and_no_part_of_the_norm():
-    value = np.append(np.zeros(FEWEST), [100.0, 100.0, 100.0])
+    value = np.append(np.full(FEWEST, 3.0), 3 * [-90.0])
     some = [chart(value[:k], COLD[:k], scatter=SCATTER, per_degree=0.1) for k in range(FEWEST + 1, len(value) + 1)]
     assert [one.state for one in some] == ["drifting", "drifting", "alarm"]
-    assert some[-1].usual == 0.0
+    assert some[-1].usual == 3.0
 
 
 def test_warmth_is_no_wear_and_wear_no_warmth():

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
     from rejoint.twin.twin import TablePlane
 
-RESTED = 1.0
-"""[s] from which a joint rests; chosen"""
+RESTED, FLICKER = 1.0, 1.5
+"""[s] from which a joint rests, and encoder steps by which its reading changes; chosen"""
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -137,13 +137,9 @@ class Replay:
     @cached_property
     def _resting(self) -> Mask:
         """(windows, n) joints that stand still under an unchanged command at first."""
-        found = []
-        for w in self.windows:
-            log = self.logs[w.log].rows(slice(w.first, w.last))
-            first = log.time < log.time[0] + RESTED
-            moved = np.maximum(np.ptp(log.position[first], axis=0), np.ptp(log.command[first], axis=0))
-            found.append(moved < 1.5 * self.arm.encoder_step)
-        return np.array(found)
+        both = self._rows(lambda log: np.stack([log.position, log.command], axis=1))  # (rows, 2, n)
+        first = [both[(self.window == w) & (self.time < RESTED)] for w in range(len(self.windows))]
+        return np.array([(np.ptp(rows, axis=0) < FLICKER * self.arm.encoder_step).all(axis=0) for rows in first])
 
     @cached_property
     def _even(self) -> set[int]:
@@ -330,8 +326,9 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
-        names = [f"{log.label} ({i + 1})" for i in range(len(pieces))] if len(pieces) > 1 else [log.label]
-        found += [replace(piece, label=name, extra=extra) for piece, name in zip(pieces, names, strict=False)]
+        for number, piece in enumerate(pieces, start=1):
+            label = f"{log.label} ({number})" if len(pieces) > 1 else log.label
+            found.append(replace(piece, label=label, extra=extra))
     return found
 
 

@@ -33,8 +33,8 @@ SLACK = 1.25
 """Slack of the CUSUM in standard deviations; chosen"""
 ALARM = 6.0
 """CUSUM of an alarm; shared facts on monitoring; 0.5 % false alarms in two years"""
-CUT = 4.1
-"""Largest distance that counts, in standard deviations; chosen: one such check is a drift, three are an alarm"""
+CUT = 4.0
+"""Largest distance that counts, in standard deviations; one such check is a drift"""
 PRIOR_CHECKS = 6.0
 """Checks that the prior scatter counts for; chosen"""
 
@@ -70,7 +70,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     count, warm = len(value), np.nan_to_num(temperature - temperature[0])
     cusum, changes = np.zeros((2, count))
     sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
-    usual, since, base = float(np.mean(value)), FEWEST - 1, FEWEST
+    usual, base = float(np.mean(value)), FEWEST
     for t in range(FEWEST, count):
         usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], base, scatter, per_degree)
         changes[t] = value[t] - usual - slope
@@ -86,7 +86,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
         state = "learning"
     elif abs(cusum[-1]) >= ALARM:
         state = "alarm"
-    elif abs(smooth) > DRIFTING:
+    elif abs(smooth) > DRIFTING or abs(step) >= CUT:
         state = "drifting"
     return Chart(
         cusum=cusum,

@@ -158,7 +158,6 @@ def _motions(run: Run) -> list[RunLog]:
 
 
 def _write(run: Run, twin: Twin) -> None:
-
     run.folder.judgement.unlink(missing_ok=True)
     twin.save(run.folder.twin)
     if twin.judgement is not None:
