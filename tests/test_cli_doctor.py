@@ -151,7 +151,6 @@ PLANTED = {
     ),
     "damaged run": (damaged, "run", "twin.toml", "identify"),
     "no compiler": (environment("NUMBA_DISABLE_JIT", "1"), "compiler", "NUMBA_DISABLE_JIT is set", "unset it"),
-    "unreadable home": (environment("HOME", "/nowhere"), "home", "cannot be read", "set HOME"),
 }
 
 

@@ -1,6 +1,7 @@
 """CSV as spreadsheets, Arduino sketches, NumPy and old programs write it; and the layout that the pages show."""
 
 import re
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,11 @@ def lines(separator: str = ",", point: str = ".", header: bool = True) -> list[s
 
 def text(*rows: str, end: str = "\n") -> str:
     return end.join(rows) + end
+
+
+def dated(line: str) -> str:
+    time, _, rest = line.partition(",")
+    return f"{datetime.fromtimestamp(float(time), UTC).isoformat()},{rest}"
 
 
 WAYS: dict[str, tuple[bytes, str]] = {
@@ -48,6 +54,7 @@ WAYS: dict[str, tuple[bytes, str]] = {
     "heading of a spreadsheet": (text("Bench 3;;;;", ";;;;", *lines(";", ",")).encode("utf-16"), "after 1 other line"),
     "empty rows of a spreadsheet": (text(*lines(";"), ";" * 10, ";" * 10).encode(), "semicolons"),
     "no end of the last line": ("\n".join(lines()).encode(), ""),
+    "dates": (text("time," + lines()[0].partition(",")[2], *map(dated, lines()[1:])).encode(), ""),
 }
 
 
@@ -59,7 +66,7 @@ def test_every_way_of_writing_a_table_gives_the_same_numbers(tmp_path: Path, way
     log = imported.logs[0]
     kept = len(log)
     assert kept >= len(TABLE) - (way == "no end of the last line")
-    assert log.time.tolist() == TABLE[:kept, 0].tolist()
+    assert np.abs(log.time - TABLE[:kept, 0]).max() <= 1e-6 * (way == "dates")
     assert log.position.tolist() == TABLE[:kept, 1:6].tolist()
     assert log.command.tolist() == TABLE[:kept, 6:].tolist()
     read = [note for note in imported.notes if "read as" in note]

@@ -104,17 +104,6 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
     yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
 
 
-def home(_: Surroundings) -> Iterator[Symptom]:
-    """Read the home folder."""
-    try:
-        folder = Path.home()
-        next(folder.iterdir(), None)
-    except (OSError, RuntimeError) as error:
-        yield Symptom(f"the home folder cannot be read ({first_line(error)})", "set HOME to a folder of yours")
-        return
-    yield Symptom(f"{folder} can be read")
-
-
 def disk(_: Surroundings) -> Iterator[Symptom]:
     """Look for space where runs and temporary files go."""
     for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()))):
@@ -238,7 +227,6 @@ def link(case: Surroundings) -> Iterator[Symptom]:
 CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
     "extras": extras,
     "compiler": compiler,
-    "home": home,
     "disk": disk,
     "ports": serial_ports,
     "camera": camera,

@@ -131,6 +131,8 @@ class RawMotion(FileMotion):
     """(T,) [s]; None: in a column"""
     angle_unit: str | None = None
     """default of angles"""
+    time_unit: str | None = None
+    """the same of times"""
     found: str = "a table"
     """kind of the file"""
 
@@ -288,7 +290,8 @@ class _GroupedColumns:
         self.motion, self.arm, self.options = motion, arm, options
         self.notes = [*motion.notes]
         self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
-        self.implied = dict.fromkeys(MOTION, motion.angle_unit) | dict.fromkeys((*SI, "gain", "powered"), "")
+        self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
+        self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
         prefixes = (column.prefix for column in self.columns.values())
         self.implied |= next((_RECORDERS[prefix] for prefix in prefixes if prefix in _RECORDERS), {})
         mapped = [column for ours, theirs in options.columns.items() for column in self._mapped(ours, theirs)]

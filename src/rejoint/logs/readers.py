@@ -119,6 +119,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
         place="line",
         found=sheet.found,
         notes=sheet.remarks,
+        time_unit="s" if sheet.dated else None,
     )
     return [motion]
 

@@ -57,7 +57,7 @@ def as_within(what: str, given: object) -> float:
 
 def as_seconds(what: str, given: object) -> float:
     """Return a positive, finite duration [s]; InputError."""
-    return as_positive(what, given, "a positive, finite duration in seconds", float(np.finfo(float).max))
+    return as_positive(what, given, "a positive, finite duration in seconds", 1e300)
 
 
 def as_place(what: str, given: object) -> NDArray[np.float64]:
@@ -75,10 +75,8 @@ def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np
     """Array of floats; InputError for text, dates, and ragged rows."""
     try:
         array = np.asarray(given)
-        if array.dtype.kind in "biuf":
+        if array.dtype.kind in "biufO":  # the last: numbers of other kinds, such as Decimal
             return array.astype(float, copy=False)
-        if array.dtype.kind == "O":  # numbers of other kinds, such as Decimal
-            return array.astype(float)
         found = {"M": "dates", "m": "spans of time", "c": "complex numbers"}.get(array.dtype.kind, "text")
     except (TypeError, ValueError):
         found = "rows of different length, or no numbers"

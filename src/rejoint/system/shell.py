@@ -55,9 +55,6 @@ def host_and_port(option: str, text: str) -> tuple[str, int]:
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
     """Listen on a TCP port, 0: any free one; InputError."""
-    refusal = f"cannot listen on {host}:{port}"
-    if not 0 <= port <= 65535:
-        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -66,9 +63,9 @@ def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
         listener.bind((host, port))
         listener.listen(backlog)
         listener.setblocking(False)
-    except OSError as error:
+    except (OSError, OverflowError) as error:
         listener.close()
-        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
+        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
     return listener
 
 

@@ -8,6 +8,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,11 @@ _LINES = 20
 _SHOWN = 24
 # Cells that hold no number, in small letters
 _EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)|\d{4}-\d\d-\d\d[T ].*",
+    re.ASCII | re.IGNORECASE,
+)
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _UNIT = re.compile(r"^(?P<name>.*?)(?:_(?P<ending>[^\W_]+)|\s*[\[(]\s*(?P<bracket>\w+|°)\s*[\])])$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
 _MINUS = "\N{MINUS SIGN}"
@@ -68,6 +73,8 @@ class Sheet:
     """how it was read, if not as UTF-8 with commas and titles, and what is left out of it"""
     sound: bool
     """no cell may be damaged"""
+    dated: bool
+    """the first row holds a date: [s] since 1970"""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -110,11 +117,14 @@ class Sheet:
                 if cell.casefold() in _EMPTY:
                     continue
                 try:
-                    values[k, place] = float(cell if pointed else cell.replace(",", "."))
+                    if _DATE.match(cell):
+                        values[k, place] = datetime.fromisoformat(cell).timestamp()
+                    else:
+                        values[k, place] = float(cell if pointed else cell.replace(",", "."))
                 except ValueError:
                     where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
                     wrong[where] = f"{cell[:40]!r} is no number"
-        self._refuse(wrong, "mend the cell; dates as seconds")
+        self._refuse(wrong, "mend the cell; dates as ISO 8601 or seconds")
         return values
 
 
@@ -239,12 +249,11 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, 
         width = len(titles)
         comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
         named = len(comment) == width
-        numbered = [str(i) for i in range(1, width + 1)]
-        titles = comment if named else list(names) if len(names) == width else numbered
+        titles = comment if named else list(names) if len(names) == width else [str(i + 1) for i in range(width)]
     if not (whole or ends):
         rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true
-    parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
+    parted = f"columns parted by {_SEPARATORS.get(separator, separator)}" if len(titles) > 1 else "one column"
     untitled = "" if named else ", without a line of titles"
     described = f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints)
     remarks = [] if encoding == "UTF-8" and separator == "," and named and not prints else [f"read as {described}"]
@@ -259,6 +268,7 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, 
         found=described,
         remarks=tuple(remarks),
         sound=whole,
+        dated=any(map(_DATE.match, _split(lines[rows[0]], separator) if rows else [])),
     )
 
 
