@@ -24,8 +24,10 @@ LIMITS = ("torque_limit", "ramp_speed")
 OPTIONAL = (*LIMITS, "load_friction")
 """Parameters that a twin has only where they explain motion"""
 
-ACCELERATIONS = (40.0, 20.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration to try; chosen around an STS3215's largest setting"""
+USUAL_ACCELERATION = 39.0
+"""[rad/s^2] limit of the reference's acceleration to try first; that of an STS3215"""
+FACTORS = np.geomspace(0.25, 4.0, 13)
+"""Other limits to try, over that; chosen"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay to try with them; chosen"""
 EARLIER = 0.01
@@ -40,9 +42,6 @@ EITHER, ABSENT = 2.0, 1e-3
 """Sigma of Coulomb friction beside load friction over that without, and of no load friction; chosen"""
 LEAST_FED = 0.05
 """Least share of gravity fed forward where a sag tells no stiffness; chosen"""
-
-FINEST = 1.05
-"""Factor between the last accelerations tried; chosen"""
 
 STARTS = 8
 """Candidates of the random search; chosen"""
@@ -175,6 +174,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
     ``make`` turns a structure into a problem. Without evidence, that of ``simple`` holds.
     """
     known = simple.acceleration
+    usual = min(known, USUAL_ACCELERATION)
 
     def fitted(acceleration: float) -> tuple[Problem, Array]:
         problem = make(replace(simple, acceleration=acceleration))
@@ -182,32 +182,18 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
         y[problem.layout.at("delay")] += EARLIER * (float(known < np.inf) - float(acceleration < np.inf))
         return problem, fit(problem, y, SHORT).vector
 
-    unlimited = replace(simple, acceleration=np.inf)
-    without = _losses(*fitted(np.inf))
-    for best in ACCELERATIONS if known == np.inf else (known, *ACCELERATIONS[1:]):
-        problem, y = fitted(best)
-        ratio = _ratio(_losses(problem, y), without)
-        if ratio < 1.0 - LIMIT_GAIN:
-            break
-        if best == known and ratio < 1.0 / (1.0 - LIMIT_GAIN):
-            return simple
-    else:
-        return unlimited
+    without, (problem, y) = _losses(*fitted(np.inf)), fitted(usual)
     around = np.tile(y, (len(DELAYS), 1))
     around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
     around = np.clip(around, problem.prior.lower, problem.prior.upper)
-
-    def ratio_of(problem: Problem) -> float:
-        losses = loss(problem.residuals(around)).sum(axis=1)
-        return _ratio(losses[np.argmin(losses.sum(axis=1))], without)
-
-    ratios, factor = {best: ratio_of(problem)}, 2.0
-    while factor > FINEST:
-        factor = np.sqrt(factor)
-        for a in (best / factor, best * factor):
-            ratios[a] = ratio_of(make(replace(simple, acceleration=a)))
-        best = min(ratios, key=lambda a: ratios[a])
-    return replace(simple, acceleration=float(best))
+    ratios = {}
+    for acceleration in usual * FACTORS:
+        losses = loss(make(replace(simple, acceleration=float(acceleration))).residuals(around)).sum(axis=1)
+        ratios[float(acceleration)] = _ratio(losses[np.argmin(losses.sum(axis=1))], without)
+    best = min(ratios, key=lambda a: ratios[a])
+    if ratios[best] < 1.0 - LIMIT_GAIN:
+        return replace(simple, acceleration=best)
+    return simple if ratios[usual] < 1.0 / (1.0 - LIMIT_GAIN) else replace(simple, acceleration=np.inf)
 
 
 def find_structure(make: Callable[[Structure], Problem], structure: Structure, start: Array) -> tuple[Structure, Array]:
