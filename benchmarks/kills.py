@@ -64,7 +64,7 @@ class WrongError(AssertionError):
 
 def small() -> None:
     """Cut the stages of this process down."""
-    rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, starts=4, iterations=3)
+    rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, iterations=3)
     preset = rejoint.training.task.DEFAULT
     ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)
     rejoint.training.task.PRESETS["default"] = replace(preset, ppo=ppo)

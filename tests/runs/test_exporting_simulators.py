@@ -52,7 +52,7 @@ def rms(paths, measured):
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     robot = open_robot(address, seed=0)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
-    twin = identify(arm, logs, starts=8, iterations=8, threads=1)
+    twin = identify(arm, logs, iterations=8, threads=1)
     run = Run.create(tmp_path / "run", address, arm, 0)
     twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")

@@ -236,7 +236,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
     )
 
 
-def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
+def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int) -> Array:
     """Random search from ``starts`` (s, k), joint by joint; needed where saturation hides stiffness."""
     prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
     for i in range(rounds):

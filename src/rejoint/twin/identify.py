@@ -20,7 +20,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit, search
+from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
     MOSTLY,
@@ -88,9 +88,6 @@ EXCITATION_WINDOW, PIECE, HOLD_OUT = 6.0, 2.0, 4
 
 UNSEEN = ("load_friction",)
 """Parameters that an excitation does not tell"""
-
-STARTS = 24
-"""Candidates per round of the random search; chosen"""
 
 ITERATIONS, REFINEMENT = 15, 6
 """Most steps of the last descent, for an excitation and for other motion; chosen"""
@@ -183,10 +180,8 @@ def identify(
     logs: Sequence[RunLog],
     on_progress: Progress = no_progress,
     *,
-    starts: int = STARTS,
     iterations: int = ITERATIONS,
     threads: int = 2,
-    seed: int = 0,
 ) -> Twin:
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
@@ -207,9 +202,7 @@ def identify(
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
-    rng = np.random.default_rng(seed)
-    x = fit(coarse, search(coarse, _starts(arm, belief, starts, rng), rng), iterations).vector
-    x = search(coarse, np.tile(x, (starts, 1)), rng, rounds=2)
+    x = fit(coarse, rough_fit(coarse), iterations).vector
     x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
     fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
@@ -221,14 +214,6 @@ def identify(
     twin = fitted_twin(fine, found, clusters, held_out)
     on_progress(1.0, "done")
     return twin
-
-
-def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    layout = belief.layout
-    drawn = belief.mean + belief.sigma * layout.normal(rng, max(count - 2, 1))
-    starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
-    starts[2:, layout.of_arm] = belief.mean[layout.of_arm]
-    return np.clip(starts, belief.lower, belief.upper)
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:

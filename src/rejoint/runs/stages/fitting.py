@@ -112,7 +112,7 @@ def identify(
     >>> twin = rejoint.identify([found.excitation, found.targets])
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
-    from rejoint.twin.identify import LogSettings, identify_logs
+    from rejoint.twin.identify import ITERATIONS, LogSettings, identify_logs
     from rejoint.twin.identify import identify as fit
     from rejoint.twin.judge import predict_logs
 
@@ -132,9 +132,7 @@ def identify(
             raise InputError("identification: neither logs nor a run is given")
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
         if logs is None or (about is None and of_diagnosis(motions)):
-            if quick:
-                size = {"starts": 2, "iterations": 2}
-            twin = fit(chosen, motions, update, seed=drawn, **size)
+            twin = fit(chosen, motions, update, iterations=2 if quick else ITERATIONS)
         else:
             if quick:
                 size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "fast_seconds": 5.0, "contact_seconds": 20.0}
