@@ -77,7 +77,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     off = []
     for freedom in (FREEDOM, np.inf):
         replay = Replay(ARM, logs, cut(logs, 5.0), STEP, 1)
-        problem = Problem(replay, structure.prior, structure.frozen, memory=1.0, freedom=freedom)
+        problem = Problem(replay, structure.prior, structure.frozen, freedom=freedom)
         found = fit(problem, start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
         named = _hard_to_follow(problem, found)

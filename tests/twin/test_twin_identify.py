@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.twin.fit import Problem, correlation_time, fit
+from rejoint.twin.fit import Problem, fit
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
@@ -73,16 +73,6 @@ def test_descent_never_gains_by_leaving_the_optimum(arm, truth, log):
     residuals = problem.residuals(np.vstack([pack(truth), found.vector]))
     _, _, costs = problem.costs(np.vstack([pack(truth), found.vector]), residuals, found.weights)
     assert costs[1] <= costs[0] + 0.5
-
-
-def test_correlation_time_of_an_autoregressive_process():
-    rng = np.random.default_rng(0)
-    noise, r, a = rng.normal(size=(60000, 1)), np.zeros((60000, 1)), 0.8
-    for k in range(1, len(r)):
-        r[k] = a * r[k - 1] + noise[k]
-    window = np.zeros(len(r), dtype=int)
-    assert correlation_time(r, window)[0] == pytest.approx((1 + a) / (1 - a), rel=0.12)
-    assert correlation_time(noise, window)[0] == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):

@@ -17,7 +17,7 @@ LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]
 def problem(arm=ARM):
     structure = Structure(belief=unknown_prior(arm))
     replay = Replay(arm, LOGS, cut(LOGS, 8.0), STEP, 1)
-    return Problem(replay, structure.prior, structure.frozen, memory=1.0)
+    return Problem(replay, structure.prior, structure.frozen)
 
 
 def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():

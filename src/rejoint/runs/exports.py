@@ -28,7 +28,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
 from rejoint.system.shell import __version__
-from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
+from rejoint.twin.parameters import LEAST_FED, STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
 
 KINDS = ("urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2")
@@ -303,9 +303,9 @@ def _missing(arm: Arm, twin: Twin) -> list[str]:
     """Say what neither simulator has, and what no motion has told."""
     p = twin.parameters
     lines = ["Backlash inside the servos is not here: motion does not tell it from dry friction."]
-    if np.any(p.compensation):
-        share = _by_joint(arm, p.compensation / p.stiffness)
-        lines.append(f"The controller feeds gravity forward: add its torques, times {share}, to the commands.")
+    if (fed := np.where(np.abs(p.compensation) > LEAST_FED, p.compensation / p.stiffness, 0.0)).any():
+        why = "The controller feeds gravity forward, or the model's masses are others"
+        lines.append(f"{why}: add the torques of gravity, times {_by_joint(arm, fed)}, to the commands.")
     if p.delay < 0:
         lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
     if twin.unknown:

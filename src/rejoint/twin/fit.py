@@ -1,7 +1,7 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
 One simulation perturbs one parameter of every joint. Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber
-loss (Charbonnier et al. 1997), Gaussian prior; the data's weight is divided by the residuals' autocorrelation time.
+loss (Charbonnier et al. 1997), Gaussian prior; residuals within `MEMORY` are one observation.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
-from rejoint.arms import Array, Index, Mask, gravity_torque, link_inertia
+from rejoint.arms import Array, Mask, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
 from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Prior, number, unpack
 from rejoint.twin.replay import Replay
@@ -34,6 +33,9 @@ DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 
 LEAST_GAIN = 0.5
 """Gain that ends a descent; chosen"""
+
+MEMORY = 1.0
+"""[s] of one observation beside the prior; chosen"""
 
 ROUNDS = 10
 """Rounds to find weights and scale of windows; chosen"""
@@ -65,8 +67,8 @@ class Fit:
 class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
-    ``frozen`` parameters keep their start. ``stride`` scales finite differences; residuals within ``memory`` [s] are
-    dependent; window errors have ``freedom`` degrees of freedom (Student).
+    ``frozen`` parameters keep their start. ``stride`` scales finite differences; window errors have ``freedom``
+    degrees of freedom (Student).
     """
 
     def __init__(
@@ -75,7 +77,6 @@ class Problem:
         prior: Prior,
         frozen: Collection[str] = (),
         stride: float = 1.0,
-        memory: float = 0.0,
         freedom: float = np.inf,
     ) -> None:
         self.replay, self.prior, self.freedom = replay, prior, freedom
@@ -84,7 +85,7 @@ class Problem:
         silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
-        self.memory = memory * (len(self.measured) - len(replay.windows)) / replay.seconds  # rows
+        self.dependent = max(MEMORY * (len(self.measured) - len(replay.windows)) / replay.seconds, 1.0)  # rows
         self.layout = prior.layout
         self.owner = self.layout.owner
         self.steps = stride * self.layout.has("difference")
@@ -97,11 +98,10 @@ class Problem:
         return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
 
     def weights(self, residual: Array) -> Weights:
-        """Weigh residuals (rows, n) by their scale and autocorrelation time."""
+        """Weigh residuals (rows, n) by their scale."""
         share = self.shares(residual) * self.powered
         scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
-        correlation = np.maximum(correlation_time(residual, self.window), self.memory)
-        return Weights(precision=share / (scale**2 * correlation), share=share)
+        return Weights(precision=share / (scale**2 * self.dependent), share=share)
 
     def shares(self, residual: Array) -> Array:
         """Weights (rows, n) of each window's motion, by Student's distribution.
@@ -311,15 +311,3 @@ def influence(residual: Array) -> Array:
 def explained(residual: Array) -> Mask:
     """(n,) whether the motion of each joint is explained, by rms residuals (rows, n) [rad]."""
     return np.asarray((residual**2).mean(axis=0) < HUBER**2)
-
-
-def correlation_time(residual: Array, window: Index, longest: int = 200) -> Array:
-    """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05; by Wiener and Khinchin."""
-    rows = np.bincount(window)
-    apart = np.zeros((len(rows), next_fast_len(int(rows.max()) + longest), residual.shape[1]))
-    apart[window, np.arange(len(window)) - (np.cumsum(rows) - rows)[window]] = residual
-    power = (np.abs(rfft(apart, axis=1)) ** 2).sum(axis=0)
-    products = irfft(power, apart.shape[1], axis=0)[:longest]
-    pairs = np.maximum(rows - np.arange(longest)[:, None], 0).sum(axis=1, keepdims=True)
-    rho = products[1:] / np.maximum(pairs[1:], 1) * len(residual) / np.maximum(products[0], 1e-18)
-    return 1.0 + 2.0 * np.where(np.logical_and.accumulate(rho > 0.05), rho, 0.0).sum(axis=0)

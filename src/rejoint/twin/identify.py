@@ -59,7 +59,6 @@ from rejoint.twin.structure import (
     decide_compensation,
     drive_torque,
     explored,
-    expressible,
     find_acceleration,
     find_structure,
     given,
@@ -107,9 +106,6 @@ CLUSTERED = 8
 
 STRIDE = 2.5
 """Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
-MEMORY = 1.0
-"""[s] of one observation beside the prior; chosen"""
-
 FREEDOM = 1.0
 """Degrees of freedom of window errors; chosen"""
 
@@ -367,7 +363,7 @@ class Motions:
         """Make the problem of some windows."""
         settings = self.settings
         replay = Replay(self.arm, self.logs, windows, settings.timestep, settings.threads, structure.acceleration)
-        return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+        return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
     def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:
         """Find a twin's structure, and its optimum (k,) on few windows; InputError for too little motion."""
@@ -384,8 +380,7 @@ class Motions:
         expected, simple = simple, find_acceleration(partial(self.problem, self.fast), simple, x)
         if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
             x = rough_fit(self.problem(slow, simple))
-        usable = expressible(self.problem(sorted({*slow, *self.fast}), simple), x)
-        return find_structure(partial(self.problem, usable), simple, x)
+        return find_structure(partial(self.problem, sorted({*slow, *self.fast})), simple, x)
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
         """Fit windows from all logs, from ``start`` (k,)."""

@@ -182,6 +182,9 @@ REFERENCE_REACH = 0.5216700000000001
 REFERENCE_SPEED = float(np.radians(150.0))
 """[rad/s] its joint speed"""
 
+LEAST_FED = 0.05
+"""Least share of gravity fed forward that counts; chosen"""
+
 NO_LOAD = 2.0
 """No-load speed of a motor over its joint's largest; chosen: the speed of most power"""
 

@@ -16,8 +16,7 @@ from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import Prior, is_hobby, number, unknown_prior, unpack
-from rejoint.twin.replay import Window
+from rejoint.twin.parameters import LEAST_FED, Prior, is_hobby, number, unknown_prior, unpack
 
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that show only when reached"""
@@ -40,9 +39,6 @@ LIMIT_GAIN = 0.15
 
 EITHER, ABSENT = 2.0, 1e-3
 """Sigma of Coulomb friction beside load friction over that without, and of no load friction; chosen"""
-LEAST_FED = 0.05
-"""Least share of gravity fed forward where a sag tells no stiffness; chosen"""
-
 STARTS = 8
 """Candidates of the random search; chosen"""
 NEAR = 0.2
@@ -57,9 +53,6 @@ ROUGH = 6
 """Steps of the first descent; chosen"""
 FURTHER = 2
 """Steps from a similar optimum; chosen"""
-FAR = 5.0
-"""Rms residual over the median of windows left out; chosen between real jumps (4) and infeasible chirps (20)"""
-
 SELDOM = 0.005
 """Share of rows beyond a torque that counts as reached; chosen"""
 
@@ -158,14 +151,6 @@ def _drawn(problem: Problem, x: Array, count: int, rng: np.random.Generator, wid
     belief = problem.prior
     drawn = belief.mean + wider * belief.sigma * problem.layout.normal(rng, count)
     return np.clip(np.where(problem.frozen, x, drawn), belief.lower, belief.upper)
-
-
-def expressible(problem: Problem, x: Array) -> list[Window]:
-    """Select the windows that a fit (k,) comes near."""
-    by_row = loss(problem.residuals(x[None])[0]).sum(axis=1)
-    by_window = np.bincount(problem.window, by_row) / np.bincount(problem.window)
-    limit = FAR**2 * np.median(by_window)
-    return [w for w, own in zip(problem.replay.windows, by_window, strict=True) if own <= limit]
 
 
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
