@@ -161,6 +161,18 @@ def test_commands_keep_the_guards_limits_through_the_loop_which_remembers_their_
     assert (np.sign(speed[:-1]) == -np.sign(speed[1:])).any()  # it does turn round, in its own time
 
 
+def test_a_controller_cannot_write_where_the_guard_reads():
+    class InPlace(Straight):
+        def command(self, inputs):
+            inputs.sent[:] += 1.0
+            return inputs.sent
+
+    robot = LaggingRobot(0.02)
+    with pytest.raises(ValueError, match="read-only"):
+        run(robot, InPlace(), TARGETS[:1], Schedule(dwell=1.0))
+    assert not robot.received
+
+
 def test_a_trip_stops_the_robot_and_keeps_the_recording():
     robot = LaggingRobot(0.02)
     robot.heat_at = {0: 5}

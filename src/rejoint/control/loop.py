@@ -30,7 +30,8 @@ from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, attach, recorded
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
-from rejoint.system.errors import GuardTripError, PowerLostError, RejointError, first_line
+from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
+from rejoint.system.numbers import as_floats
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 FIRST_PERIOD = 0.02
@@ -81,6 +82,8 @@ class Schedule:
     """[s] stationary after which a dwell ends; None: never"""
     give_up: Callable[[ControlInput], bool] | None = None
     """called once per cycle: whether the arms are done, and hold"""
+    watch_falls: bool = False
+    """a joint that moves away from its command trips; a diagnosis says it of a weak one"""
 
 
 def run(
@@ -150,7 +153,7 @@ def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str
             braking = brake(robot, last)
             if braking is not last:
                 run_state.record(braking)
-    if isinstance(error, PowerLostError):
+    if isinstance(error, PowerLostError) or any(word in str(error) for word in ("servo fault", "no torque")):
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
         )
@@ -351,8 +354,14 @@ class RunState:
         if fresh.any():
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
-        self.unbelieved = self.following.check(self.state, self.sent, aimed)
-        asked = self.controller.command(inputs)
+        goal = inputs.goal if self.schedule.watch_falls else None
+        self.unbelieved = self.following.check(self.state, self.sent, aimed, goal)
+        expected = f"joint positions of shape {self.sent.shape}: arms, joints"
+        asked = as_floats(
+            f"command of the controller {self.controller.name}", self.controller.command(inputs), expected
+        )
+        if asked.shape != self.sent.shape:
+            raise InputError(f"command of the controller {self.controller.name}: {asked.shape}, expected {expected}")
         self.wanted, wanted = asked, self.following.bound(asked, self.state.position, aimed)
         eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
         ease = np.where(eased, EASE_SHARE, 1.0)
@@ -375,7 +384,8 @@ class RunState:
         if not trips.any():
             return False
         since = self.state.time
-        alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING)
+        falling = self.following.falling.any(axis=-1)
+        alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING) & ~falling
         trips = trips * ~alive
         self.tripped = self.tripped | trips
         if trips.any() and not self.schedule.keep_going:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, gravity_torque, levers
+from rejoint.arms import Arm, Array, Mask, gravity_torque, levers, tcp_position
 from rejoint.arms.workspace import length_size
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import RunLog
@@ -36,6 +36,10 @@ ARRIVED = np.radians(1.0)
 """[rad] following error at arrival"""
 SETTLED = 30
 """changes of a reading before its sticking is known"""
+FAR, AWAY, DROP = np.radians(30.0), np.radians(20.0), 0.10
+"""[rad] off its goal, [rad] moved away against the command, and [m] of a myCobot 280's tool, of a falling joint"""
+NEARER = np.radians(1.0)
+"""[rad] by which a joint comes nearer"""
 PULL = 2.0
 """times the allowed push, to pull an overdue joint back"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
@@ -83,6 +87,9 @@ class Following:
         self._sent_at, self._sent = np.zeros((count, compiled.HISTORY)), np.zeros((count, compiled.HISTORY, joints))
         self._verdict, self._nothing = np.zeros((count, joints), dtype=np.int64), np.zeros((count, joints))
         self._excused_since, self._excused_last = np.full((2, count), -np.inf)
+        self._anchor = self._nothing  # (B, n) [rad] where the joints came nearer their goals
+        self.falling: Mask = np.zeros((count, joints), dtype=bool)
+        """(B, n) joints that move away against their commands"""
         self._restart(np.ones(count, dtype=bool), state, sent)
 
     def _restart(self, where: Mask, state: JointState, sent: Array) -> None:
@@ -93,12 +100,13 @@ class Following:
         for name in ("travel", "pushed", "due", "still", "late"):
             tracks[name][where] = 0
         self._verdict[where] = compiled.FINE
+        self._anchor = np.where(where[:, None], state.position, self._anchor)
         self._last = np.where(where, state.time, self._last)
         self._sent_at[where] = state.time[where, None]
         self._sent[where] = sent[where, None]
 
-    def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
-        """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
+    def check(self, state: JointState, sent: Array, aimed: Mask, goal: Array | None = None) -> Mask | None:
+        """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None; falling ones only with a ``goal`` (B, n).
 
         Travel counts only for arms ``aimed`` (B,) at a target.
         """
@@ -112,10 +120,10 @@ class Following:
             self._verdict,
         )
         self._last = state.time.copy()
-        worst = self._verdict.max()
-        if worst < compiled.UNKNOWN:
+        falling = goal is not None and self._fall(state.position, sent, goal)
+        if self._verdict.max() < compiled.UNKNOWN and not falling:
             return None
-        bad: Mask = self._verdict == compiled.OVERDUE
+        bad: Mask = (self._verdict == compiled.OVERDUE) | self.falling
         late: Mask = self._tracks["late"] > 0
         if self._bands is None:
             travelled, more = self._travelled(state.position, sent)
@@ -125,6 +133,18 @@ class Following:
             return None
         bad = bad & ~self._excused(bad, late)[:, None]
         return bad if bad.any() else None
+
+    def _fall(self, position: Array, sent: Array, goal: Array) -> bool:
+        """Look for falling joints at a ``position`` after ``sent`` with a ``goal`` (B, n) [rad]."""
+        left = goal - position
+        far, came = np.abs(left) > FAR, (position - self._anchor) * np.sign(left)
+        self._anchor = np.where(~far | (came > NEARER), position, self._anchor)
+        self.falling = far & (came < -AWAY) & ((sent - position) * left > 0.0)
+        if not self.falling.any():
+            return False
+        off = np.linalg.norm(tcp_position(self._arm, goal) - tcp_position(self._arm, position), axis=-1)
+        self.falling &= off[:, None] > DROP * length_size(self._arm)
+        return bool(self.falling.any())
 
     def _excused(self, bad: Mask, late: Mask) -> Mask:
         """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
@@ -195,6 +215,11 @@ class Following:
 
     def _describe(self, b: int, j: int) -> str:
         track, name = self._tracks[b, j], self._arm.joint_names[j]
+        if self.falling[b, j]:
+            return (
+                f"{name}: it moves away from its command; it has no torque, or too little for its load: support the "
+                "arm before you switch it off"
+            )
         seen = (
             f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
             f"{self._last[b] - track['since']:.2f} s, the reading 0"
@@ -203,8 +228,8 @@ class Following:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
             seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
-            f"{seen}; it is held or stuck, or its encoder is dead: support the arm, switch it off, turn {name} by hand "
-            "and see whether its reading changes"
+            f"{seen}; it is held or stuck, carries more than was declared, or its encoder is dead: support the arm, "
+            f"switch it off, turn {name} by hand and see whether its reading changes"
         )
 
 

@@ -303,7 +303,8 @@ class GoalCheck:
         """See `rejoint.control.loop.Schedule`."""
         self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
         if self.joints is None:
-            error = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, position)))
+            aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
+            error = float(np.linalg.norm(aim[0] - tcp_position(self.arm, position)))
             turned = float(turned_off(self.arm, inputs)[0])
             near = bool(inputs.arrived[0]) and error < self.within and not turned > self.within_turn
             self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
@@ -599,7 +600,7 @@ class ArmDriver:
         """
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun
-        plan = replace(schedule, sent=self._sent)
+        plan = replace(schedule, sent=self._sent, watch_falls=True)
         recorded = (self.recorder.see, *filter(None, [on_cycle]))
         return self._seen_through(
             lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), *recorded
