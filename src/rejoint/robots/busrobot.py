@@ -139,6 +139,8 @@ V = TypeVar("V", bound=Vitals)
 def believed(ask: Callable[[], V], joints: int) -> V:
     """Ask again after an alarm until two answers agree; copies arrays (n,). ImpossibleReplyError for another shape."""
     before, found = None, ask()
+    if not isinstance(found, Vitals):
+        raise InputError(f"the driver of this arm returned {type(found).__name__}, expected a Reading, or Vitals")
     for _ in range(DOUBTS):
         if not found.alarming or (before is not None and found.agrees(before)):
             break

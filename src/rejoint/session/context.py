@@ -298,11 +298,13 @@ class ControllerMaker:
         asked = given or self.contenders(real=real, posed=posed)
         factories = {name: self._factory(one) for name, one in named(asked).items()}
         for name, make in factories.items():
-            controller = make(self.arm)
-            if not (hasattr(controller, "reset") and hasattr(controller, "command")):
+            controller = make(self.arm) if callable(make) else make
+            if isinstance(controller, type) or not all(
+                hasattr(controller, one) for one in ("name", "reset", "command")
+            ):
                 raise InputError(
-                    f"controller {name}: expected a name, an object with reset and command, or a function of an Arm "
-                    f"that returns one; it returned {type(controller).__name__}"
+                    f"controller {name}: expected its name, an object with name, reset and command, or a function of "
+                    f"an Arm that returns one; got {controller!r}"
                 )
             check_controller_period(controller, self.usual)
             if posed and not heeds_turn(controller):

@@ -21,7 +21,7 @@ from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.system.numbers import as_floats, as_period, as_seconds, as_seed, as_within
+from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
 
 if TYPE_CHECKING:
     from rejoint.arms.rotations import Orientation
@@ -208,11 +208,7 @@ def as_targets(
     if kinds == {True}:
         points, turns = placed(arm, cast("Sequence[Pose]", given))
     else:
-        points = as_floats("targets", given, "(targets, 3) or (sets, targets, 3) in metres")
-        if points.ndim not in (2, 3) or points.shape[-1] != 3:
-            raise InputError(
-                f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres"
-            )
+        points = as_place("targets", given, "points (targets, 3) or (sets, targets, 3) in metres", (2, 3))
     points, turns = points[None] if points.ndim == 2 else points, turns and turns[None]
     if reachable:
         require_reachable(arm, points, turns)
@@ -261,6 +257,8 @@ class Settings:
         as_seed(self.seed)
         as_period(self.period)
         as_seconds("dwell", self.dwell)
+        if not all(isinstance(box, Box) for box in self.keep_out):
+            raise InputError("settings: keep_out takes boxes, such as [rejoint.arms.Box(lower=..., upper=...)]")
         if self.within is not None:
             as_within("settings", self.within)
 
@@ -281,7 +279,7 @@ class KeptSettings:
         mass, tool = settings.payload, settings.tool
         return cls(
             payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=float(mass)),
-            tool=None if tool is None else np.asarray(tool, dtype=float),
+            tool=None if tool is None else as_place("settings: tool", tool),
             keep_out=tuple(settings.keep_out),
             period=as_period(settings.period),
             within=settings.within,

@@ -60,14 +60,15 @@ def as_seconds(what: str, given: object) -> float:
     return as_positive(what, given, "a positive, finite duration in seconds", 1e300)
 
 
-def as_place(what: str, given: object) -> NDArray[np.float64]:
-    """Return a point (3,) [m]; InputError for anything else, and for millimetres."""
-    expected = "a point (3,) in metres"
+def as_place(
+    what: str, given: object, expected: str = "a point (3,) in metres", axes: tuple[int, ...] = (1,)
+) -> NDArray[np.float64]:
+    """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(f"{what}: expected {expected}, got {given!r}")
-    if np.abs(place).max() > _FARTHEST:
-        raise InputError(f"{what}: expected {expected}, got {place.tolist()}; that looks like millimetres")
+    if place.ndim not in axes or place.shape[-1] != 3 or not np.isfinite(place).all():
+        raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}")
+    if np.abs(place).max(initial=0.0) > _FARTHEST:
+        raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}; that looks like millimetres")
     return place
 
 
