@@ -153,6 +153,11 @@ def test_the_gate_refuses_to_correct_noise():
     assert refused >= 6
 
 
+def test_one_misread_point_corrects_nothing():
+    m = measured(Displacement.none(ARM), 1)
+    assert not fit(ARM, replace(m, point=m.point - [0.0, 0.0, 0.025])).used
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_few_points_help_where_the_links_are_not_as_described(seed):
     twist = np.random.default_rng([seed, 2]).normal(0.0, [1e-3] * 3 + [np.radians(0.3)] * 3, (7, 6))

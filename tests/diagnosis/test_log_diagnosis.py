@@ -27,6 +27,7 @@ WEARS = {
     "late elbow": with_joint(2, damping_gain=4.0 * HEALTHY.damping_gain[2]),
     "sticky roll": with_joint(4, coulomb=0.25, stiction=0.30),
     "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
+    "limp wrist": with_joint(3, torque_limit=1e-3),
 }
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
@@ -54,6 +55,7 @@ def kinds(diagnosis):
         ("late elbow", {("elbow_flex", "lag")}),
         ("sticky roll", {("wrist_roll", "hysteresis")}),  # gravity does not load it: friction has no torque here
         ("blocked wrist", {("wrist_flex", "stuck")}),
+        ("limp wrist", {("wrist_flex", "stuck")}),
     ],
 )
 def test_one_wear_is_named_and_nothing_else(found, name, expected):

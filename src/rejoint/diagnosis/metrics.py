@@ -302,10 +302,13 @@ def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
 
 
 def followed(data: ExcitationLog, joint: int) -> float | None:
-    """Share of the commands' range that a joint covers, preferably in sweeps; None without."""
+    """Share of its commands that a joint follows, by regression, preferably in sweeps; None without."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
-    asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
-    return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
+    asked = data.log.command[rows, joint]
+    if not len(rows) or np.ptp(asked) <= MIN_SWEEP:
+        return None
+    asked = asked - asked.mean()
+    return float(asked @ data.log.position[rows, joint] / (asked @ asked))
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:

@@ -191,7 +191,8 @@ def stuck(case: _Case) -> Found:
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
-    if (gain is not None and gain > FOLLOWS) or far < STUCK_ERROR:
+    follows = gain is not None and gain > FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
+    if follows or far < STUCK_ERROR:
         return None
     return float((case.levers * case.errors).mean()), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "

@@ -222,8 +222,8 @@ FOLDS = 12
 """Groups for cross-validation; chosen for time"""
 SURE = 1.3
 """Standard errors by which a correction must help; chosen"""
-LEAST = 1e-4
-"""[m] least useful gain; chosen"""
+LEAST, FEWEST = 1e-4, 3
+"""[m] least useful gain, and postures that tell it from a misreading; chosen"""
 ASTRAY = 0.04
 """Error over summed link lengths of wrong units, columns or frames; chosen"""
 SAME = np.radians(0.5)
@@ -241,7 +241,11 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     numbers = np.unique(measured.posture)
     gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
     noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
-    return not astray(arm, after) and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
+    return (
+        len(numbers) >= FEWEST
+        and not astray(arm, after)
+        and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
+    )
 
 
 def suspects_of(surprise: Array, known: Mask) -> tuple[int, ...]:
