@@ -115,7 +115,7 @@ def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionE
 def smaller(ours: Array, theirs: Array) -> bool:
     """Whether errors (K,) are measurably smaller in the same motions."""
     if len(ours) < FEWEST:
-        return bool(len(ours) and ours.mean() < CLEARLY * theirs.mean())
+        return bool(len(ours) and (ours < CLEARLY * theirs).all())
     return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours)), fewest=FEWEST))
 
 
