@@ -45,7 +45,6 @@ WAYS: dict[str, tuple[bytes, str]] = {
     "comments": (text("# robot 7", "", "% second", *lines()[:40], "# paused", *lines()[40:]).encode(), ""),
     "numpy": (text("# " + lines()[0], *lines()[1:]).encode(), ""),
     "trailing separators": (text(*(line + "," for line in lines())).encode(), ""),
-    "wider rows": (text(lines()[0], *(f"{line}," for line in lines()[1:])).encode(), ""),
     "quoted commas": (
         text(lines()[0], *('"' + row.replace("x", '","') + '"' for row in lines("x", ",")[1:])).encode(),
         "",

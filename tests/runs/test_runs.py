@@ -20,16 +20,6 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
 
-def test_json_of_the_wrong_shape_names_the_file(tmp_path):
-    path = tmp_path / "value.json"
-    write_json(path, {"a": 1.5})
-    assert read_json(path, dict[str, float]) == {"a": 1.5}
-    with pytest.raises(FileError, match=r"value\.json: damaged"):
-        read_json(path, list[int])
-    with pytest.raises(FileError, match="no such file"):
-        read_json(tmp_path / "other.json", dict[str, float])
-
-
 def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path):
     code = "import sys\nfrom pathlib import Path\nfrom rejoint.logs.runfolder import RunFolder, locked\n"
     code += "with locked(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"

@@ -89,7 +89,7 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
     )
 
 
-_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
+_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".jsonl", ".npz")
 _AGAIN = "record it again, or write its columns as text"
 
 
@@ -101,8 +101,8 @@ def _is_table(file: Path, named: bool) -> bool:
 
 def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | None:
     """Reader of the columns of a file by its ending and first bytes; None: not of text."""
-    magic, read = _KINDS.get(file.suffix.lower(), (b"", None))
-    return read if magic and begins_with(file, magic) else None
+    magic, read = _KINDS.get(file.suffix.lower(), ((), None))
+    return read if any(begins_with(file, one) for one in magic) else None
 
 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
@@ -126,7 +126,9 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
     with reading(file, "JSON without one list of records of numbers", _AGAIN):
-        data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
+        text = read_bounded(file, TEXT_MOST, "cut it into several files")
+        data = [json.loads(line) for line in text.splitlines()] if file.suffix.lower() == ".jsonl" else json.loads(text)
+        data = data if isinstance(data, dict) else {"": data}
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
         columns = {
             key: [row.get(key) for row in rows] for key, value in rows[0].items() if isinstance(value, int | float)
@@ -154,7 +156,8 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     return columns, "a NumPy archive"
 
 
-_KINDS = {".npz": (b"PK\x03\x04", _archive), ".json": (b"{", _records)}
+_JSON = (b"{", b"["), _records
+_KINDS = {".npz": ((b"PK\x03\x04",), _archive), ".json": _JSON, ".jsonl": _JSON}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")

@@ -179,7 +179,8 @@ class Contents:
             "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
         }
         if not is_virtual(robot):
-            steps["let your own programs drive it"] = command("serve", robot, run)
+            by_lines = ["--stdio"] if self.arm.joints != 6 else []  # the protocol of a myCobot has 6 joints
+            steps["let your own programs drive it"] = command("serve", robot, run, *by_lines)
         if self.calibration is None:
             steps["measure where the tool really is"] = self.commands()["calibrate"]
         return steps | {"see later whether it has become worse": command("check", robot, "--repeat", 5)}
