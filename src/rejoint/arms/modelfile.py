@@ -390,7 +390,7 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     leaves = hinges.keys() - {tree.above[body] for body in hinges if body not in (start, WORLD)}
     most = max(hinges[body] for body in leaves)
     ends = [body for body in sorted(leaves) if hinges[body] == most]
-    if most == 0:
+    if not most:
         raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {tree.listed(hinges)}")
     carried: dict[Joint, list[int]] = {}  # ends by the last joint before them
     for body in ends:
@@ -400,9 +400,10 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
         raise InputError(
             f"{tree.name}: several links could be the tip of the arm ({most} joints each): {names}; name the tip"
         )
+    ends += [place for place in range(tree.model.nbody, len(tree.names)) if tree.above[place] in ends]  # sites
     end = _frame(tree, ends)
-    behind = [place for place in range(len(tree.names)) if place != WORLD and tree.above[place] in (end, *ends)]
-    others = [body for body in ends if body != end] + [place for place in behind if place >= tree.model.nbody]
+    behind = [place for place in range(1, len(tree.names)) if tree.above[place] in (end, *ends)]
+    others = [place for place in ends if place != end]
     more = f" (beside it are {tree.listed(others)}, which can be named instead)" if others else ""
     notes.append(f"tip: none given; {tree.names[end]} taken, the end of the longest chain{more}")
     beyond = ", ".join(joint.name for joint in tree.joints_of(behind) if joint.kind == "hinge")
