@@ -59,10 +59,15 @@ def calibration(found: rejoint.Calibrated) -> Shown:
     own, filmed, points = found.calibration, found.filmed, found.measurements.point
     for name, why in () if filmed is None else filmed.left_out:
         yield f"  ! {name} is not used: {why}"
-    for row in own.suspects:
+    if wrong := astray(own.arm, own.missed):  # then nothing fits to anything
+        yield (
+            "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
+            "the points right, and is it this arm?"
+        )
+    for row in () if wrong else own.suspects:
         name = f"Measurement {row + 1} ({_place(points[row])} mm)" if filmed is None else filmed.residuals[row].name
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
-    if disturbed(own.suspects, own.points):
+    if disturbed(own.suspects, own.points) and not wrong:
         yield f"  ! {DISTURBED}"
     if filmed is not None:
         rig = filmed.rig
@@ -79,11 +84,6 @@ def calibration(found: rejoint.Calibrated) -> Shown:
     )
     if own.frame_name != "base":
         yield f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
-    if astray(own.arm, own.missed):
-        yield (
-            "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
-            "the points right, and is it this arm?"
-        )
     helps = "clearly helps and will be used" if own.used else "does not clearly help and will not be used"
     yield f"The correction {helps}."
 
