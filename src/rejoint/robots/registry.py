@@ -78,7 +78,7 @@ _KNOWN = {family.scheme: family for family in FAMILIES}  # and those of other pa
 
 def place_of(text: str) -> Place[Any]:
     """Read a robot's address; AddressError with the forms."""
-    scheme, colon, _ = text.partition(":")
+    scheme, colon, _ = (text := str(text)).partition(":")
     family = _family(scheme) if colon else None
     if family is None:
         meant = ((words, re.fullmatch(form, text)) for form, words in _MEANT.items())

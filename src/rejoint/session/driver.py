@@ -292,7 +292,12 @@ class GoalCheck:
     """(n,) [rad] to be reached instead of a tool's place"""
 
     def __post_init__(self) -> None:
-        self._since, self._now, self._left = np.inf, -np.inf, ""  # [s] close since then, and at the last look
+        self._since, self._now, self._left, self._joint = (
+            np.inf,
+            -np.inf,
+            "",
+            "",
+        )  # [s] close since, and at the last look
 
     @property
     def reached(self) -> bool:
@@ -302,6 +307,9 @@ class GoalCheck:
     def __call__(self, inputs: ControlInput) -> bool:
         """See `rejoint.control.loop.Schedule`."""
         self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
+        away = np.abs(position - (inputs.sent[0] if self.joints is None else self.joints))
+        worst = int(away.argmax())
+        self._joint = f"{self.arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
         if self.joints is None:
             aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
             error = float(np.linalg.norm(aim[0] - tcp_position(self.arm, position)))
@@ -309,19 +317,17 @@ class GoalCheck:
             near = bool(inputs.arrived[0]) and error < self.within and not turned > self.within_turn
             self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
         else:
-            away = np.abs(position - self.joints)
-            worst = int(away.argmax())
             near = away[worst] < self.within_turn
             self._left = f"{np.degrees(away[worst]):.1f} deg at {self.arm.joint_names[worst]}"
         self._since = min(self._since, self._now) if near else np.inf
         return self.motion.give_up(inputs) or self.reached
 
-    def require(self, wanted: str, seconds: float) -> None:
+    def require(self, wanted: str) -> None:
         """Raise NotReachedError unless it arrived or was asked to end."""
         if not (self.reached or self.motion.ended.is_set()):
             raise NotReachedError(
-                f"the arm did not come within {wanted} of {self.motion.goal} in {seconds:g} s, still {self._left} "
-                "off; it holds. Give it more time or room, or look whether something is in its way"
+                f"the arm did not come within {wanted} of {self.motion.goal}, still {self._left} off; it holds. "
+                f"{self._joint}. Give it more time or room, or look whether something is in its way"
             )
 
 

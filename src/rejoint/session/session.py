@@ -169,7 +169,7 @@ class ArmSession(ArmDriver):
             self.begin("move", name, controller)
             arrival = GoalCheck(motion, self.arm, within, within_rad)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival), reference)
-            arrival.require(wanted, timeout)
+            arrival.require(wanted)
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
@@ -214,7 +214,7 @@ class ArmSession(ArmDriver):
             controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
             arrival = GoalCheck(motion, self.arm, np.inf, within, goal)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival), unloaded)
-            arrival.require(f"{np.degrees(within):g} deg", timeout)
+            arrival.require(f"{np.degrees(within):g} deg")
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
