@@ -192,6 +192,9 @@ _MIN_STEP = 0.02
 CHANCE = 3.0
 """Standard errors from which a correlation is not chance; chosen"""
 
+LIMITED = 0.97
+"""Share of the largest torque that may be a limit; chosen"""
+
 LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
 """Coefficients: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
 
@@ -293,7 +296,8 @@ def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
     """
     if data.log.torque is None or data.effort_unit != "N m" or not data.log.commanded:
         return None
-    motion = _motion(data, joint, np.zeros(1), fast=True)
+    motion, most = _motion(data, joint, np.zeros(1), fast=True), np.abs(data.log.torque[:, joint]).max()
+    motion = motion.at(np.abs(motion.effort) < LIMITED * most)  # at its limit the torque does not tell the error
     if not motion.enough:
         return None
     design = motion.design
