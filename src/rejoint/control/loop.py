@@ -224,9 +224,13 @@ class RunState:
 
     def _ask(self) -> None:
         nowhere, since = np.full((self.robot.count, 3), np.nan), self.state.time - self.set_at
-        self.inputs = now = self.reference.advance(
+        now = self.reference.advance(
             ControlInput(state=self.state, target=nowhere, goal=self.sent, sent=self.sent, since_target=since)
         )
+        shown = {name: getattr(now, name).view() for name in ("target", "goal", "sent")}
+        for values in shown.values():
+            values.setflags(write=False)  # what a controller wrote there, the guard would take for its own
+        self.inputs = now = replace(now, **shown)
         # (B, 3) [m] recorded
         self.place = tcp_position(self.limits.arm, now.goal) if now.place is None else now.place
         self.aim = self.place if now.aim is None else now.aim

@@ -119,12 +119,6 @@ class ControlInput:
     ahead: Callable[[Array], Array] | None = None
     """goals (k, B, n) [rad] in ``later`` (k, B) [s]; None: as now"""
 
-    def __post_init__(self) -> None:
-        for name in ("target", "goal", "sent"):  # what a controller writes there, the guard would take for its own
-            shown = getattr(self, name).view()
-            shown.setflags(write=False)
-            object.__setattr__(self, name, shown)
-
     def goals(self, later: Array) -> Array:
         """Goals (k, B, n) [rad] in ``later`` (k, B) [s], as far as known."""
         return np.broadcast_to(self.goal, (len(later), *self.goal.shape)) if self.ahead is None else self.ahead(later)

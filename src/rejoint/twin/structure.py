@@ -56,11 +56,11 @@ FURTHER = 2
 SELDOM = 0.005
 """Share of rows beyond a torque that counts as reached; chosen"""
 
-_RAMPS = (1.0, 2.0, 4.0, 8.0)
+_RAMPS = (1.5, 5.0)
 """[rad/s] tried"""
-_TORQUES = (0.4, 0.6, 0.8)
+_TORQUES = (0.4, 0.7)
 """Tried, over the largest torque without limit"""
-_SHARES = (0.2, 0.5)
+_SHARES = (0.3,)
 """Load friction tried"""
 
 
@@ -202,24 +202,18 @@ def find_structure(make: Callable[[Structure], Problem], structure: Structure, s
 
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     """Optimum with one limit freed, and its losses (n,)."""
-    candidates = [x]
-    place = problem.layout.at(limit)
-    if limit == "torque_limit":
-        values = np.log(np.outer(_TORQUES, drive_torque(problem, x)))
-    elif limit == "load_friction":
-        values = np.array(_SHARES)
-    else:
-        values = np.log(_RAMPS)
-    instead = problem.layout.at("coulomb" if limit == "load_friction" else "damping")
-    for value in values:
-        for less in (0.0, np.log(2.0)):  # this has stood for the limit so far
-            candidate = x.copy()
-            candidate[place] = value
-            candidate[instead] -= less
-            candidates.append(candidate)
-    tried = np.clip(candidates, problem.prior.lower, problem.prior.upper)
-    before = problem.residuals(tried[:1])
-    y = explored(problem, line_up(problem, tried, before, problem.weights(before[0]))[0])
+    place, before = problem.layout.at(limit), problem.residuals(x[None])
+    values = {
+        "torque_limit": np.log(np.outer(_TORQUES, drive_torque(problem, x))),
+        "load_friction": np.array(_SHARES),
+        "ramp_speed": np.log(_RAMPS),
+    }[limit]
+    fits = [x]
+    for value in values:  # other parameters have stood for the limit so far
+        start = x.copy()
+        start[place] = value
+        fits.append(fit(problem, start, FURTHER).vector)
+    y = explored(problem, line_up(problem, np.array(fits), before, problem.weights(before[0]))[0])
     losses = _losses(problem, y)
     if _ratio(losses, loss(before[0]).sum(axis=0)) >= 1.0 - GAIN:
         return x, losses
