@@ -65,7 +65,8 @@ def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
         listener.setblocking(False)
     except (OSError, OverflowError) as error:
         listener.close()
-        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot listen on {host}:{port} ({why}); choose another host or port") from error
     return listener
 
 
