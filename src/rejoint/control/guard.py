@@ -188,13 +188,10 @@ def guard(
     """Limit a ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
     ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
-    the limits if ``sent`` is. InputError for another shape.
+    the limits if ``sent`` is.
     """
-    shape = (len(sent), limits.arm.joints)
-    if np.shape(command) != shape:
-        raise InputError(f"guard: a command of shape {np.shape(command)}, expected {shape}: arms, joints")
     asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
-    times, out = np.empty((2, len(command))), np.empty((2, *shape))
+    times, out = np.empty((2, len(command))), np.empty((2, *command.shape))
     times[0], times[1] = state.age, period
     reasons = servo_trips(limits, state)
     compiled.guard(chain_of(limits.arm), limits.shape, limits.rules, asked, times, reasons, out)

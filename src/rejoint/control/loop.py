@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from rejoint.arms import Array, Index, Mask, tcp_position
+from rejoint.arms.arm import frozen
 from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.guard import (
     TRIPS,
@@ -153,7 +155,7 @@ def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str
             braking = brake(robot, last)
             if braking is not last:
                 run_state.record(braking)
-    if isinstance(error, PowerLostError) or any(word in str(error) for word in ("servo fault", "no torque")):
+    if isinstance(error, PowerLostError) or (isinstance(error, GuardTripError) and error.limp):
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
         )
@@ -168,11 +170,13 @@ MOST_DOUBTED = 2
 """Times in a run that an arm goes on after that"""
 
 
-def own(state: JointState) -> JointState:
-    """Copy what is kept beyond this cycle, and what no controller can change."""
-    load, position = None if state.load is None else state.load.copy(), state.position.copy()
-    position.setflags(write=False)
-    return replace(state, time=state.time.copy(), position=position, load=load)
+S = TypeVar("S", JointState, ControlInput)
+
+
+def own(seen: S) -> S:
+    """Copy with arrays that no controller can change: the guard reads them too."""
+    arrays: dict[str, Any] = {k: frozen(one) for k, one in vars(seen).items() if isinstance(one, np.ndarray)}
+    return replace(seen, **arrays)
 
 
 @dataclass(eq=False)
@@ -224,13 +228,8 @@ class RunState:
 
     def _ask(self) -> None:
         nowhere, since = np.full((self.robot.count, 3), np.nan), self.state.time - self.set_at
-        now = self.reference.advance(
-            ControlInput(state=self.state, target=nowhere, goal=self.sent, sent=self.sent, since_target=since)
-        )
-        shown = {name: getattr(now, name).view() for name in ("target", "goal", "sent")}
-        for values in shown.values():
-            values.setflags(write=False)  # what a controller wrote there, the guard would take for its own
-        self.inputs = now = replace(now, **shown)
+        asked = ControlInput(state=self.state, target=nowhere, goal=self.sent, sent=self.sent, since_target=since)
+        self.inputs = now = own(self.reference.advance(asked))
         # (B, 3) [m] recorded
         self.place = tcp_position(self.limits.arm, now.goal) if now.place is None else now.place
         self.aim = self.place if now.aim is None else now.aim
@@ -360,12 +359,10 @@ class RunState:
         aimed = np.isfinite(inputs.target[:, 0])
         goal = inputs.goal if self.schedule.watch_falls else None
         self.unbelieved = self.following.check(self.state, self.sent, aimed, goal)
-        expected = f"joint positions of shape {self.sent.shape}: arms, joints"
-        asked = as_floats(
-            f"command of the controller {self.controller.name}", self.controller.command(inputs), expected
-        )
+        asked, who = self.controller.command(inputs), f"command of the controller {self.controller.name}"
+        asked = as_floats(who, asked, expected := f"joint positions {self.sent.shape}: arms, joints")
         if asked.shape != self.sent.shape:
-            raise InputError(f"command of the controller {self.controller.name}: {asked.shape}, expected {expected}")
+            raise InputError(f"{who}: of shape {asked.shape}, expected {expected}")
         self.wanted, wanted = asked, self.following.bound(asked, self.state.position, aimed)
         eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
         ease = np.where(eased, EASE_SHARE, 1.0)
@@ -445,7 +442,8 @@ def trip_error(b: int, run_state: RunState) -> GuardTripError:
         details.append("a command or a measured position is not a number; check the controller and the connection")
     since, which = run_state.state.time[b] - run_state.set_at[b], f" of arm {b + 1}" * (len(state.position) > 1)
     where = f"{since:.2f} s into target {int(run_state.index[b]) + 1}{which}"
-    return GuardTripError(", ".join(reason_names(int(flags))), f"{'; '.join(details)} ({where})")
+    limp = Reason.SERVO_FAULT in flags or bool(run_state.following.falling[b].any())
+    return GuardTripError(", ".join(reason_names(int(flags))), f"{'; '.join(details)} ({where})", limp=limp)
 
 
 def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:

@@ -89,7 +89,7 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
     )
 
 
-_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".jsonl", ".npz")
+_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
 _AGAIN = "record it again, or write its columns as text"
 
 
@@ -126,8 +126,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
     with reading(file, "JSON without one list of records of numbers", _AGAIN):
-        text = read_bounded(file, TEXT_MOST, "cut it into several files")
-        data = [json.loads(line) for line in text.splitlines()] if file.suffix.lower() == ".jsonl" else json.loads(text)
+        data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
         data = data if isinstance(data, dict) else {"": data}
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
         columns = {
@@ -156,8 +155,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     return columns, "a NumPy archive"
 
 
-_JSON = (b"{", b"["), _records
-_KINDS = {".npz": ((b"PK\x03\x04",), _archive), ".json": _JSON, ".jsonl": _JSON}
+_KINDS = {".npz": ((b"PK\x03\x04",), _archive), ".json": ((b"{", b"["), _records)}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")

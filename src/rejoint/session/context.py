@@ -298,7 +298,7 @@ class ControllerMaker:
         asked = given or self.contenders(real=real, posed=posed)
         factories = {name: self._factory(one) for name, one in named(asked).items()}
         for name, make in factories.items():
-            controller = make(self.arm) if callable(make) else make
+            controller = make(self.arm)
             if isinstance(controller, type) or not all(
                 hasattr(controller, one) for one in ("name", "reset", "command")
             ):
@@ -327,9 +327,9 @@ class ControllerMaker:
         one = Policy.load(given) if isinstance(given, Path | str) else given
         if hasattr(one, "controller"):
             return one.controller
-        if hasattr(one, "reset") and not isinstance(one, type):
+        if not callable(one) or (hasattr(one, "reset") and not isinstance(one, type)):
             return lambda _: cast(Controller, one)
-        return cast("Factory", one)
+        return one
 
     def _by_name(self, name: str, arm: Arm) -> Controller:
         if name in RIVALS:

@@ -292,12 +292,8 @@ class GoalCheck:
     """(n,) [rad] to be reached instead of a tool's place"""
 
     def __post_init__(self) -> None:
-        self._since, self._now, self._left, self._joint = (
-            np.inf,
-            -np.inf,
-            "",
-            "",
-        )  # [s] close since, and at the last look
+        self._since, self._now = np.inf, -np.inf  # [s] close since then, and at the last look
+        self._left = self._joint = ""
 
     @property
     def reached(self) -> bool:

@@ -97,12 +97,12 @@ class NotReachedError(RejointError, TimeoutError):
 
 
 class GuardTripError(RejointError):
-    """The guard stopped the motion; `reason` names why."""
+    """The guard stopped the motion; `reason` names why, ``limp`` whether a joint may have no torque left."""
 
     exit_code: ClassVar[int] = 3
 
-    def __init__(self, reason: str, detail: str) -> None:
-        self.reason = reason
+    def __init__(self, reason: str, detail: str, *, limp: bool = False) -> None:
+        self.reason, self.limp = reason, limp
         super().__init__(f"guard trip ({reason}): {detail}")
 
 

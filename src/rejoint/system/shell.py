@@ -65,8 +65,7 @@ def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
         listener.setblocking(False)
     except (OSError, OverflowError) as error:
         listener.close()
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot listen on {host}:{port} ({why}); choose another host or port") from error
+        raise InputError(f"cannot listen on {host}:{port} ({error.args[-1]}); choose another host or port") from error
     return listener
 
 

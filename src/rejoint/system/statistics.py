@@ -110,7 +110,8 @@ def wilson(hits: float, trials: float) -> Estimate:
     share, z2 = hits / trials, NORMAL95**2
     centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
     half = NORMAL95 * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
-    low, high = np.clip(np.round([centre - half, centre + half], 12), 0.0, 1.0)  # an end at 0 or 1 is exact
+    low = 0.0 if hits == 0 else max(0.0, float(centre - half))
+    high = 1.0 if hits == trials else min(1.0, float(centre + half))
     return Estimate(value=share, low=low, high=high)
 
 

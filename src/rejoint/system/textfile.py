@@ -45,10 +45,7 @@ _LINES = 20
 _SHOWN = 24
 # Cells that hold no number, in small letters
 _EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
-_NUMBER = re.compile(
-    r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)|\d{4}-\d\d-\d\d[T ].*",
-    re.ASCII | re.IGNORECASE,
-)
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _UNIT = re.compile(r"^(?P<name>.*?)(?:_(?P<ending>[^\W_]+)|\s*[\[(]\s*(?P<bracket>\w+|°)\s*[\])])$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
@@ -243,7 +240,7 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, 
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
     titles = _split(lines[chosen[prints]], separator) if chosen else []
-    named = not all(map(_NUMBER.fullmatch, filter(None, titles)))
+    named = not all(_NUMBER.fullmatch(title) or _DATE.match(title) for title in filter(None, titles))
     rows = chosen[prints + named :]
     if not named:
         width = len(titles)

@@ -25,7 +25,7 @@ OPTIONAL = (*LIMITS, "load_friction")
 
 USUAL_ACCELERATION = 39.0
 """[rad/s^2] limit of the reference's acceleration to try first; that of an STS3215"""
-FACTORS = np.geomspace(0.25, 4.0, 13)
+FACTORS = 2.0 ** (np.arange(-6, 7) / 3)
 """Other limits to try, over that; chosen"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay to try with them; chosen"""

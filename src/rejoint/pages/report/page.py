@@ -179,7 +179,7 @@ class Contents:
             "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
         }
         if not is_virtual(robot):
-            by_lines = ["--stdio"] if self.arm.joints != 6 else []  # the protocol of a myCobot has 6 joints
+            by_lines = [] if self.arm.joints == load_arm(DEFAULT_ARM).joints else ["--stdio"]  # else a myCobot's wire
             steps["let your own programs drive it"] = command("serve", robot, run, *by_lines)
         if self.calibration is None:
             steps["measure where the tool really is"] = self.commands()["calibrate"]
