@@ -45,8 +45,15 @@ def test_repair_goes_on_where_it_stopped(finished, cli):
     assert done.err.count("already done") == 3
     last = done.last
     assert last["recommended"]["controller"] == "integrator"
-    assert Path(last["report"]).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    page = Path(last["report"]).read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html>")
     assert done.out.splitlines()[-2] == last["report"]
+    before = rejoint.Run.open(finished.path).diagnosis.open_loop.error_mm.value
+    assert last["errors"]["before"]["encoders"] == pytest.approx(1e-3 * before)
+    assert "rejoint goto" not in done.out.rpartition("\n{")[0], "what comes next is no result"
+    assert all(line in page for line in last["next"].values())
+    words = next(line for line in done.err.splitlines() if "rejoint goto" in line).partition("#")[0].split()[1:]
+    assert cli(*words, "--dry-run", "--json").last["reached"]
 
 
 def test_a_twin_finds_the_weak_motor_and_predicts_motion_that_it_has_not_seen(finished):

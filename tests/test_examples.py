@@ -9,6 +9,7 @@ import matplotlib
 import pytest
 
 from modelfiles import packaged
+from rejoint.runs.run import Run
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -69,3 +70,7 @@ def test_an_arm_that_only_a_file_describes_is_repaired(run):
     said = run("repair_an_arm_from_urdf.py", file, "--base", "base_link", "--tip", "tool0", "--quick", "--run", "ur10")
     assert "Use: " in said
     assert is_figure("urdf.png")
+    found = Run.open("ur10").diagnosis
+    # 7.7 % of the 890 mm between its targets and its base's axis, where a healthy one misses by 1.6 %
+    assert 45.0 < found.open_loop.error_mm.value < 110.0
+    assert "shoulder_lift_joint" in {finding.joint for finding in found.findings[:2]}

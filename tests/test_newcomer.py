@@ -144,19 +144,6 @@ def test_results_are_short_at_a_prompt_and_tables_in_a_notebook():
     assert frame["error"].iloc[1] == done.visits[1].error
 
 
-def test_what_comes_next_after_a_repair_can_be_pasted_and_is_no_result(tmp_path, cli):
-    told = cli("repair", "--run", str(tmp_path / "run"), "--quick", "--json")
-    assert "rejoint goto" not in told.out.rpartition("\n{")[0]
-    words = next(line for line in told.err.splitlines() if "rejoint goto" in line).partition("#")[0].split()[1:]
-    assert cli(*words, "--dry-run", "--json").last["reached"]
-    errors, diagnosis = told.last["errors"], cli("diagnose", "--run", str(tmp_path / "new"), "--quick", "--json").last
-    assert errors["before"]["encoders"] == pytest.approx(
-        1e-3 * diagnosis["diagnosis"]["open_loop"]["error_mm"]["value"]
-    )
-    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert all(line in page for line in told.last["next"].values())
-
-
 def test_a_path_of_windows_is_no_address():
     with pytest.raises(rejoint.RejointError, match="no folder with run logs"):
         rejoint.diagnose(r"C:\logs")
