@@ -39,9 +39,6 @@ def test_one_speed_serves_twins_of_any_delay(acceleration):
     at, delay = np.linspace(time[0], time[-1] + 0.1, 57), np.linspace(0.0, 0.05, 12)
     alone = np.concatenate([r.sample(at, delay[i : i + 1]) for i in range(12)])
     np.testing.assert_array_equal(r.sample(at, delay), alone)
-    if acceleration == np.inf:
-        alone = np.concatenate([r.mean(at, delay[i : i + 1], 0.01) for i in range(12)])
-        np.testing.assert_allclose(r.mean(at, delay, 0.01), alone, atol=1e-12)
 
 
 def test_skipping_what_is_reached_changes_nothing():
@@ -56,15 +53,3 @@ def test_skipping_what_is_reached_changes_nothing():
         reach = speeds[:, None] * (time[k + 1] - time[k])
         expected[k + 1] = expected[k] + np.clip(command[k] - expected[k], -reach, reach)
     np.testing.assert_allclose(r.sample(time, np.zeros(4)).swapaxes(0, 1), expected, atol=1e-12)
-
-
-@settings(max_examples=25)
-@given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 50.0), seed=st.integers(0, 99))
-def test_means_over_steps_are_those_of_many_samples(delay, speed, seed):
-    time, command = commands(seed)
-    r = ServoReference(time, command, np.array([speed, 2 * speed]))
-    width, fine = 0.01, (np.arange(400) + 0.5) / 400 - 0.5
-    at = time[0] + width * np.arange(30)
-    delays = np.array([delay, 0.0])
-    expected = np.mean([r.sample(at + width * share, delays) for share in fine], axis=0)
-    np.testing.assert_allclose(r.mean(at, delays, width), expected, atol=2e-3)

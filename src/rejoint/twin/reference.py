@@ -57,18 +57,6 @@ class ServoReference:
         which, limits = np.resize(self._which, len(late)), (self._speeds, self._acceleration)
         return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
 
-    def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s]."""
-        late = np.append(time - 0.5 * width, time[-1] + 0.5 * width) - delay[:, None]
-        row, twin = self._rows(late), self._which[:, None]
-        position, command = self._position[:-1], self._command[:-1, None]
-        areas = _area(position, command, self._speeds[:, None], np.diff(self._time)[:, None, None])
-        before = np.concatenate([np.zeros_like(self._position[:1]), np.cumsum(areas, axis=0)])
-        since = (late - self._time[row])[..., None]
-        since_sent = _area(self._position[row, twin], self._command[row], self._speeds[twin][..., None], since)
-        area = before[row, twin] + since_sent
-        return np.diff(area, axis=1) / width
-
     def _rows(self, late: Array) -> Index:
         return np.clip(np.searchsorted(self._time, late, side="right") - 1, 0, len(self._time) - 1)
 
@@ -110,14 +98,6 @@ def _sample(late, row, which, time, command, position, velocity, limits):
                 now, v = position[k, u, j], velocity[k, u, j]
                 path[i, s, j] = move(now, v, command[k, j], speeds[u] * elapsed, acceleration, elapsed)[0]
     return path
-
-
-def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
-    """Integral [rad s] of a reference that approaches ``goal`` for ``elapsed`` [s]."""
-    gap = goal - reference
-    moving = np.clip(elapsed, 0.0, np.abs(gap) / speed)
-    missing = np.abs(gap) * moving - 0.5 * speed * moving**2
-    return np.where(elapsed < 0.0, reference, goal) * elapsed - np.sign(gap) * missing
 
 
 class LiveReference:

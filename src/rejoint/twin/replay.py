@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 RESTED, FLICKER = 1.0, 1.5
 """[s] from which a joint rests, and encoder steps by which its reading changes; chosen"""
 
-IN_STEP = 0.2
-"""Regularity of command times, 0 to 1, that shifts the delay; chosen"""
+PARTS = 6
+"""Instants of a step whose mean reference counts; chosen: a delay is then exact to a twelfth of a step"""
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -142,11 +142,6 @@ class Replay:
         return np.array([(np.ptp(rows, axis=0) < FLICKER * self.arm.encoder_step).all(axis=0) for rows in first])
 
     @cached_property
-    def _even(self) -> set[int]:
-        turn = 2j * np.pi / self.timestep
-        return {i for i, log in self._shown.items() if abs(np.exp(turn * log.time).mean()) > IN_STEP}
-
-    @cached_property
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
         longest = durations(self.windows, self.logs).max()
@@ -203,20 +198,16 @@ class Replay:
         return np.concatenate([references[w.log].sample(time, one.delay)[0] for w, time in times])
 
     def _control(self, parameters: TwinParameters) -> Array:
-        """Return references (windows * m, steps, n) at the start of each simulation step.
-
-        For commands in step with it, means over the step.
-        """
-        late = np.stack([parameters.delay, self._speed(parameters)])
-        (delay, speed), which = np.unique(late, axis=1, return_inverse=True)
+        """Return references (windows * m, steps, n), means over each simulation step."""
+        limits = np.stack([parameters.delay, self._speed(parameters)])
+        (delay, speed), which = np.unique(limits, axis=1, return_inverse=True)
         references, grid = self._references(speed if np.ptp(speed) else speed[:1]), self._grid
         control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
             reference, times = references[w.log], self.logs[w.log].time[w.first] + grid
-            if w.log in self._even and self.acceleration == np.inf:
-                part[:] = reference.mean(times, delay, self.timestep)[which]
-            else:
-                part[:] = reference.sample(times, delay)[which]
+            instants = times[:, None] + self.timestep * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
+            sampled = reference.sample(instants.ravel(), delay).reshape(len(delay), *instants.shape, -1)
+            part[:] = sampled.mean(axis=2)[which]
         if parameters.compensation.any():
             torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
