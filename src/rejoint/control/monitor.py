@@ -234,54 +234,7 @@ class Following:
 
 
 FEWEST = 50
-"""rows of a line (chosen: two seconds)"""
-STILL = 4
-"""rows of a constant reading"""
-AT_REST = np.radians(0.1)
-"""[rad] allowed change of commands (chosen: an encoder count)"""
-COUNTS = 1.1
-"""Encoder steps between the servo's and the reported reading"""
-FULL = 0.9
-"""Share of full torque that tells no slope"""
-USABLE = 0.5
-"""Largest relative error of a slope"""
-SURE = 4.0
-"""Allowed error of a slope, times residual over spread"""
-LEAST_ERROR = 0.01
-"""relative, of a slope"""
-LEAST_NOISE = 0.001
-"""share of the largest torque (chosen: a register's count)"""
-HUBER = 2.0
-"""Robust deviations beyond which a row counts less"""
-_ROUNDS = 20  # of reweighting (chosen: it settles in ten)
-PER_MEDIAN = 1.4826
-"""Standard deviation over median absolute residual, normal"""
-
-
-def load_slopes(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array] | None:
-    """Fit loads over leads of stationary joints: slopes (n,) [1/rad], relative errors (n,); None: unknown.
-
-    An infinite error: unknown.
-    """
-    told = [(log, log.servo_load) for log in logs if log.servo_load is not None]
-    if not told:
-        return None
-    rows = [_standing(arm, log, load) for log, load in told]
-    lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
-    slope, error = np.array(lines).T
-    return (slope, np.where(error < USABLE, error, np.inf)) if (error < USABLE).any() else None
-
-
-def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, Mask]:
-    """Leads and loads (T, n) of a log, and where (T, n) they count."""
-    low, high = commands_in_force(log)
-    lead = 0.5 * (low + high) - log.position
-    moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
-    last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
-    stands = np.arange(len(log))[:, None] - last >= STILL
-    dead = COUNTS * arm.encoder_step
-    told = np.abs(load) < FULL  # not where it is NaN
-    return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
+"""rows of a log that counts (chosen: two seconds)"""
 
 
 def commands_in_force(log: RunLog) -> tuple[Array, Array]:
@@ -293,19 +246,6 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
         command = log.command[np.maximum(np.maximum(rows - back, oldest), 0)]
         low, high = np.minimum(low, command), np.maximum(high, command)
     return low, high
-
-
-def _line(lead: Array, load: Array, use: Mask) -> tuple[float, float]:
-    lead, load = lead[use], load[use]
-    if len(lead) < FEWEST or np.ptp(lead) == 0.0:
-        return 1.0, np.inf
-    weight = np.ones_like(lead)
-    for _ in range(_ROUNDS):
-        slope, offset = np.polyfit(lead, load, 1, w=np.sqrt(weight)).tolist()
-        off = np.abs(load - slope * lead - offset)
-        noise = max(PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
-        weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
-    return (slope, LEAST_ERROR + SURE * noise / (slope * float(lead.std()))) if slope > 0.0 else (1.0, np.inf)
 
 
 def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> Mask:

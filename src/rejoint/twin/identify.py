@@ -15,7 +15,6 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, gravity_torque
-from rejoint.control.monitor import load_slopes
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -34,7 +33,6 @@ from rejoint.twin.motionfit import (
 )
 from rejoint.twin.parameters import TIMESTEP as FINE
 from rejoint.twin.parameters import (
-    UNKNOWN_PARAMETERS,
     Prior,
     healthy_parameters,
     is_hobby,
@@ -61,7 +59,6 @@ from rejoint.twin.structure import (
     explored,
     find_acceleration,
     find_structure,
-    given,
     rough_fit,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
@@ -130,47 +127,6 @@ class LogSettings:
     threads: int = 2
 
 
-# Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis
-# or near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`load_slopes`)
-# is stiffness over largest torque, within some percent. Equal motors share a scale. Stall torques in data sheets
-# differ too much to replace the masses (an STS3215: 2.9 to 6 N m).
-COMMON = 1.0
-"""Sigma of the common log largest torque of one type; chosen"""
-OWN = 0.3
-"""The same of a single motor beside it; chosen"""
-ANY = 3.0
-"""The same of a stiffness with a known line; chosen"""
-OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
-"""Wide parameters, without ``alike``: `OWN` replaces it"""
-
-
-def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
-    """Prior of an arm by the loads in its ``logs``; None without loads or equal servos (`Arm.servos`)."""
-    groups = [np.flatnonzero(np.array(arm.servos) == name) for name in sorted(set(arm.servos)) if name]
-    alike = [group for group in groups if len(group) > 1]
-    slopes = load_slopes(arm, logs) if alike else None
-    if slopes is None:
-        return None
-    belief = prior(arm, OPEN)
-    limits, gains = belief.layout.at("torque_limit"), belief.layout.at("stiffness")
-    mean, covariance = belief.mean.copy(), np.diag(belief.sigma**2)
-    for group in alike:
-        place = np.arange(limits.start, limits.stop)[group]
-        mean[place] = mean[place].mean()
-        covariance[np.ix_(place, place)] = COMMON**2 + OWN**2 * np.eye(len(group))
-    slope, within = slopes
-    shown = [joint for joint in np.concatenate(alike) if np.isfinite(within[joint])]
-    for joint in shown:
-        covariance[gains.start + joint, gains.start + joint] = ANY**2
-    sigma = np.sqrt(np.diag(covariance))
-    known = replace(belief, mean=mean, sigma=sigma, correlation=covariance / np.outer(sigma, sigma))
-    for joint in shown:
-        row = np.zeros(len(mean))
-        row[gains.start + joint], row[limits.start + joint] = 1.0, -1.0
-        known = given(known, row, float(np.log(slope[joint])), float(within[joint]))
-    return known
-
-
 def identify(
     arm: Arm,
     logs: Sequence[RunLog],
@@ -190,10 +146,7 @@ def identify(
             f"identification: {seconds:.0f} s of motion, {len(first)} windows of about {EXCITATION_WINDOW:g} s in the "
             f"first log; expected at least {SHORTEST_EXCITATION:.0f} s, and {HOLD_OUT} windows; record a longer log"
         )
-    by_loads = prior_by_loads(arm, logs)
-    belief = prior(arm)
-    if by_loads or not is_hobby(arm):
-        belief = Structure(belief=by_loads or unknown_prior(arm), frozen=UNSEEN).prior
+    belief = prior(arm) if is_hobby(arm) else Structure(belief=unknown_prior(arm), frozen=UNSEEN).prior
     rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
