@@ -89,7 +89,6 @@ class Problem:
         self.layout = prior.layout
         self.owner = self.layout.owner
         self.steps = stride * self.layout.has("difference")
-        self.group = prior.groups
         self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
@@ -118,15 +117,13 @@ class Problem:
             share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
         return share[self.window]
 
-    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
-        """Costs (m, n) of each joint alone, (m, n) of its group, and (m,) of all."""
+    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array]:
+        """Costs (m, n) of each joint alone, and (m,) of all."""
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights.precision).sum(axis=1)
         alone = data + self._by_joint(moved * (pull[0] + 0.5 * np.diag(precision) * moved))
-        own = data + self._by_joint(0.5 * pull * away)
-        grouped = own @ (self.group[:, None] == self.group)
-        return alone, grouped, own.sum(axis=1) + 0.5 * (pull * away)[:, self.layout.of_arm].sum(axis=1)
+        return alone, data.sum(axis=1) + 0.5 * (pull * away).sum(axis=1)
 
     def _by_joint(self, values: Array) -> Array:
         """Sum (m, n) of values (m, k) over each joint's parameters."""
@@ -277,24 +274,19 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 
 
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
-    """Mix each joint's best of the candidates (s, k); return the mixture, its gain and its residuals.
+    """Best of the candidates (s, k) and of the mixture of each joint's best; returns its gain and residuals too.
 
-    ``residuals`` (r, rows, n) of the first candidates. A mixture by groups or one candidate may win.
+    ``residuals`` (r, rows, n) of the first candidates.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
-    alone, grouped, total = problem.costs(candidates, residuals, weights)
+    alone, total = problem.costs(candidates, residuals, weights)
+    choice = np.append(np.argmin(alone, axis=0), np.argmin(total))  # the arm's own parameters: of the best
+    mixed = candidates[choice[problem.owner], np.arange(candidates.shape[1])]
+    candidates = np.vstack([candidates, mixed])
+    residuals = np.concatenate([residuals, problem.residuals(mixed[None])])
+    total = problem.costs(candidates, residuals, weights)[1]
     best = int(np.argmin(total))
-    choices = np.unique(np.argmin(np.stack([alone, grouped]), axis=1), axis=0)
-    mixed = np.repeat(candidates[best : best + 1], len(choices), axis=0)
-    for joint, choice in enumerate(choices.T):
-        own = problem.owner == joint
-        mixed[:, own] = candidates[choice][:, own]
-    own_residuals = problem.residuals(mixed)
-    costs = problem.costs(mixed, own_residuals, weights)[2]
-    least = int(np.argmin(costs))
-    if costs[least] < total[best]:
-        return mixed[least], float(total[0] - costs[least]), own_residuals[least]
     return candidates[best], float(total[0] - total[best]), residuals[best]
 
 

@@ -308,13 +308,6 @@ class Prior:
         return Layout((len(self.mean) - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
 
     @cached_property
-    def groups(self) -> Index:
-        """(n,) number of each joint's group."""
-        owner, related = self.layout.owner, self.precision != 0.0
-        joints = range(self.layout.joints)
-        return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in joints])
-
-    @cached_property
     def precision(self) -> Array:
         """(k, k) inverse covariance."""
         correlation = np.eye(len(self.mean)) if self.correlation is None else self.correlation
