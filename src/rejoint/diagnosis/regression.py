@@ -75,12 +75,12 @@ def fit_trimmed(design: Array, response: Array, cluster: Index, first: Mask | No
 
 
 def mean_of(values: Array) -> Estimate:
-    """Mean of independent values (N,) with Student's interval."""
+    """Mean of independent values (N,), none below zero, with Student's interval."""
     value = float(values.mean())
     if len(values) < 2:
         return Estimate(value, None, None)
     half = student95(len(values) - 1) * float(values.std(ddof=1)) / len(values) ** 0.5
-    return Estimate(value, value - half, value + half)
+    return Estimate(value, max(value - half, 0.0), value + half)
 
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:
