@@ -29,6 +29,8 @@ LOW = 0.001
 """[m] margin above floors of a myCobot 280 (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _SHORTCUTS = 4000, 80
+LEAD = np.radians(15.0)
+"""[rad] by which commands may lead joints in motion: the limit of classical controllers"""
 SLOWEST = 0.2
 """Share of an arm's speed that each motor is trusted with (chosen)"""
 LIGHTER, LONGER = 0.95, 0.05
@@ -262,11 +264,14 @@ def _limits(arm: Arm, way: Array, motors: Motors | None) -> Array:
     acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
     if motors is not None:
         torque, lifted = _torques(arm, way[None], 4 * _PARTS)
-        left = motors.limit - motors.coulomb - np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
-        fastest = np.clip(left / np.maximum(motors.back_emf, 1e-9), SLOWEST * fastest, fastest)
-        inertia = link_inertia(arm, np.linspace(way[:-1], way[1:], _PARTS)).max(axis=(0, 1))
-        spare = (left - 0.5 * motors.back_emf * fastest) / (motors.armature + inertia)  # half way to full speed
-        acceleration = np.clip(spare, SLOWEST * acceleration, acceleration)
+        against = motors.coulomb + np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
+        inertia = motors.armature + link_inertia(arm, np.linspace(way[:-1], way[1:], _PARTS)).max(axis=(0, 1))
+        slowest = SLOWEST * np.stack([fastest, acceleration])
+        for most, drag in ((motors.limit, motors.back_emf), (LEAD * motors.stiffness, motors.damping)):
+            left = most - against
+            fastest = np.clip(left / np.maximum(drag, 1e-9), slowest[0], fastest)
+            spare = (left - 0.5 * drag * fastest) / inertia  # half way to full speed
+            acceleration = np.clip(spare, slowest[1], acceleration)
     return np.stack([fastest, acceleration, acceleration / EASE])
 
 
