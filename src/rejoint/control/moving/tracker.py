@@ -247,7 +247,7 @@ class Tracker:
         """Begin here; resets after the first command change nothing: a gap in the answers forgets nothing."""
         if self._last is None:
             self._pace.begin(inputs.state.time, where)
-            self._wanted = self._expected = inputs.sent.copy()
+            self._wanted = self._expected = inputs.sent
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
@@ -264,7 +264,7 @@ class Tracker:
         away, speed = observer.soon(now)
         ahead = self._servos.delay + 0.5 * self._period + EARLY
         around = inputs.goals(ahead + STEP * np.arange(-1.0, 2.0)[:, None]) + shift
-        self._wanted, self._last = command_for(self._arm, self._servos, around), now.copy()
+        self._wanted, self._last = command_for(self._arm, self._servos, around), now
         self._expected = around[1] + away
         push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
         stiff, most = self._stable(observer.mass)
