@@ -179,11 +179,6 @@ def cycle_at_rest(state: JointState, true_tcp: Array, command: Array | None = No
     )
 
 
-def attach(error: BaseException, recording: Recording) -> None:
-    """Attach the recording to an error."""
-    error.recording = recording  # type: ignore[attr-defined]
-
-
 def recording_of(error: BaseException) -> Recording | None:
     """Return recording of a failed run, or None."""
     found = getattr(error, "recording", None)
