@@ -155,8 +155,7 @@ class Observer:
         """Start from rest where ``where`` (B,)."""
         self._position[where] = inputs.state.position[where]
         self._time[where] = inputs.state.time[where]
-        self._velocity[where] = 0.0
-        self._action[where] = 0.0
+        self._velocity[where] = self._action[where] = 0.0
 
     def reset_learned(self, where: Mask) -> None:
         """Drop learned periods where ``where`` (B,)."""
