@@ -203,9 +203,11 @@ class TargetErrors:
         """Means of columns (R, K) over the repetitions."""
         encoders, known = ([_mean(values) for values in found[name].T] for name in ("settled", "settled_true"))
         modelled = map(mean_modelled, np.stack([found[name].T for name in MODELLED], axis=1))
-        each = zip(known, modelled, strict=True)
-        true = (other if value is None else TrueError(how="known", value=value) for value, other in each)
-        return cls(encoders=tuple(encoders), true=tuple(true))
+        true = tuple(
+            other if value is None else TrueError(how="known", value=value)
+            for value, other in zip(known, modelled, strict=True)
+        )
+        return cls(encoders=tuple(encoders), true=true)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
