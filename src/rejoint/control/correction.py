@@ -140,7 +140,7 @@ class Modelled:
         """Return encoder orientations (...) of tools turned as in ``turn``."""
         links = self.displacement.joints(self.arm, position)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
-        return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
+        return replace(turn, rotation=seen @ own.mT @ turn.rotation)
 
     def aim(
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
@@ -233,6 +233,6 @@ class Apparent:
     def _turn(self, position: Array, way: Array) -> Array:
         """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
         jacobian = position_kinematics(self.arm, position)[1]
-        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
-        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
-        return dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(norm(way)))
+        turning = frames(self.arm, position).axis.mT
+        both = np.vstack([jacobian, DAMPING * turning])
+        return dls(both, np.append(way, np.zeros(3)), 0.1 * DAMPING + float(norm(way)))

@@ -153,7 +153,7 @@ class Following:
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
-        return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
+        return np.where(far, np.clip(wanted, held - reach, held + reach), wanted)
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""

@@ -124,7 +124,7 @@ class Recording(Cycle):
         rows = self.driven(b)
         waited = np.diff(rows.time) - np.diff(rows.since_target)
         where = (np.diff(rows.target_index) == 0) & (np.abs(waited) > _CLOCK)
-        return np.stack([rows.since_target[1:][where], waited[where]], axis=-1)
+        return np.column_stack([rows.since_target[1:][where], waited[where]])
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Run log of arm ``b``."""

@@ -151,7 +151,7 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
             f"the columns are {', '.join(found)}, expected {','.join(first)}",
             f"name them so, and perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
         )
-    values = np.stack([found[name] for name in names], axis=-1)
+    values = np.column_stack([found[name] for name in names])
     poses = []
     for line, row in zip(lines.tolist(), values, strict=True):
         needed, given = row[:at], dict[str, Any]()

@@ -135,7 +135,7 @@ class FeedforwardController:
         stiffness = np.broadcast_to(self.stiffness, self._goal.shape)[where]
         self._raised[where] = goal + gravity_torque(self._arm, goal) / stiffness
         jacobian = task(self._arm, goal, inputs.target[where], inputs.turn and inputs.turn[where])[1]
-        self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).swapaxes(-1, -2)
+        self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).mT
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""

@@ -74,7 +74,7 @@ class View(NamedTuple):
 def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
     """View of targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
     tcp, jacobian = position_kinematics(arm, position)
-    transpose = np.swapaxes(jacobian, -1, -2)
+    transpose = jacobian.mT
     error = target - tcp
     away = goal - position
     wanted = np.empty((*error.shape, 2))

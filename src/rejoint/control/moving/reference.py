@@ -107,7 +107,7 @@ class Path:
             knots = knots_of(self.turn)
             if ((knots[1:] * knots[:-1]).sum(axis=-1) < _OPPOSITE).any():
                 raise InputError("path: the tool would turn round between two points; give points between them")
-            rows = np.concatenate([place, knots], axis=-1)
+            rows = np.hstack([place, knots])
         # Parabolic ends: the slopes of the parabolas through the outer three points.
         slope = np.gradient(rows, time, axis=0, edge_order=1 if len(time) == 2 else 2)
         object.__setattr__(self, "_values", CubicSpline(time, rows, bc_type=((1, slope[0]), (1, slope[-1]))))
@@ -240,7 +240,7 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
     phase = _rising(time) - _rising(time - length)  # [s]
     if found[1]:
         angle = 2.0 * np.pi * phase / value
-        circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+        circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
         shape = RADIUS * length_size(arm) * circle
     else:
         waves, half = _waves(value, phase, seed), _FILL * (arm.targets.upper - arm.targets.lower) / 2
@@ -315,7 +315,7 @@ class Stream:
         row = as_place("stream", target if pose is None else pose.place_m)
         turn = None if pose is None else oriented(self.axis, [pose])
         if turn is not None:
-            row = np.concatenate([row, knots_of(turn)[0]])
+            row = np.append(row, knots_of(turn)[0])
         with self._lock:
             last = self.time[-1] if self.time else -np.inf
             if time < last:
@@ -373,7 +373,7 @@ class Stream:
                 f"stream: from one target to the next the tool would turn by {np.degrees(turned):.0f} deg, at most 120 "
                 "were expected; put targets between them"
             )
-        return np.concatenate([row[:3], -row[3:]]) if whole and cosine < 0.0 else row
+        return np.append(row[:3], -row[3:]) if whole and cosine < 0.0 else row
 
     def _between(self, time: Array, now: float) -> Array:
         """Rows (k, m) at ``time`` (k,) [s] by what arrived until ``now``."""
