@@ -209,9 +209,8 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Bands, faul
         path.append(robot.true_tcp()), clock.append(state.time.copy())
         for m, watcher in enumerate(watchers):
             bad = watcher.check(replace(state, load=None), sent, aimed)
-            if bad is not None:
-                new = bad.any(axis=-1) & np.isinf(trip[m])
-                trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]
+            new = bad.any(axis=-1) & np.isinf(trip[m])
+            trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]
         inputs = ControlInput(
             state=state, target=goals[np.arange(count), index], goal=posture, sent=sent, since_target=state.time - begun
         )

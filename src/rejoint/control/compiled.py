@@ -237,26 +237,21 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
 
     ``asked`` (B, 4, n): command, last command and its speed, position. ``times`` (2, B) [s]: ages and periods.
     """
-    arms, found = len(asked), np.zeros(len(asked), dtype=np.int64)
-    elapsed = np.empty(arms)
-    for b in range(arms):
-        elapsed[b] = min(times[1, b], rules.max_period) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
-        reasons[b] |= _trips(chain, rules, asked[b], times[0, b])
-        if reasons[b]:
-            _hold(chain, rules, asked[b], out[0, b])
-        else:
-            found[b] = _limit(rules, asked[b], elapsed[b], out[0, b])
-            found[b] |= _keep_away(chain, shape, rules, asked[b], out[0, b])
-    for b in range(arms):
+    for b in range(len(asked)):
         command, last = out[0, b], asked[b, 1]
         out[1, b] = 0.0
+        reasons[b] |= _trips(chain, rules, asked[b], times[0, b])
         if reasons[b]:
+            _hold(chain, rules, asked[b], command)
             continue
+        elapsed = min(times[1, b], rules.max_period) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
+        found = _limit(rules, asked[b], elapsed, command)
+        found |= _keep_away(chain, shape, rules, asked[b], command)
         clear = gaps(place(chain, command), shape)
         if (clear < 0.0).any():
-            found[b] |= shorten(chain, shape, rules, last, clear, command)
+            found |= shorten(chain, shape, rules, last, clear, command)
         if (command != asked[b, 0]).any():
-            reasons[b] = found[b]
-        for j in range(len(last) if elapsed[b] > 0.0 else 0):
-            speed = (command[j] - last[j]) / elapsed[b]
+            reasons[b] = found
+        for j in range(len(last) if elapsed > 0.0 else 0):
+            speed = (command[j] - last[j]) / elapsed
             out[1, b, j] = _between(speed, -rules.max_speed[j], rules.max_speed[j])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
+from numpy.linalg import norm
 
 from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.kinematics import REST_GAIN
@@ -81,6 +82,11 @@ def modelled(model: ToolModel, position: Array, target: Array) -> Array:
     return found
 
 
+def tool_error(arm: Arm, position: Array, target: Array) -> Array:
+    """Distances (...) [m] of the encoder TCP at ``position`` (..., n) [rad] from ``target`` (..., 3) [m]."""
+    return norm(tcp_position(arm, position) - target, axis=-1)
+
+
 def rms(values: Array) -> float:
     """Root of the mean square."""
     return float(np.sqrt((values**2).mean()))
@@ -134,7 +140,7 @@ class Modelled:
         """Return encoder orientations (...) of tools turned as in ``turn``."""
         links = self.displacement.joints(self.arm, position)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
-        return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
+        return replace(turn, rotation=seen @ own.mT @ turn.rotation)
 
     def aim(
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
@@ -147,13 +153,12 @@ class Modelled:
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
             goal, rest_gain = target[aimed], REST_GAIN if near is None else 0.0
-            place, posture = goal.copy(), (start if near is None else near)[aimed]
+            place, posture = goal, (start if near is None else near)[aimed]
             wanted = own = turn and turn[aimed]
             for _ in range(ROUNDS):
                 posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
                 place = goal - self.shift(posture)
-                if wanted is not None:
-                    own = self.untwisted(wanted, posture)
+                own = wanted and self.untwisted(wanted, posture)
             aims[aimed] = checked(goal, place)
             if own is not None:
                 self._turned = np.array(np.broadcast_to(self._turned, (len(aims), 3, 3)))
@@ -167,7 +172,7 @@ class Modelled:
 
 def checked(target: Array, aim: Array) -> Array:
     """``aim`` (..., 3) [m]; InputError if too far."""
-    far = np.linalg.norm(aim - target, axis=-1).max(initial=0.0)
+    far = norm(aim - target, axis=-1).max(initial=0.0)
     if not far <= MOST:
         raise InputError(
             f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * MOST:.0f}; calibrate again"
@@ -215,11 +220,11 @@ class Apparent:
         """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""
         q, way, share = start, missing(start), 1.0
         for _ in range(4 * ROUNDS):
-            if np.linalg.norm(way) < THERE:
+            if norm(way) < THERE:
                 break
             tried = start + clip_norm(q + share * self._turn(q, way) - start, SHOWN)
             left = missing(tried)
-            if np.linalg.norm(left) < np.linalg.norm(way):
+            if norm(left) < norm(way):
                 q, way, share = tried, left, 1.0
             else:  # the shift jumps where a joint's load changes its side
                 share *= 0.5
@@ -228,6 +233,6 @@ class Apparent:
     def _turn(self, position: Array, way: Array) -> Array:
         """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
         jacobian = position_kinematics(self.arm, position)[1]
-        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
-        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
-        return dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING + float(np.linalg.norm(way)))
+        turning = frames(self.arm, position).axis.mT
+        both = np.vstack([jacobian, DAMPING * turning])
+        return dls(both, np.append(way, np.zeros(3)), 0.1 * DAMPING + float(norm(way)))

@@ -191,8 +191,7 @@ def guard(
     the limits if ``sent`` is.
     """
     asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
-    times, out = np.empty((2, len(command))), np.empty((2, *command.shape))
-    times[0], times[1] = state.age, period
+    times, out = np.stack(np.broadcast_arrays(state.age, period), dtype=float), np.empty((2, *command.shape))
     reasons = servo_trips(limits, state)
     compiled.guard(chain_of(limits.arm), limits.shape, limits.rules, asked, times, reasons, out)
     return Guarded(out[0], reasons, out[1])

@@ -13,9 +13,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rejoint.arms import Array, Index, Mask, tcp_position
+from rejoint.arms import Array, Mask, tcp_position
 from rejoint.arms.arm import frozen
 from rejoint.arms.rotations import REACHED_TURN
+from rejoint.control.correction import tool_error
 from rejoint.control.guard import (
     TRIPS,
     Guarded,
@@ -29,7 +30,7 @@ from rejoint.control.guard import (
     warm_up,
 )
 from rejoint.control.monitor import Following
-from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, attach, recorded
+from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, recorded
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
@@ -101,15 +102,16 @@ def run(
 
     An exception first stops the robot, and carries the recording (`recording_of`).
     """
-    limits = GuardLimits.of(robot.arm) if limits is None else limits
-    to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
+    limits = limits or GuardLimits.of(robot.arm)
+    if not isinstance(reference, Reference):
+        reference = TargetSequence(limits.arm, reference)
     warm_up(limits)
     run_state: RunState | None = None
     with noted():
         try:
             check()
-            run_state = RunState(robot, controller, to, schedule, limits, on_cycle)
-            controller.reset(run_state.inputs, np.ones(robot.count, dtype=bool))
+            run_state = RunState(robot, controller, reference, schedule, limits, on_cycle)
+            controller.reset(run_state.inputs, np.full(robot.count, True))
             while run_state.cycle():
                 check()
             if run_state.tripped.any():
@@ -117,7 +119,7 @@ def run(
         except BaseException as error:
             held = _hold(robot, run_state, error)
             if run_state is not None and run_state.cycles:
-                attach(error, run_state.recording())
+                error.recording = run_state.recording()  # type: ignore[attr-defined]
             if robot.count == 1:
                 error.add_note(held)
             raise
@@ -130,8 +132,8 @@ def brake(robot: Robot, last: Cycle) -> Cycle:
     Returns the cycle that did it, or the ``last`` one.
     """
     now = own(robot.read())
-    ahead, came = last.command - now.position, now.position - last.position
-    most = np.maximum(BRAKE, LAG * np.abs(came) / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
+    ahead, came = last.command - now.position, np.abs(now.position - last.position)
+    most = np.maximum(BRAKE, LAG * came / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
     if (np.abs(ahead) <= most).all():
         return last
     braking = replace(last.later(robot, now, now.position + np.clip(ahead, -most, most)), turned=last.turned)
@@ -200,14 +202,13 @@ class RunState:
         self.following = Following(limits.arm, state, self.sent, limits.bands)
         flicker = [1.5 * limits.arm.encoder_step, 0.0]  # of a reading, and of a command
         self.stillness = Stillness(np.repeat(flicker, limits.arm.joints))
-        self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
+        self.unbelieved = self.following.falling  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
-        self.index: Index = np.zeros(count, dtype=np.intp)
-        self.doubted: Index = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
-        self.set_at = state.time.copy()  # [s] of the target, shifted by gaps
-        self.begun = self.set_at.copy()  # [s] the same with gaps and waits
-        self.active: Mask = np.ones(count, dtype=bool)
-        self.gap: Mask = np.zeros(count, dtype=bool)  # whether the state came after a gap
+        self.index, self.doubted = np.zeros((2, count), dtype=np.intp)  # the latter: times that a joint broke loose
+        # [s] of the target, shifted by gaps; the same with gaps and waits
+        self.set_at = self.begun = state.time
+        self.active: Mask = np.full(count, True)
+        self.gap: Mask = np.full(count, False)  # whether the state came after a gap
         self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
         self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
         self.eased_until = np.full(count, -np.inf)
@@ -262,26 +263,14 @@ class RunState:
         # A repeated answer has no news of the clock: the last period stands.
         self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
         known = np.where(np.isnan(self.usual), elapsed, self.usual)
-        moved = np.zeros(len(elapsed), dtype=bool)
-        if np.count_nonzero(self.gap):
-            self._wait(self.gap, elapsed)
-            moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
+        self._wait(self.gap, elapsed)
+        moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
         left_out = self.reference.left_out(self.state.time - self.set_at, self.state.position, state.position)
         self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state = state
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap, moved)
-        self._ask()
-
-    def _go_on(self, where: Mask, since: Array) -> None:
-        """Go on after a release ``since`` (B,) [s]."""
-        self.doubted = self.doubted + where
-        if self.unbelieved is not None:
-            self.following.believe(self.state, self.sent, self.unbelieved & where[:, None])
-        self._wait(where, self.state.time - since)
-        self.gap = self.gap | where
-        self._begin_again(where, np.zeros(len(where), dtype=bool))
         self._ask()
 
     def _wait(self, where: Mask, elapsed: Array) -> None:
@@ -306,15 +295,14 @@ class RunState:
         """Do a cycle; returns whether another follows."""
         if self.schedule.stands_for is not None:
             self._leave_out(self.schedule.stands_for)
-        before, target, aim = self.inputs, self.place, self.aim
-        fresh, index = self.active, self.index
+        before, state, target, aim = self.inputs, self.state, self.place, self.aim
+        fresh, index, turned = self.active, self.index, turned_off(self.robot.arm, before)
         if self.schedule.give_up is not None and self.schedule.give_up(before):
-            self.active = fresh & (servo_trips(self.limits, before.state) != 0)  # the guard says it
-        renewed = self._advance(self.active & self._finished(before, aim))
-        command, reasons, speed = self._decide(renewed)
+            self.active = fresh & (servo_trips(self.limits, state) != 0)  # the guard says it
+        command, reasons, speed = self._decide(self._advance(self.active & self._finished(turned)))
         cycle = Cycle(
-            time=before.state.time,
-            position=before.state.position,
+            time=state.time,
+            position=state.position,
             command=command,
             target=target,
             aim=aim,
@@ -323,11 +311,11 @@ class RunState:
             true_tcp=self.robot.true_tcp().copy(),
             active=fresh,
             reasons=reasons,
-            load=before.state.known_load,
-            turned=turned_off(self.robot.arm, before),
+            load=state.known_load,
+            turned=turned,
         )
         if self.look is not None:
-            self.look(cycle, before.state, self.wanted)
+            self.look(cycle, state, self.wanted)
         self.record(cycle)
         if self._stop_tripped(reasons):
             return True
@@ -335,20 +323,20 @@ class RunState:
             self._stepped(own(self.robot.step(command, self.active)), command, speed)
         return bool(self.active.any())
 
-    def _finished(self, inputs: ControlInput, aim: Array) -> Mask:
-        """Arms (B,) whose target has ended."""
-        finished: Mask = inputs.since_target >= self.schedule.dwell
-        finished = finished | (self.state.time - self.begun >= self.schedule.dwell + self.reference.patience)
-        if self.schedule.stop_below is not None:
-            error = np.linalg.norm(aim - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
-            turned = turned_off(self.robot.arm, inputs)
-            finished = finished | ((error < self.schedule.stop_below) & ~(turned > REACHED_TURN))
+    def _finished(self, turned: Array) -> Mask:
+        """Arms (B,) whose target has ended; ``turned`` (B,) [rad]: their orientation errors."""
+        dwell, below = self.schedule.dwell, self.schedule.stop_below
+        finished: Mask = self.inputs.since_target >= dwell
+        finished = finished | (self.state.time - self.begun >= dwell + self.reference.patience)
+        if below is not None:
+            near = tool_error(self.robot.arm, self.state.position, self.aim) < below
+            finished = finished | (near & ~(turned > REACHED_TURN))
         return finished
 
     def _decide(self, renewed: Mask) -> Guarded:
         active = self.active
         if not active.any():
-            return Guarded(self.sent, np.zeros(len(active), dtype=np.uint16), self.speed)
+            return Guarded(self.sent, np.zeros_like(self.tripped), self.speed)
         fresh, corrected = renewed | self.gap, self.reference.again(self.inputs)
         if corrected is not None:
             self._ask()
@@ -357,36 +345,35 @@ class RunState:
         if fresh.any():
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
-        goal = inputs.goal if self.schedule.watch_falls else None
-        self.unbelieved = self.following.check(self.state, self.sent, aimed, goal)
+        self.unbelieved = self.following.check(
+            self.state, self.sent, aimed, inputs.goal if self.schedule.watch_falls else None
+        )
         asked, who = self.controller.command(inputs), f"command of the controller {self.controller.name}"
         asked = as_floats(who, asked, expected := f"joint positions {self.sent.shape}: arms, joints")
         if asked.shape != self.sent.shape:
             raise InputError(f"{who}: of shape {asked.shape}, expected {expected}")
         self.wanted, wanted = asked, self.following.bound(asked, self.state.position, aimed)
-        eased = self.state.time < self.eased_until  # after a gap: slower time for the guard is a slower arm
-        ease = np.where(eased, EASE_SHARE, 1.0)
+        # After a gap: slower time for the guard is a slower arm.
+        ease = np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
         last, period = self.speed / ease[:, None], ease * self.period
         moving = (inputs.since_target == 0.0) & self.reference.planned
         guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
-        command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP)
-        if wanted is not asked:
-            held = ((wanted != asked) & (command == wanted)).any(axis=-1)
-            reasons = reasons | held * np.uint16(Reason.LEAD)
-        if self.unbelieved is not None:
-            lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
-            command = np.where(lost[:, None], self.sent, command)
-            reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING)
-        command = np.where(active[:, None], command, self.sent)
-        return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
+        held = ((wanted != asked) & (guarded.command == wanted)).any(axis=-1)
+        lost = self.unbelieved.any(axis=-1)
+        reasons = guarded.reasons + self.gap * np.uint16(Reason.GAP)
+        reasons = reasons | held * np.uint16(Reason.LEAD) | lost * np.uint16(Reason.NOT_FOLLOWING)
+        return Guarded(
+            np.where((active & ~lost)[:, None], guarded.command, self.sent),
+            reasons * active,
+            ease[:, None] * guarded.speed,
+        )
 
     def _stop_tripped(self, reasons: Reasons) -> bool:
         trips = reasons & np.uint16(TRIPS)
         if not trips.any():
             return False
         since = self.state.time
-        falling = self.following.falling.any(axis=-1)
-        alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING) & ~falling
+        alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING) & ~self.following.falling.any(axis=-1)
         trips = trips * ~alive
         self.tripped = self.tripped | trips
         if trips.any() and not self.schedule.keep_going:
@@ -397,14 +384,19 @@ class RunState:
         newest = self.cycles.pop()  # what an arm that goes on reads there is the next cycle's
         if (newest.active & ~alive).any():
             self.cycles.append(replace(newest, active=newest.active & ~alive))
-        self._go_on(alive, since)
+        self.doubted = self.doubted + alive
+        self.following.believe(self.state, self.sent, self.unbelieved & alive[:, None])
+        self._wait(alive, self.state.time - since)
+        self.gap = self.gap | alive
+        self._begin_again(alive, np.zeros_like(alive))
+        self._ask()
         return True
 
     def _release(self, trips: Reasons) -> Mask:
         """Pull flagged joints back; returns the arms (B,) that moved."""
-        if self.unbelieved is None:
-            return np.zeros(len(trips), dtype=bool)
         where = self.active & ((trips & Reason.NOT_FOLLOWING) != 0)
+        if not where.any():
+            return where
         joints = self.unbelieved & where[:, None]
         held, back = (ask(joints, self.sent) for ask in (self.following.balance, self.following.pulled))
         sent, speed, stood = self.sent, np.zeros_like(self.sent), self.state.position
@@ -436,14 +428,14 @@ def trip_error(b: int, run_state: RunState) -> GuardTripError:
     if Reason.OUT_OF_RANGE in flags:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
-    if Reason.NOT_FOLLOWING in flags and run_state.unbelieved is not None:
+    if Reason.NOT_FOLLOWING in flags:
         details.append(run_state.following.describe(b, run_state.unbelieved[b]))
     if Reason.NOT_FINITE in flags:
         details.append("a command or a measured position is not a number; check the controller and the connection")
     since, which = run_state.state.time[b] - run_state.set_at[b], f" of arm {b + 1}" * (len(state.position) > 1)
     where = f"{since:.2f} s into target {int(run_state.index[b]) + 1}{which}"
     limp = Reason.SERVO_FAULT in flags or bool(run_state.following.falling[b].any())
-    return GuardTripError(", ".join(reason_names(int(flags))), f"{'; '.join(details)} ({where})", limp=limp)
+    return GuardTripError(", ".join(reason_names(flags)), f"{'; '.join(details)} ({where})", limp=limp)
 
 
 def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, levers, tcp_position
 from rejoint.arms.workspace import length_size
+from rejoint.control.correction import tool_error
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late
@@ -78,19 +79,15 @@ class Following:
         self._tracks = np.zeros((count, joints), compiled.TRACK)
         self._tracks["home"] = state.position
         self._tracks["reach"] = self._tracks["width"] = np.inf
-        if bands is not None:  # a stuck joint may go from one end of its band to the other
-            self._tracks["reach"], self._tracks["width"], self._tracks["stuck"] = (
-                bands.reach,
-                bands.width,
-                2 * bands.width,
-            )
+        if bands is not None:
+            self._tracks["reach"], self._tracks["width"] = bands.reach, bands.width
         self._sent_at, self._sent = np.zeros((count, compiled.HISTORY)), np.zeros((count, compiled.HISTORY, joints))
         self._verdict, self._nothing = np.zeros((count, joints), dtype=np.int64), np.zeros((count, joints))
         self._excused_since, self._excused_last = np.full((2, count), -np.inf)
         self._anchor = self._nothing  # (B, n) [rad] where the joints came nearer their goals
-        self.falling: Mask = np.zeros((count, joints), dtype=bool)
+        self.falling: Mask = np.full((count, joints), False)
         """(B, n) joints that move away against their commands"""
-        self._restart(np.ones(count, dtype=bool), state, sent)
+        self._restart(np.full(count, True), state, sent)
 
     def _restart(self, where: Mask, state: JointState, sent: Array) -> None:
         """Begin at ``state`` after ``sent`` (B, n) [rad] for the arms in ``where`` (B,)."""
@@ -105,46 +102,41 @@ class Following:
         self._sent_at[where] = state.time[where, None]
         self._sent[where] = sent[where, None]
 
-    def check(self, state: JointState, sent: Array, aimed: Mask, goal: Array | None = None) -> Mask | None:
-        """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None; falling ones only with a ``goal`` (B, n).
+    def check(self, state: JointState, sent: Array, aimed: Mask, goal: Array | None = None) -> Mask:
+        """Joints (B, n) flagged after ``sent`` (B, n) [rad]; falling ones only with a ``goal`` (B, n).
 
         Travel counts only for arms ``aimed`` (B,) at a target.
         """
-        balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         compiled.watch(
             self._tracks,
             self._sent_at,
             self._sent,
             np.array([state.time, self._last]),
-            np.array([state.position, sent, state.known_load, balance]),
+            np.array([state.position, sent, state.known_load, self._loads(state.position)]),
             self._verdict,
         )
         self._last = state.time.copy()
-        falling = goal is not None and self._fall(state.position, sent, goal)
-        if self._verdict.max() < compiled.UNKNOWN and not falling:
-            return None
+        if goal is not None:
+            self._fall(state.position, sent, goal)
+        if self._verdict.max() < compiled.UNKNOWN and not self.falling.any():
+            return self.falling
         bad: Mask = (self._verdict == compiled.OVERDUE) | self.falling
         late: Mask = self._tracks["late"] > 0
         if self._bands is None:
             travelled, more = self._travelled(state.position, sent)
             late = late | more
             bad = bad | (travelled & aimed[:, None])
-        if not bad.any():
-            return None
-        bad = bad & ~self._excused(bad, late)[:, None]
-        return bad if bad.any() else None
+        return bad & ~self._excused(bad, late)[:, None]
 
-    def _fall(self, position: Array, sent: Array, goal: Array) -> bool:
+    def _fall(self, position: Array, sent: Array, goal: Array) -> None:
         """Look for falling joints at a ``position`` after ``sent`` with a ``goal`` (B, n) [rad]."""
         left = goal - position
         far, came = np.abs(left) > FAR, (position - self._anchor) * np.sign(left)
         self._anchor = np.where(~far | (came > NEARER), position, self._anchor)
         self.falling = far & (came < -AWAY) & ((sent - position) * left > 0.0)
-        if not self.falling.any():
-            return False
-        off = np.linalg.norm(tcp_position(self._arm, goal) - tcp_position(self._arm, position), axis=-1)
-        self.falling &= off[:, None] > DROP * length_size(self._arm)
-        return bool(self.falling.any())
+        if self.falling.any():
+            off = tool_error(self._arm, position, tcp_position(self._arm, goal))
+            self.falling = self.falling & (off[:, None] > DROP * length_size(self._arm))
 
     def _excused(self, bad: Mask, late: Mask) -> Mask:
         """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
@@ -161,11 +153,11 @@ class Following:
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
-        return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
+        return np.where(far, np.clip(wanted, held - reach, held + reach), wanted)
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
-        tracks, load = self._tracks, self._loads()
+        tracks, load = self._tracks, self._loads(self._tracks["position"])
         push, width = tracks["push"], tracks["width"]
         lifted = 0.0 if self._bands is None else self._bands.lifted
         weak = joints & (push * load > 0.0) & (np.abs(load) > lifted)
@@ -185,11 +177,12 @@ class Following:
         tracks, overdue = self._tracks, joints & (self._verdict == compiled.OVERDUE)
         width = np.where(overdue, tracks["width"], 0.0)
         pull = PULL * (compiled.MOST * width + np.minimum(compiled.AND, width)) * np.sign(tracks["push"])
-        return np.where(overdue, tracks["position"] + self._loads() - pull, self.balance(joints, sent))
+        position = tracks["position"]
+        return np.where(overdue, position + self._loads(position) - pull, self.balance(joints, sent))
 
-    def _loads(self) -> Array:
-        """Leads (B, n) [rad] against gravity at the last changed readings."""
-        return self._nothing if self._bands is None else self._bands.balance(self._arm, self._tracks["position"])
+    def _loads(self, position: Array) -> Array:
+        """Leads (B, n) [rad] against gravity at a ``position`` (B, n) [rad]."""
+        return self._nothing if self._bands is None else self._bands.balance(self._arm, position)
 
     def describe(self, b: int, joints: Mask) -> str:
         """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
@@ -250,12 +243,11 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
 
 def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> Mask:
     """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``."""
-    found = np.zeros(arm.joints, dtype=bool)
+    found = np.full(arm.joints, False)
     for log in logs:
         following = Following(arm, _state(log, 0), log.command[:1], bands)
         for row in range(1, len(log)):
-            bad = following.check(_state(log, row), log.command[row - 1 : row], np.zeros(1, dtype=bool))
-            found |= False if bad is None else bad[0]
+            found |= following.check(_state(log, row), log.command[row - 1 : row], np.full(1, False))[0]
     return found
 
 
@@ -320,6 +312,6 @@ def _push(lead: Array, balance: Array, reach: float) -> Array:
 def _held(log: RunLog, push: Array) -> Array:
     """Largest push (n,) [rad] of joints stationary for `HELD`."""
     readings = 1 + max(1, round(HELD / log.period))
-    stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
+    stands = np.diff(log.position, axis=0, prepend=np.nan) == 0.0
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0)

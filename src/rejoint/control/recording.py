@@ -124,7 +124,7 @@ class Recording(Cycle):
         rows = self.driven(b)
         waited = np.diff(rows.time) - np.diff(rows.since_target)
         where = (np.diff(rows.target_index) == 0) & (np.abs(waited) > _CLOCK)
-        return np.stack([rows.since_target[1:][where], waited[where]], axis=-1)
+        return np.column_stack([rows.since_target[1:][where], waited[where]])
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Run log of arm ``b``."""
@@ -177,11 +177,6 @@ def cycle_at_rest(state: JointState, true_tcp: Array, command: Array | None = No
         load=state.known_load,
         turned=nowhere[:, 0],
     )
-
-
-def attach(error: BaseException, recording: Recording) -> None:
-    """Attach the recording to an error."""
-    error.recording = recording  # type: ignore[attr-defined]
 
 
 def recording_of(error: BaseException) -> Recording | None:

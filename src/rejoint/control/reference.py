@@ -240,14 +240,19 @@ class TargetSequence(Reference):
         if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         self.count, self.legs = targets.shape[:2]
-        self.planned = ways is not None
-        self._arm, self._targets, self._turns, self._correction, self._rows = arm, targets, turns, correction, ways
-        self._place = self._aim = targets[:, 0]
+        self.planned = bool(ways)
+        self._arm, self._targets, self._turns, self._correction, self._rows = (
+            arm,
+            targets,
+            turns,
+            correction,
+            ways or (),
+        )
+        self._aim = targets[:, 0]
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
-        self._turn: Orientation | None = None
         self._pace = np.ones(self.count)  # at which the ways go on
         self._went = np.zeros(self.count)  # [s] when they did last
-        self._ways = [] if ways is None else [row[0] for row in ways]
+        self._ways = [row[0] for row in self._rows]
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:
         """See `Reference`."""
@@ -255,7 +260,7 @@ class TargetSequence(Reference):
         self._place = target = self._targets[each, index]
         self._turn = self._turns and self._turns[each, index]
         planned = None
-        if self._rows is not None:
+        if self._rows:
             for b in np.flatnonzero(where).tolist():
                 self._ways[b] = beginning_at(self._arm, self._rows[b][index[b]], position[b])
             planned = np.array([way.goal for way in self._ways])

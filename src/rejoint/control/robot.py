@@ -110,7 +110,7 @@ class ControlInput:
     """(B,) [s] since the goal stopped, 0 on a planned way; along a path since it began"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
-    arrived: Mask = field(default_factory=lambda: np.ones(1, dtype=bool))
+    arrived: Mask = field(default_factory=lambda: np.full(1, True))
     """(B,) the goals have stopped"""
     place: Array | None = None
     """(B, 3) [m] recorded target, at the end of the way; None: the tool's at the goal"""
@@ -166,10 +166,6 @@ class Stillness:
         self._anchor = np.where(moved, position, self._anchor)
         self._since = np.where(moved, time[:, None], self._since)
         return time[:, None] - self._since
-
-    def restart(self) -> None:
-        """Begin again."""
-        self._anchor = np.full_like(self._anchor, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

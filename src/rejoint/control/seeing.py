@@ -12,6 +12,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.linalg import norm
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, tcp_position
 from rejoint.arms.kinematics import FLOATING
@@ -82,10 +83,7 @@ class Seen(Modelled):
         """per target: accepted detections, and averaged error [m]"""
         self.beyond: dict[int, Array] = {}
         """(3,) [m] by number of the target: detection minus model"""
-        self._target = self._aim = np.full(3, np.nan)
-        # [m] shift beyond the model; place by the encoders, at the last sighting
-        self._extra = self._place = np.zeros(3)
-        self._spread = np.eye(3)  # [m^2] covariance of that shift
+        self._target = np.full(3, np.nan)
         self._count = 0  # sightings believed at this target
         self._last = self._believed = -np.inf  # [s] of the newest sighting that was looked at, and believed
         self.readings: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
@@ -95,8 +93,10 @@ class Seen(Modelled):
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
     ) -> tuple[Array, Orientation | None]:
         """Corrected targets (1, 3) [m] of the model, and orientations."""
-        self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
-        self._spread = UNKNOWN**2 * np.eye(3)
+        self._target, self._count = target[0], 0
+        # [m] shift beyond the model; place by the encoders, at the last sighting
+        self._extra = self._place = np.zeros(3)
+        self._spread = UNKNOWN**2 * np.eye(3)  # [m^2] its covariance
         self.visits.append((0, None))
         aim, turn = super().aim(target, start, where, near, turn)
         self._aim = aim[0]
@@ -105,27 +105,28 @@ class Seen(Modelled):
     def again(self, state: JointState) -> Array | None:
         """Correct by the newest detection."""
         now, position, target = state.time[0], state.position[0], self._target
-        self.readings.append((now, position.copy()))
+        self.readings.append((now, position))
         if not np.isfinite(target).all():
             return None
         seen = self.eye.sighting(now)
         if seen is None or seen.time <= self._last or not self.readings[0][0] <= seen.time <= now:
             return None
         self._last = seen.time
-        then = self._position(seen.time)
+        times, positions = map(np.array, zip(*self.readings, strict=True))
+        then = interpolated(np.array(seen.time), times, positions)
         place = tcp_position(self.arm, then)
-        away = np.linalg.norm(self._aim - place)
+        away = norm(self._aim - place)
         unknown = seen.place - place - self.shift(then)
-        if away > NEAR or np.linalg.norm(unknown) > JUMP:
+        if away > NEAR or norm(unknown) > JUMP:
             return None
         self._count += 1
         self._learn(unknown, then, seen)
         self.used += 1
         self.beyond[len(self.visits)] = self._extra
         left = target - place - self.shift(then) - self._extra
-        self.visits[-1] = self._count, float(np.linalg.norm(left))
+        self.visits[-1] = self._count, float(norm(left))
         fresh = target - self.shift(position) - self._extra
-        if np.linalg.norm(fresh - self._aim) <= CHANGE or np.linalg.norm(fresh - target) >= MOST:
+        if norm(fresh - self._aim) <= CHANGE or norm(fresh - target) >= MOST:
             return None
         self._aim = fresh
         return fresh[None]
@@ -143,15 +144,14 @@ class Seen(Modelled):
             return None
         found = np.array(list(self.beyond.values()))
         side = found.mean(axis=0)
-        apart = np.linalg.norm(found - side, axis=1)
-        far = float(np.linalg.norm(side))
-        return far if far > SHIFTED and far > 2.0 * rms(apart) else None
+        far = float(norm(side))
+        return far if far > max(SHIFTED, 2.0 * rms(norm(found - side, axis=1))) else None
 
     def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
         place, jacobian = position_kinematics(self.arm, then)
         if self._count > 1:
             floats = 1.0 - np.tanh(self.displacement.torque(self.arm, then) / FLOATING) ** 2
-            wander, moved = RATTLE * jacobian * floats, ALONG * np.linalg.norm(place - self._place)
+            wander, moved = RATTLE * jacobian * floats, ALONG * norm(place - self._place)
             change = DRIFT**2 * np.eye(3) + wander @ wander.T
             self._spread = self._spread + (seen.time - self._believed) * change + moved**2 * np.eye(3)
         noise = np.fmax(seen.sigma, NOISE)  # NaN: not known
@@ -159,11 +159,6 @@ class Seen(Modelled):
         self._extra = self._extra + share @ (unknown - self._extra)
         self._spread = self._spread - share @ self._spread
         self._place, self._believed = place, seen.time
-
-    def _position(self, time: float) -> Array:
-        """Return reading (n,) [rad] at ``time`` [s]."""
-        times, places = map(np.array, zip(*self.readings, strict=True))
-        return interpolated(np.array(time), times, places)
 
 
 TAKE_OVER = 0.006
@@ -222,15 +217,15 @@ class Finishing:
         self.name, self.contract = controller.name, getattr(controller, "contract", None)
         self._amplitude = np.full(arm.joints, FIRST)
         self._aim = np.full(3, np.nan)
-        self._begin_target()
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Begin a new target; small changes are none."""
-        change = np.linalg.norm(inputs.target[0] - self._aim)
-        self._aim = inputs.target[0].copy()
+        change = norm(inputs.target[0] - self._aim)
+        self._aim = inputs.target[0]
         if inputs.since_target[0] > 0.0 and 0.0 < change < TAKE_OVER:
             return
-        self._begin_target()
+        self.state = "far"
+        self._alone = np.full(self._arm.joints, False)  # joints that stay stuck
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
@@ -238,37 +233,33 @@ class Finishing:
         missing = self._seen.missing(inputs.state)
         if self.state == "hold":
             if missing is None or not self._is_off(inputs, missing):
-                return self._base[None].copy()
+                return self._base[None]
             self._begin("fine", inputs)
         if self.state == "fine" and missing is not None:
             return self._fine(inputs, missing)
         return self._far(inputs, missing)
 
-    def _begin_target(self) -> None:
-        self.state = "far"
-        self._alone = np.zeros(self._arm.joints, dtype=bool)  # joints that stay stuck
-
     def _begin(self, state: str, inputs: ControlInput) -> None:
         self.state, self._since = state, inputs.state.time[0]
         self._time = self._since  # [s] of the last command
-        self._base = inputs.sent[0].copy()
+        self._base = inputs.sent[0]
         self._cycles, self._looked = 0, self._seen.used
-        self._good, self._fading = 0, np.nan
+        self._good, self._fading = 0, np.inf
         self._recent: deque[Array] = deque(maxlen=AGREED)
-        self._moving, self._renew = np.zeros(self._arm.joints, dtype=bool), True
+        self._moving, self._renew = np.full(self._arm.joints, False), True
         self._standing = np.zeros(self._arm.joints, dtype=int)
 
     def _far(self, inputs: ControlInput, missing: Array | None) -> Array:
         if self.state == "fine":  # the tool is hidden: by the model again
             self.state = "far"
-            self._controller.reset(inputs, np.ones(1, dtype=bool))
+            self._controller.reset(inputs, np.full(1, True))
         if missing is None or len(self._seen.readings) < LOOK:
             return self._controller.command(inputs)
         moved = np.abs(self._seen.readings[-1][1] - self._seen.readings[-LOOK][1]).max()
-        off = np.linalg.norm(missing)
+        off = norm(missing)
         if off < CALM and moved < AT_REST:
             self._begin("hold", inputs)
-            return self._base[None].copy()
+            return self._base[None]
         stranded = moved < AT_REST and off < STRANDED_AT and inputs.since_target[0] > STRANDED
         if stranded or (off < TAKE_OVER and moved < SLOW):
             self._begin("fine", inputs)
@@ -279,7 +270,7 @@ class Finishing:
         if inputs.state.time[0] - self._since > QUIET and self._seen.used != self._looked:
             self._recent.append(missing)
         self._looked = self._seen.used
-        return len(self._recent) == AGREED and float(np.linalg.norm(np.mean(self._recent, axis=0))) > OFF
+        return len(self._recent) == AGREED and float(norm(np.mean(self._recent, axis=0))) > OFF
 
     def _fine(self, inputs: ControlInput, missing: Array) -> Array:
         now, position = inputs.state.time[0], inputs.state.position[0]
@@ -291,14 +282,14 @@ class Finishing:
         swing = self._swing()
         self._recent.append(missing)
         self._watch(now, swing)
-        share = 1.0 if np.isnan(self._fading) else max(0.0, 1.0 - (now - self._fading) / FADE)
+        share = np.clip(1.0 - (now - self._fading) / FADE, 0.0, 1.0)
         if share == 1.0:
             self._base = self._base + RATE * min(elapsed, HALF_SWING) * motion
         self._base = limit_position(self._arm, limit_lead(self._base, position, LEAD))
         if share == 0.0:
             self.state, self._since = "hold", now
             self._recent.clear()
-            return self._base[None].copy()
+            return self._base[None]
         self._cycles += 1
         odd = np.arange(self._arm.joints) % 2  # neighbours swing one after the other
         side = 1.0 - 2.0 * ((self._cycles + (1 - odd) * (swing // 2)) // swing % 2)
@@ -311,7 +302,7 @@ class Finishing:
         return int(np.clip(round(HALF_SWING / max(period, 1e-3)), 1, 4))
 
     def _watch(self, now: float, swing: int) -> None:
-        if not np.isnan(self._fading):
+        if self._fading <= now:
             return
         if self._cycles % (2 * swing) == 0 and len(self._seen.readings) > 2 * swing and self._cycles:
             self._suit(np.stack([one for _, one in self._seen.readings])[-2 * swing - 1 :])
@@ -319,10 +310,9 @@ class Finishing:
             return
         self._looked = self._seen.used
         enough = min(CALM * (1.0 + (now - self._since) / RELAX), MOST_CALM)
-        near = np.linalg.norm(np.mean(self._recent, axis=0)) < enough
+        near = norm(np.mean(self._recent, axis=0)) < enough
         self._good = self._good + 1 if near else 0
-        if self._good >= 2:
-            self._fading = now
+        self._fading = now if self._good >= 2 else np.inf
 
     def _suit(self, readings: Array) -> None:
         """Increase the swing of stationary joints (T, n) [rad], reduce wide ones, give up stuck ones."""
@@ -339,14 +329,14 @@ class Finishing:
     def _choose(self, jacobian: Array) -> Mask:
         """Joints (n,) nearest to the tool that move it in every direction; else all."""
         n = self._arm.joints
-        longest = np.linalg.norm(jacobian, axis=0).max()
+        least = LEAST_LEVER * norm(jacobian, axis=0).max()
         for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it
-            mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
+            mask: Mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
             if mask.sum() < 3 or (mask & self._alone).any():
                 continue
-            if np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1] >= LEAST_LEVER * longest:
-                return np.asarray(mask)
-        return np.ones(n, dtype=bool)
+            if np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1] >= least:
+                return mask
+        return np.full(n, True)
 
 
 @runtime_checkable

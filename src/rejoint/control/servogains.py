@@ -13,11 +13,12 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.arms import Arm, Array, Mask
 from rejoint.control.comparison.protocols import visits
 from rejoint.control.controllers.catalogue import POLICY, PREDICTIVE
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.policy import PolicyContract
+from rejoint.control.correction import tool_error
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import ControlInput, Controller, Robot, part_of
@@ -95,14 +96,14 @@ def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     """Drive under the ``controller``'s gains, then restore the others; ContractError, InputError."""
     require_gains(robot, controller)
-    wanted = own_gains(controller)
-    if wanted is None or not differing(wanted, tunable(robot)[1]):
-        yield
-        return
-    servos, before = tunable(robot)
-    with put_back(servos, before):
-        servos.tune(wanted)
-        yield
+    if (wanted := own_gains(controller)) is not None:
+        servos, before = tunable(robot)
+        if differing(wanted, before):
+            with put_back(servos, before):
+                servos.tune(wanted)
+                yield
+            return
+    yield
 
 
 @contextmanager
@@ -317,7 +318,7 @@ class _Climb:
 
     def rung(self, rung: Rung) -> None:
         """Give each joint the best value; it ends where it is loud or bad, and after two values that do not help."""
-        done, missed = np.zeros((2, self.robot.arm.joints), dtype=bool)
+        done, missed = np.full((2, self.robot.arm.joints), False)
         step, sign = self.robot.arm.encoder_step, 1 if rung.rising else -1
         total = sum(len(one.values) for one in self.servos.rungs()) + 2
         for value in rung.values:
@@ -361,7 +362,7 @@ class _Climb:
         found = []
         for _, k, visit in visits(recording, len(targets)):
             last = visit.at(visit.since_target > DWELL - LOOKED)
-            tool = np.linalg.norm(tcp_position(arm, last.position) - targets[k], axis=-1).mean()
+            tool = tool_error(arm, last.position, targets[k]).mean()
             unrest = detrend(last.position, axis=0).std(axis=0)  # an I part that still pulls is none
             found.append((np.abs(last.command - last.position).mean(axis=0), unrest, tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
@@ -370,7 +371,7 @@ class _Climb:
 
 class _RoundWatch:
     def __init__(self, arm: Arm) -> None:
-        self.joints: Mask = np.zeros(arm.joints, dtype=bool)
+        self.joints: Mask = np.full(arm.joints, False)
         self._labours = np.zeros(arm.joints)
         self._seen: list[tuple[float, Array]] = []
         self._last = np.inf
@@ -385,7 +386,7 @@ class _RoundWatch:
             heavy = np.abs(state.load[0]) > HEAVIEST
             self._labours = np.where(heavy, self._labours + elapsed, 0.0)
             self.joints |= self._labours > LABOURS
-        self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
+        self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0])]
         if inputs.since_target[0] > 2 * LOOKED:  # it is long there
             self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
         return bool(self.joints.any())

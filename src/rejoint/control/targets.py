@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,9 @@ _MEANINGS = {
     "weight": COUNT,
 }
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
+
+Poses: TypeAlias = "tuple[Array, Orientation | None]"
+"""Places (..., 3) [m] and orientations (...); None: any"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,10 +105,10 @@ class Pose:
         return np.eye(3) if self.quaternion is None else rotation_of(np.asarray(self.quaternion, dtype=float))
 
 
-def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
+def placed(arm: Arm, poses: Sequence[Pose]) -> Poses:
     """Places (K, 3) [m] and orientations (K,); None for points alone."""
-    places = np.array([np.asarray(pose.place_m, dtype=float) for pose in poses]).reshape(-1, 3)
-    return places, oriented(tool_axis(arm), poses)
+    places = np.array([pose.place_m for pose in poses], dtype=float)
+    return places.reshape(-1, 3), oriented(tool_axis(arm), poses)
 
 
 def oriented(axis: Array, poses: Sequence[Pose]) -> Orientation | None:
@@ -148,7 +151,7 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
             f"the columns are {', '.join(found)}, expected {','.join(first)}",
             f"name them so, and perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
         )
-    values = np.stack([found[name] for name in names], axis=-1)
+    values = np.column_stack([found[name] for name in names])
     poses = []
     for line, row in zip(lines.tolist(), values, strict=True):
         needed, given = row[:at], dict[str, Any]()
@@ -203,7 +206,7 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
     return np.stack([arm.targets.sample(np.random.default_rng(stream), (count,)) for stream in streams])
 
 
-def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
+def read_targets(path: Path, arm: Arm) -> Poses:
     """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None; FileError."""
     lines, _, poses = read_poses(path, _MOST)
     if not lines:
@@ -218,8 +221,6 @@ def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
 def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
     """Raise InputError for targets (S, K, 3) [m] out of reach."""
     sets, count, _ = targets.shape
-    if not np.isfinite(targets).all():
-        raise InputError("targets: some are no finite numbers; give x, y, z in metres")
     names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
     problem = refused(arm, names, targets.reshape(-1, 3), turns and turns.flat)
     if problem:

@@ -207,10 +207,11 @@ class TrialRunner:
             while not beside[key].done():
                 pause(_LOOK)
             if beside[key].exception() is None:
-                self.on_trial(*beside[key].result())
-                self._take(beside[key].result()[0])
+                driven, recording = beside[key].result()
+                self.on_trial(driven, recording)
             else:  # what the helper lost
-                self._take(self.drive_batch(key)[0])
+                driven, _ = self.drive_batch(key)
+            self._take(driven)
 
     def drive_batch(self, key: Key) -> Result:
         """Drive a controller's trials side by side, each on an arm."""
@@ -249,7 +250,7 @@ class TrialRunner:
 
     def _try(self, robot: Robot, key: Key) -> None:
         name, kind, (place,), first = key
-        if name not in self._left():
+        if name in self._out:
             return
         known = self._columns(name)["held" if kind == "hold" else "crossed"][place][first : first + self._step]
         if np.isfinite(known).all():
@@ -350,10 +351,8 @@ class TrialRunner:
         controller = self.controllers[name](robot.arm)
         correction = self.correction(robot.arm) if self.correction and corrected else None
         reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
-        plan = schedule(
-            kind, self.settings.protocol, keep_going=self.settings.batched, sent=self._sent, wait=self.settings.wait
-        )
-        limits = limits_under(self.limits, robot, controller)
+        settings, limits = self.settings, limits_under(self.limits, robot, controller)
+        plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)
         with under_gains(robot, controller):
             return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
 
@@ -361,18 +360,18 @@ class TrialRunner:
 
     def as_found(self) -> TargetErrors:
         """Errors of the default controller at the first target set, not corrected; raises as `run`."""
-        targets, settings, models = self.targets[:1], self.settings, [self.model] if self.model else ()
+        targets, settings = self.targets[:1], self.settings
         with closing(self.open_robot(1, settings.seed)) as robot:
             self._sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
             recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False)
             self._sent = None  # of a robot that is closed now
+            models = [self.model] if self.model else ()
             return TargetErrors.of(metrics_of(robot.arm, recording, targets, settings.protocol, models=models))
 
 
 def bad_command(recording: Recording) -> bool:
     """Whether one arm tripped over a command alone that was not a number."""
-    alone = (recording.tripped == Reason.NOT_FINITE.value).all()
-    return bool(alone and np.isfinite(recording.position[-1]).all())
+    return bool((recording.tripped == Reason.NOT_FINITE.value).all() and np.isfinite(recording.position[-1]).all())
 
 
 def missed_in_a_row(crossed: Array) -> bool:
@@ -397,6 +396,6 @@ def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:
         if name == best or not difference.any():
             continue
         if stats.ttest_1samp(difference, 0.0, alternative="greater").pvalue < LEVEL / tests:
-            factor = np.exp(difference.mean())
-            out[name] = f"{WAS_WORSE}{best} (settles {factor:.1f} times as far off at {len(difference)} targets)"
+            far = f"settles {np.exp(difference.mean()):.1f} times as far off at {len(difference)} targets"
+            out[name] = f"{WAS_WORSE}{best} ({far})"
     return out

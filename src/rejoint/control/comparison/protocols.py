@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.linalg import norm
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.arms.rotations import REACHED_TURN
@@ -25,7 +26,7 @@ from rejoint.control.comparison.result import (
     Kind,
     Protocol,
 )
-from rejoint.control.correction import ToolModel, modelled
+from rejoint.control.correction import ToolModel, modelled, tool_error
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import Cycle, Recording
@@ -40,8 +41,13 @@ def schedule(
     """Schedule after the last commands ``sent`` (B, n) [rad]."""
     if kind == "hold":
         return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
-    stands_for, below = None if wait else STANDS_FOR, protocol.threshold
-    return Schedule(dwell=protocol.dwell, stop_below=below, stands_for=stands_for, keep_going=keep_going, sent=sent)
+    return Schedule(
+        dwell=protocol.dwell,
+        stop_below=protocol.threshold,
+        stands_for=None if wait else STANDS_FOR,
+        keep_going=keep_going,
+        sent=sent,
+    )
 
 
 def metrics_of(
@@ -59,41 +65,41 @@ def metrics_of(
     After a trip holds are NaN, and its crossing is missed.
     """
     shape = targets.shape[:2]
-    names = (*(CROSSING if "crossing" in kinds else ()), *((*HOLDING, *protocol.stay_names) if "hold" in kinds else ()))
+    hold, cross = "hold" in kinds, "crossing" in kinds
+    names = (*CROSSING * cross, *(*HOLDING, *protocol.stay_names) * hold)
     columns = {name: np.full(shape, np.nan) for name in names}
-    if "hold" in kinds:
+    if hold:
         columns["held"][:] = 1.0
-    if "crossing" in kinds:
+    if cross:
         last = np.where(recording.active, recording.target_index, -1).max(axis=0, initial=-1)
         spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
         columns["crossed"] = np.where(spared, np.nan, 0.0)
     posture = np.full((*shape, arm.joints), np.nan)
     for b, k, visit in visits(recording, shape[1]):
         found = dict[str, float]()
-        if "crossing" in kinds:
-            found |= _crossed(arm, visit, protocol, within_hold="hold" in kinds)
-        if "hold" in kinds and visit.since_target[-1] >= protocol.hold:
+        if cross:
+            found |= _crossed(arm, visit, protocol, within_hold=hold)
+        if hold and visit.since_target[-1] >= protocol.hold:
             found |= _held(arm, visit, protocol)
             if np.isnan(found["away_true_x"]):
                 posture[b, k] = visit.position[_last(visit, protocol)].mean(axis=0)
         for name, value in found.items():
             columns[name][b, k] = value
-    if models and "hold" in kinds:
+    if models and hold:
         each = [modelled(*one) for one in zip(models, posture, targets, strict=True)]
         columns |= dict(zip(MODELLED, np.stack(each, axis=1), strict=True))
     return columns
 
 
 def _crossed(arm: Arm, visit: Cycle, protocol: Protocol, *, within_hold: bool) -> dict[str, float]:
-    error = np.linalg.norm(tcp_position(arm, visit.position) - visit.aim, axis=-1)
-    askew = visit.turned > REACHED_TURN  # a pose is reached where the orientation is as well
-    seen = np.where(askew, np.maximum(error, protocol.threshold), error)
-    reached, row = crossing(seen, protocol.threshold)
+    error = tool_error(arm, visit.position, visit.aim)
+    # A pose is reached where the orientation is as well.
+    reached, row = crossing(np.where(visit.turned > REACHED_TURN, np.inf, error), protocol.threshold)
     time = visit.since_target[row]
     if not reached and time < (min(protocol.dwell, protocol.hold) if within_hold else protocol.dwell):
         return {}
     until = np.nan if within_hold and not reached else time
-    values = float(reached), error[row], np.linalg.norm((visit.true_tcp - visit.target)[row]), until
+    values = float(reached), error[row], norm((visit.true_tcp - visit.target)[row]), until
     return dict(zip(CROSSING, values, strict=True))
 
 
@@ -101,10 +107,10 @@ def _held(arm: Arm, visit: Cycle, protocol: Protocol) -> dict[str, float]:
     since, window, last = visit.since_target, protocol.window, _last(visit, protocol)
     tcp = tcp_position(arm, visit.position)
     away, away_true = tcp - visit.aim, visit.true_tcp - visit.target
-    error = np.linalg.norm(away, axis=-1)
+    error = norm(away, axis=-1)
     found = {
         "settled": settled(since, error, window),
-        "settled_true": settled(since, np.linalg.norm(away_true, axis=-1), window),
+        "settled_true": settled(since, norm(away_true, axis=-1), window),
         "turned": settled(since, visit.turned, window),
         "oscillation": oscillation(since, tcp, window),
     }
@@ -195,4 +201,4 @@ def iso_poses(arm: Arm, size: float = 1.0) -> Array:
 
 def reversal(forwards: Array, backwards: Array) -> Array:
     """B (...) [m]: distance between the means of (..., R, 3) from the two sides."""
-    return np.linalg.norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1)
+    return norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1)

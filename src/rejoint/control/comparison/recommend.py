@@ -59,9 +59,7 @@ def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
     left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
     decided = [failure(row) for row in comparison.rows if row.out]
-    all_stopped = (
-        ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
-    )
+    all_stopped = ["Every controller was stopped; this one got farthest."] * (len(decided) == len(comparison.rows))
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (criterion.mean(row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row, comparison.shape)]
@@ -90,8 +88,13 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
         arrays = {name: comparison.array(metric, name).ravel() for name in comparison.controllers}
         return {name: np.where(np.isnan(array), missing, array) for name, array in arrays.items()}
 
-    missed = {name: 1.0 - crossed for name, crossed in results("crossed", 0.0).items()}
-    yield _Criterion(name="of the targets missed", results=missed, unit="{:.0f} %", factor=100.0, plain=0.0)
+    yield _Criterion(
+        name="of the targets missed",
+        results={name: 1.0 - crossed for name, crossed in results("crossed", 0.0).items()},
+        unit="{:.0f} %",
+        factor=100.0,
+        plain=0.0,
+    )
     yield _Criterion(
         name="settled error", results=results("settled"), unit="{:.2f} mm", factor=1e3, plain=protocol.within[narrow]
     )

@@ -203,9 +203,11 @@ class TargetErrors:
         """Means of columns (R, K) over the repetitions."""
         encoders, known = ([_mean(values) for values in found[name].T] for name in ("settled", "settled_true"))
         modelled = map(mean_modelled, np.stack([found[name].T for name in MODELLED], axis=1))
-        each = zip(known, modelled, strict=True)
-        true = (other if value is None else TrueError(how="known", value=value) for value, other in each)
-        return cls(encoders=tuple(encoders), true=tuple(true))
+        true = tuple(
+            other if value is None else TrueError(how="known", value=value)
+            for value, other in zip(known, modelled, strict=True)
+        )
+        return cls(encoders=tuple(encoders), true=true)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -337,9 +339,10 @@ def row_of(
     poses: dict[str, Any] = {}
     for whose in ("", "_true"):
         away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
-        places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
-        each = np.arange(places.shape[0] * places.shape[1])
-        poses[f"accuracy{whose}"] = spread(np.linalg.norm(places.mean(axis=2), axis=-1).ravel(), each)
+        places = away.swapaxes(1, 2)  # (S, K, R, 3)
+        off = np.linalg.norm(places.mean(axis=2), axis=-1).ravel()
+        each = np.arange(len(off))
+        poses[f"accuracy{whose}"] = spread(off, each)
         poses[f"repeatability{whose}"] = spread(position_repeatability(places).ravel(), each)
     return replace(
         summarise(controller, found, cluster(found["crossed"].shape)[1], protocol),

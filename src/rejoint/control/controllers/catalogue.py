@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 
 from rejoint.arms import CATALOGUE, Arm, Array
@@ -57,7 +56,7 @@ def make_controller(
 
 def shelf_path(name: str) -> Path:
     """File of the generic policy for ``name``."""
-    return Path(str(files("rejoint.control.controllers"))) / "policies" / f"{name}.onnx"
+    return Path(__file__).parent / "policies" / f"{name}.onnx"
 
 
 def shelf_arms() -> tuple[str, ...]:

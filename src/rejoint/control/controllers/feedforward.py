@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
-from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque
 from rejoint.arms.kinematics import task
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, torque_size, unloaded_joints
 from rejoint.control.controllers.classical import (
@@ -32,6 +32,7 @@ from rejoint.control.controllers.classical import (
     null_space,
 )
 from rejoint.control.controllers.observation import View
+from rejoint.control.correction import tool_error
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
 
@@ -110,9 +111,9 @@ class FeedforwardController:
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new goals of ``where`` (B,); corrections stay. Far from the target their null-space parts go."""
         if len(self._position) != len(inputs.sent):
-            self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
+            self.reset_learned(inputs, np.full(len(inputs.sent), True))
         self._take(inputs, where)
-        distance = np.linalg.norm(inputs.target - tcp_position(self._arm, inputs.state.position), axis=-1)
+        distance = tool_error(self._arm, inputs.state.position, inputs.target)
         self._correction -= (where * self._far(distance))[:, None] * self._unneeded()
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
@@ -134,7 +135,7 @@ class FeedforwardController:
         stiffness = np.broadcast_to(self.stiffness, self._goal.shape)[where]
         self._raised[where] = goal + gravity_torque(self._arm, goal) / stiffness
         jacobian = task(self._arm, goal, inputs.target[where], inputs.turn and inputs.turn[where])[1]
-        self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).swapaxes(-1, -2)
+        self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).mT
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""

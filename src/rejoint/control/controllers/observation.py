@@ -74,7 +74,7 @@ class View(NamedTuple):
 def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
     """View of targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
     tcp, jacobian = position_kinematics(arm, position)
-    transpose = np.swapaxes(jacobian, -1, -2)
+    transpose = jacobian.mT
     error = target - tcp
     away = goal - position
     wanted = np.empty((*error.shape, 2))
@@ -155,8 +155,7 @@ class Observer:
         """Start from rest where ``where`` (B,)."""
         self._position[where] = inputs.state.position[where]
         self._time[where] = inputs.state.time[where]
-        self._velocity[where] = 0.0
-        self._action[where] = 0.0
+        self._velocity[where] = self._action[where] = 0.0
 
     def reset_learned(self, where: Mask) -> None:
         """Drop learned periods where ``where`` (B,)."""

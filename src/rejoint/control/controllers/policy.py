@@ -271,7 +271,7 @@ class PolicyController(Commander):
         count = len(inputs.sent)
         if count != self._observer.count:
             self._observer = Observer(self.arm, count, self.contract.layout)
-            where = np.ones(count, dtype=bool)
+            where = np.full(count, True)
         self._observer.reset(inputs, where)
         super().reset(inputs, where)
 

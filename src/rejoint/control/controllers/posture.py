@@ -29,6 +29,7 @@ from rejoint.arms import (
 from rejoint.arms.postures import pool_of
 from rejoint.control.controllers.classical import between, limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
+from rejoint.control.correction import tool_error
 from rejoint.control.reference import Reference, pace
 from rejoint.control.robot import ControlInput, Stillness
 from rejoint.system.errors import InputError
@@ -79,7 +80,6 @@ class PostureController(FeedforwardController):
         super().__init__(arm, stiffness, FeedforwardGains(moving=MOVING))
         self._settings, self._offset = gains or PostureGains(), offset
         self._still = Stillness(COUNTS * arm.encoder_step)
-        self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Do nothing."""
@@ -90,12 +90,12 @@ class PostureController(FeedforwardController):
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
-        position, everyone = inputs.state.position, np.ones(len(inputs.sent), dtype=bool)
+        position, everyone = inputs.state.position, np.full(len(inputs.sent), True)
         if len(self._position) != len(position):
             self.reset_learned(inputs, everyone)
             self._take(inputs, everyone)
             self.take_over(inputs, everyone)
-            self._weak = np.zeros(position.shape, dtype=bool)
+            self._weak: Mask = np.full(position.shape, False)
         moved, goal = position - self._position, self._goals_of(inputs)
         error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
         rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived
@@ -115,8 +115,8 @@ class PostureController(FeedforwardController):
         """Stationary arms (B,) whose tool is close."""
         position = inputs.state.position
         stood = self._still.look(inputs.state.time, position).min(axis=1)
-        away = tcp_position(self._arm, position) - tcp_position(self._arm, inputs.goal)
-        return (stood >= CALM) & inputs.arrived & (np.linalg.norm(away, axis=-1) < self._settings.close)
+        away = tool_error(self._arm, position, tcp_position(self._arm, inputs.goal))
+        return (stood >= CALM) & inputs.arrived & (away < self._settings.close)
 
     def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
@@ -247,9 +247,9 @@ class Unloading:
                 self._tries = TRIES
                 return wanted
             self._legs.extend(PlannedWay(self._arm, leg) for leg in legs)
-            self._still.restart()
+            self._still = Stillness(STILL)
             return self._on_legs(wanted, 0.0 * stood)
-        return replace(wanted, arrived=np.zeros(1, dtype=bool))
+        return replace(wanted, arrived=np.full(1, False))
 
     def _off(self, position: Array, goal: Array) -> int | None:
         away = np.abs(goal - position)
@@ -260,9 +260,9 @@ class Unloading:
         found = self._legs[0].advance(wanted)
         if found.arrived[0] or stood.min() > 2.0 * STANDS:  # there, or as near as it comes
             self._legs.popleft()
-            self._still.restart()
+            self._still = Stillness(STILL)
             self._arrived = wanted.state.time[0]
-        return replace(found, arrived=np.zeros(1, dtype=bool))
+        return replace(found, arrived=np.full(1, False))
 
 
 def unloaded_way(

@@ -9,18 +9,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.fft import dct, idct
 from scipy.ndimage import gaussian_filter1d
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, rms, true_error
+from rejoint.control.correction import (
+    NOT_KNOWN,
+    Modelled,
+    ToolModel,
+    TrueError,
+    checked,
+    rms,
+    tool_error,
+    true_error,
+)
 from rejoint.control.guard import Reason, Reasons, reason_names
-from rejoint.control.moving.reference import Guide, Path, Poses, Route, Stream, interpolated
+from rejoint.control.moving.reference import Guide, Path, Route, Stream, interpolated
 from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.recording import Cycle, Recording
-from rejoint.control.targets import in_words
+from rejoint.control.targets import Poses, in_words
 from rejoint.logs.runlog import RunLog
 from rejoint.system.results import Readable
 
@@ -88,17 +98,17 @@ def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolM
     """Errors of arm ``b``."""
     route = guide.route()
     rows, time = rows_on(recording, route, b)
-    true = np.linalg.norm(rows.true_tcp - interpolated(time, route.time, route.place), axis=-1)
+    wanted = interpolated(time, route.time, route.place)
+    true = norm(rows.true_tcp - wanted, axis=-1)
     few = slice(None, None, max(1, len(time) // _JUDGED))
-    wanted = interpolated(time[few], route.time, route.place)
     return Pass(
         encoder=along(time, tcp_position(arm, rows.position), route.time, route.aim),
-        true_error=true_error(true, model, rows.position[few], wanted, rms),
+        true_error=true_error(true, model, rows.position[few], wanted[few], rms),
         turned=rms(rows.turned) if len(time) and np.isfinite(rows.turned).all() else None,
     )
 
 
-def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Cycle, Array]:
+def rows_on(recording: Recording, route: Route, b: int) -> tuple[Cycle, Array]:
     """Rows (T, ...) of arm ``b`` on its route, and their times (T,) [s]."""
     rows = recording.driven(b)
     time = rows.since_target - route.begin
@@ -133,7 +143,7 @@ class Along:
 
 def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
     """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at ``at`` (K,) [s]."""
-    errors = [np.linalg.norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
+    errors = [norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
     sizes = [rms(error) for error in errors]
     best = int(np.argmin(sizes))
     return Along(
@@ -171,7 +181,7 @@ class Repetition:
         place, turn = self._path.poses(self._time)
         self._spectra.append(dct(aim.at(self._time) - place + interpolated(self._time, time, error), axis=0))
         shift = self._shift()
-        size = np.linalg.norm(shift, axis=-1, keepdims=True)
+        size = norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
         return Path(time=self._time, place=place, turn=turn, name=self._path.name)
 
@@ -275,7 +285,7 @@ def judge_targets(
 ) -> Deployed:
     """Judge each target; ``sightings`` as `rejoint.control.seeing.Seen.visits`; ``ended``: by an error."""
     rows, gap, visits = recording.driven(), recording.gaps(), list[Visit]()
-    errors = np.linalg.norm(rows.aim - tcp_position(arm, rows.position), axis=-1)
+    errors = tool_error(arm, rows.position, rows.aim)
     for k, target in enumerate(job.targets):
         words = "" if job.turns is None else in_words(job.turns[k])
         visit = Visit(target=tuple(target.tolist()), orientation=words)
@@ -283,7 +293,7 @@ def judge_targets(
         if len(here):
             last, early = int(here[-1]), ended and k == rows.target_index[-1]
             error, turned, paused = float(errors[last]), float(rows.turned[last]), float(gap[here].max())
-            far, askew = not error < job.within, job.turns is not None and turned > REACHED_TURN
+            far, askew = not error < job.within, turned > REACHED_TURN
             remarks = {
                 "ended early": early,
                 f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far
@@ -292,7 +302,7 @@ def judge_targets(
                 f"still turned {np.degrees(turned):.0f} deg off": askew,
             }
             count, seen = sightings[k] if k < len(sightings) else (0, None)
-            off = np.linalg.norm(target - rows.true_tcp[[last]], axis=-1)
+            off = norm(target - rows.true_tcp[[last]], axis=-1)
             true = true_error(off, model, rows.position[[last]], target[None])
             if seen is not None and true.how != "known":
                 true = TrueError(how="measured", value=seen)
@@ -304,7 +314,7 @@ def judge_targets(
                 seen_error=seen,
                 reached=not (far or early or askew),
                 remark="; ".join(remark for remark, said in remarks.items() if said),
-                turned=None if job.turns is None or np.isnan(turned) else turned,
+                turned=None if np.isnan(turned) else turned,
             )
         visits.append(visit)
     return Deployed(controller=job.controller, visits=tuple(visits), within=job.within, **recording.timing())

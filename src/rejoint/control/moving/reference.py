@@ -16,17 +16,19 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array
 from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
+from rejoint.control.correction import tool_error
 from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput
 from rejoint.control.targets import (
     PLACE,
     Pose,
+    Poses,
     in_mm,
     in_words,
     knots_of,
@@ -53,10 +55,6 @@ _OPPOSITE = -0.5
 SPEED_SHARE = 0.8
 """Largest share of joint speed"""
 _STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
-
-Poses: TypeAlias = "tuple[Array, Orientation | None]"
-"""Places (..., 3) [m] and orientations (...); None: any"""
-
 
 LEAD_IN = 2.0
 """[s] at rest before a path"""
@@ -92,7 +90,7 @@ class Path:
 
     def __post_init__(self) -> None:
         time = as_floats("path", self.time, "times (T,) in seconds")
-        place = as_floats("path", self.place, "places (T, 3) in metres").copy()
+        place = as_floats("path", self.place, "places (T, 3) in metres")
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
         if not (np.isfinite(time).all() and np.isfinite(place).all()):
@@ -109,7 +107,7 @@ class Path:
             knots = knots_of(self.turn)
             if ((knots[1:] * knots[:-1]).sum(axis=-1) < _OPPOSITE).any():
                 raise InputError("path: the tool would turn round between two points; give points between them")
-            rows = np.concatenate([place, knots], axis=-1)
+            rows = np.hstack([place, knots])
         # Parabolic ends: the slopes of the parabolas through the outer three points.
         slope = np.gradient(rows, time, axis=0, edge_order=1 if len(time) == 2 else 2)
         object.__setattr__(self, "_values", CubicSpline(time, rows, bc_type=((1, slope[0]), (1, slope[-1]))))
@@ -162,7 +160,7 @@ class Path:
         times = np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK)))
         places, turns = self.poses(times)
         postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
-        beyond = np.linalg.norm(places - tcp_position(arm, postures), axis=-1)
+        beyond = tool_error(arm, postures, places)
         k = int(beyond.argmax())
         if beyond[k] > NEAR:
             raise InputError(
@@ -177,27 +175,22 @@ class Path:
             )
         if turns is not None:
             postures = PathPostures(arm, places[:1], turns[:1]).along(places[:, None], turns[:, None])[:, 0]
-            _require_turned(arm, times, places, turns, postures)
+            off, angle = missed_pose(arm, postures, places, turns)
+            askew = (off > NEAR) | (angle > TURNED)
+            if askew.any():
+                k = int(askew.argmax())
+                raise InputError(
+                    f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+                    f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
+                )
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
-        k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
+        k, j = divmod(int(share.argmax()), arm.joints)
         if share[k, j] > SPEED_SHARE:
             raise InputError(
                 f"path: at {times[k]:.2f} s {in_mm(places[k])} {arm.joint_names[j]} would have to turn at "
                 f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
                 f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
             )
-
-
-def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, postures: Array) -> None:
-    """Raise InputError unless ``postures`` (T, n) [rad] turn the tool as in ``turns`` (T,)."""
-    off, angle = missed_pose(arm, postures, places, turns)
-    askew = (off > NEAR) | (angle > TURNED)
-    if askew.any():
-        k = int(askew.argmax())
-        raise InputError(
-            f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
-            f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
-        )
 
 
 def read_path(given: FilePath | str, arm: Arm, seed: int = 0) -> Path:
@@ -247,7 +240,7 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
     phase = _rising(time) - _rising(time - length)  # [s]
     if found[1]:
         angle = 2.0 * np.pi * phase / value
-        circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+        circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
         shape = RADIUS * length_size(arm) * circle
     else:
         waves, half = _waves(value, phase, seed), _FILL * (arm.targets.upper - arm.targets.lower) / 2
@@ -322,12 +315,13 @@ class Stream:
         row = as_place("stream", target if pose is None else pose.place_m)
         turn = None if pose is None else oriented(self.axis, [pose])
         if turn is not None:
-            row = np.concatenate([row, knots_of(turn)[0]])
+            row = np.append(row, knots_of(turn)[0])
         with self._lock:
-            if self.time and time < self.time[-1]:
-                raise InputError(f"stream: a target of {time:g} s came after one of {self.time[-1]:g} s")
+            last = self.time[-1] if self.time else -np.inf
+            if time < last:
+                raise InputError(f"stream: a target of {time:g} s came after one of {last:g} s")
             row = self._after_last(row)
-            if self.time and time == self.time[-1]:
+            if time == last:
                 del self.time[-1], self.rows[-1]
             self.time.append(time)
             self.rows.append(row)
@@ -379,7 +373,7 @@ class Stream:
                 f"stream: from one target to the next the tool would turn by {np.degrees(turned):.0f} deg, at most 120 "
                 "were expected; put targets between them"
             )
-        return np.concatenate([row[:3], -row[3:]]) if whole and cosine < 0.0 else row
+        return np.append(row[:3], -row[3:]) if whole and cosine < 0.0 else row
 
     def _between(self, time: Array, now: float) -> Array:
         """Rows (k, m) at ``time`` (k,) [s] by what arrived until ``now``."""

@@ -79,7 +79,7 @@ class PathPostures:
             missed, jacobian = task(arm, q, place, turn)
             home = self._home - q
             way = missed - (jacobian @ home[..., None])[..., 0]
-            spread = np.swapaxes(jacobian, -1, -2) / weights[:, None]  # mostly over heavy joints
+            spread = jacobian.mT / weights[:, None]  # mostly over heavy joints
             ridge = _SOFT * np.eye(way.shape[-1])
             step = home + (spread @ np.linalg.solve(jacobian @ spread + ridge, way[..., None]))[..., 0]
             largest = np.abs(step).max(axis=-1, keepdims=True)
@@ -192,14 +192,13 @@ def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Ar
     """Stationary gains (B, n, 3) of the filter."""
     step = period / _PARTS
     brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
-    one = np.zeros((*mass.shape, 3, 3))
+    one = np.zeros((*mass.shape, 3, 3)) + np.eye(3)
     one[..., 1, 0], one[..., 1, 1], one[..., 1, 2] = -brake * pull, brake, brake * pull
     one[..., 0, :] = step * one[..., 1, :]
     one[..., 0, 0] += 1.0
-    one[..., 2, 2] = 1.0
     cycle = np.linalg.matrix_power(one, _PARTS)
     unknown = np.diag([1e-9, SHOCKS * period, DRIFT * period])
-    seen = np.array([[1.0], [0.0], [0.0]])
+    seen = np.eye(3, 1)
     gain = np.zeros((*mass.shape, 3))
     for index in np.ndindex(mass.shape):
         covariance = solve_discrete_are(cycle[index].T, seen, unknown, [[noise]])
@@ -247,7 +246,7 @@ class Tracker:
         """Begin here; resets after the first command change nothing: a gap in the answers forgets nothing."""
         if self._last is None:
             self._pace.begin(inputs.state.time, where)
-            self._wanted = self._expected = inputs.sent.copy()
+            self._wanted = self._expected = inputs.sent
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
@@ -264,7 +263,7 @@ class Tracker:
         away, speed = observer.soon(now)
         ahead = self._servos.delay + 0.5 * self._period + EARLY
         around = inputs.goals(ahead + STEP * np.arange(-1.0, 2.0)[:, None]) + shift
-        self._wanted, self._last = command_for(self._arm, self._servos, around), now.copy()
+        self._wanted, self._last = command_for(self._arm, self._servos, around), now
         self._expected = around[1] + away
         push = np.clip(observer.push, -PUSH_LIMIT, PUSH_LIMIT)
         stiff, most = self._stable(observer.mass)
