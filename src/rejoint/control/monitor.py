@@ -37,8 +37,8 @@ ARRIVED = np.radians(1.0)
 """[rad] following error at arrival"""
 SETTLED = 30
 """changes of a reading before its sticking is known"""
-FAR, AWAY, DROP = np.radians(30.0), np.radians(20.0), 0.10
-"""[rad] off its goal, [rad] moved away against the command, and [m] of a myCobot 280's tool, of a falling joint"""
+FAR, AWAY, PUSHED, DROP = *np.radians([30.0, 20.0, 4.0]), 0.10
+"""[rad] off its goal, moved away from it, and pushed towards it, and [m] of a myCobot 280's tool, of a falling joint"""
 NEARER = np.radians(1.0)
 """[rad] by which a joint comes nearer"""
 PULL = 2.0
@@ -130,10 +130,10 @@ class Following:
 
     def _fall(self, position: Array, sent: Array, goal: Array) -> None:
         """Look for falling joints at a ``position`` after ``sent`` with a ``goal`` (B, n) [rad]."""
-        left = goal - position
-        far, came = np.abs(left) > FAR, (position - self._anchor) * np.sign(left)
+        left, way = goal - position, np.sign(goal - position)
+        far, came = np.abs(left) > FAR, (position - self._anchor) * way
         self._anchor = np.where(~far | (came > NEARER), position, self._anchor)
-        self.falling = far & (came < -AWAY) & ((sent - position) * left > 0.0)
+        self.falling = far & (came < -AWAY) & ((sent - position) * way > PUSHED)
         if self.falling.any():
             off = tool_error(self._arm, position, tcp_position(self._arm, goal))
             self.falling = self.falling & (off[:, None] > DROP * length_size(self._arm))
