@@ -46,6 +46,7 @@ from rejoint.control.servogains import (
     stiffness_under,
 )
 from rejoint.control.start import Stance
+from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
@@ -68,11 +69,11 @@ UNSEEN = 3.0
 
 
 def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
-    """Say for each of K ``points`` (K, 3) [m] which motor is too weak by a limit that the twin has seen; else empty."""
+    """Say at which of K ``points`` (K, 3) [m] a motor is too weak by a limit that the twin has seen."""
     start = np.broadcast_to(arm.rest, (len(points), arm.joints))
     limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(arm, twin).usable, np.inf)
     judged = (too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns))
-    return ["" if joint is None else why for joint, why in judged]
+    return [f"{in_mm(point)}: {why}" for point, (joint, why) in zip(points, judged, strict=True) if joint is not None]
 
 
 def _limits_seen(twin: Twin) -> NDArray[Any]:

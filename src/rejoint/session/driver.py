@@ -38,7 +38,6 @@ from rejoint.control.robot import (
 )
 from rejoint.control.servogains import Rung, ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import Playback, begin, check_ready, move
-from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
@@ -540,9 +539,7 @@ class ArmDriver:
         arm, twin = self.arm, self.twin
         if twin is None or not isinstance(arm, LoadedArm):
             return
-        points = targets.reshape(-1, 3)
-        judged = heavy(arm, twin, points, turns and turns.flat)
-        found = [f"{in_mm(point)}: {why}" for point, why in zip(points, judged, strict=True) if why]
+        found = heavy(arm, twin, targets.reshape(-1, 3), turns and turns.flat)
         if found:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
