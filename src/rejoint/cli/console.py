@@ -110,10 +110,6 @@ class Terminal:
         """Tell what is going on."""
         self.notes.print(line, markup=False)
 
-    def heading(self, text: str) -> None:
-        """Announce a stage of a chain."""
-        self.notes.print(f"\n[bold]{text}[/bold]")
-
     def result(self, text: str) -> None:
         """Print a line of the result."""
         self.results.print(f"{self._of}{text}", markup=False)
@@ -242,8 +238,7 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
     from rejoint.pages.live.view import LiveView
 
     host, port = host_and_port(OPTION, place)
-    view = LiveView(host, port)
-    with view:
+    with LiveView(host, port) as view:
         terminal.message(f"Live view: {view.address}")
         if not is_loopback(host):
             terminal.message(

@@ -97,8 +97,10 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
     try:
         njit(lambda value: value + 1)(1)
     except Exception as error:  # noqa: BLE001 - whatever is wrong with it
-        why = f"Numba cannot compile ({type(error).__name__}: {first_line(error)})"
-        yield Symptom(why, "install it again: pip install --force-reinstall numba llvmlite")
+        yield Symptom(
+            f"Numba cannot compile ({type(error).__name__}: {first_line(error)})",
+            "install it again: pip install --force-reinstall numba llvmlite",
+        )
         return
     told = "; the first motion compiles its loops, once, which takes about 15 s" * compiles_first()
     yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
@@ -118,9 +120,9 @@ def disk(_: Surroundings) -> Iterator[Symptom]:
 def clock(case: Surroundings) -> Iterator[Symptom]:
     """Compare the clock with files that were written."""
     newest = max(path.stat().st_mtime for path in (Path(__file__), case.run or Path(__file__)) if path.exists())
-    now = datetime.now().isoformat(sep=" ", timespec="seconds")
     late = newest - time.time() > 60.0
-    yield Symptom(f"it is {now}" + ", but files here are newer" * late, "set it: sudo timedatectl set-ntp true" * late)
+    now = f"it is {datetime.now():%Y-%m-%d %H:%M:%S}"
+    yield Symptom(now + ", but files here are newer" * late, "set it: sudo timedatectl set-ntp true" * late)
 
 
 def serial_ports(_: Surroundings) -> Iterator[Symptom]:
@@ -159,9 +161,9 @@ def run(case: Surroundings) -> Iterator[Symptom]:
             else "give another RUN, unless the same arm has moved there",
         )
     elif not opened.folder.calibration.exists():
-        whose = f"rejoint calibrate {opened.robot} {case.run}"
         yield Symptom(
-            f"{case.run} has no calibration: the tool may be millimetres from where the encoders see it", whose
+            f"{case.run} has no calibration: the tool may be millimetres from where the encoders see it",
+            f"rejoint calibrate {opened.robot} {case.run}",
         )
     else:
         yield Symptom(f"{case.run} is a run of {opened.robot}, with a calibration")

@@ -153,8 +153,7 @@ def ports(call: Call) -> object:
     """List the serial ports of this computer, each with the arm that answers there; nothing moves."""
     found = []
     for device, what in lines.ports().items():
-        why, heard = lines.refused(device), lines.arm_at(device)
-        address = heard and heard[1]
+        why, address = lines.refused(device), lines.arm_at(device)
         found.append({"port": device, "what": what, "address": address, "problem": why})
         call.result(f"{device}  {what}: {address or why or 'no arm answers'}")
     if not found:

@@ -93,8 +93,9 @@ class Call(Terminal, Observer):
             if path.exists():
                 raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
             write_arm_toml(path, error.arm, error.notes)
-            line = len(error.notes) + 1
-            raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
+            raise InputError(
+                f"{error}: {path} is written, give it in line {len(error.notes) + 1}, and the file as --arm"
+            ) from error
         for note in loaded.notes:
             self.message(f"arm {loaded.arm.name}: {note}")
         return loaded.arm
@@ -154,7 +155,7 @@ class Call(Terminal, Observer):
         self.bars.close()
         if stage.state != "done":
             heading = f"{stage.number}/{stage.total}  {texts('rejoint.cli')['stages'][stage.name]}"
-            self.heading(heading)
+            self.notes.print(f"\n[bold]{heading}[/bold]")
             if self._view is not None:
                 self._view.begin(heading)
         if stage.state == "kept":
@@ -246,7 +247,7 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
 
 
-def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
+def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object) -> Parameter:
     """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
     words = {"help": entry} if isinstance(entry, str) else dict(entry)
     argument, flag = words.pop("argument", None), words.pop("flag", f"--{name.replace('_', '-')}")

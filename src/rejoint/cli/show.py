@@ -56,7 +56,7 @@ def twin(result: rejoint.Twin) -> Shown:
 
 def calibration(found: rejoint.Calibrated) -> Shown:
     """Yield where the tool is behind the encoders, and whether correcting for it helps."""
-    own, filmed, points = found.calibration, found.filmed, found.measurements.point
+    own, filmed = found.calibration, found.filmed
     for name, why in () if filmed is None else filmed.left_out:
         yield f"  ! {name} is not used: {why}"
     if wrong := astray(own.arm, own.missed):  # then nothing fits to anything
@@ -65,7 +65,11 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             "the points right, and is it this arm?"
         )
     for row in () if wrong else own.suspects:
-        name = f"Measurement {row + 1} ({_place(points[row])} mm)" if filmed is None else filmed.residuals[row].name
+        name = (
+            f"Measurement {row + 1} ({_place(found.measurements.point[row])} mm)"
+            if filmed is None
+            else filmed.residuals[row].name
+        )
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
     if disturbed(own.suspects, own.points) and not wrong:
         yield f"  ! {DISTURBED}"
@@ -77,10 +81,9 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             f"{standing} in the base at {_place(rig.standing[:3, 3])} mm; {mounted} on the tool at "
             f"{_place(rig.mounted[:3, 3])} mm."
         )
-    before, after = 1e3 * found.before, 1e3 * found.after
     yield (
-        f"At {own.points} measurements, each predicted without its own posture, the tool was {before:.2f} mm from "
-        f"where the encoders see it, and {after:.2f} mm from where the calibration does."
+        f"At {own.points} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} "
+        f"mm from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does."
     )
     if own.frame_name != "base":
         yield f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
@@ -95,8 +98,10 @@ def gains(found: GainsFound) -> Shown:
         ("under a controller", found.under, found.with_under),
         ("alone", found.alone, found.with_alone),
     ):
-        joints = f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
-        yield f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}"
+        yield (
+            f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, "
+            f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
+        )
 
 
 def training(done: rejoint.TrainedPolicy) -> Shown:
@@ -116,8 +121,8 @@ def comparison(done: rejoint.Compared) -> Shown:
 
     result, advice = done.comparison, done.recommendation
     headers, rows = plain_table(columns(result), result.rows)
-    sets, count = len(result.targets), len(result.targets[0])
-    trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
+    sets = f"{plural(len(result.targets), 'set')} of {plural(len(result.targets[0]), 'target')}"
+    trials = f"{sets}, {plural(result.repetitions, 'repetition')}"
     title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"
     yield ShownTable(title, headers, rows, bold=result.controllers.index(advice.controller))
     for line in filter(None, map(failure, result.rows)):

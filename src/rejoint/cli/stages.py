@@ -170,8 +170,9 @@ def diagnose(
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
     robot = FIRST_ROBOT if robot is None else robot
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
-    about: dict[str, Any] = {"healthy": healthy, "quick": quick, "settings": call.settings}
-    found = call.do(rejoint.diagnose, logs or robot, run=job, **about).diagnosis
+    found = call.do(
+        rejoint.diagnose, logs or robot, run=job, healthy=healthy, quick=quick, settings=call.settings
+    ).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
     call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
@@ -462,8 +463,7 @@ def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, An
         return {"refused": str(error)}
     if gripper is not None and order.gripper is not None:
         gripper.goal = order.gripper
-    opened = None if gripper is None else gripper.opened
-    return {"position": arm.shown_joints().tolist(), "goal": taken, "gripper": opened}
+    return {"position": arm.shown_joints().tolist(), "goal": taken, "gripper": gripper and gripper.opened}
 
 
 def _next(arm: ArmSession, came: bytearray) -> bytes | None:

@@ -20,7 +20,7 @@ from rejoint.cli.console import Terminal, picked
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.calibration import WEDGE
-from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, read_measurements
+from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.logs.history import find_rows
 from rejoint.robots import place_of
@@ -37,7 +37,6 @@ from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
-    from rejoint.camera.film import Film
     from rejoint.camera.filming import CameraGauge
 
 
@@ -68,15 +67,13 @@ def calibrate(
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0)
     settings = replace(call.settings, calibration="none" if fresh else None)
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
-    if kind == "points" or (kind == "camera" and what and not (what.isdecimal() or what == EMULATED)):
-        given: Measurements | Film
-        if kind == "points":
-            given = read_measurements(Path(what), job.arm, frame=frame)
-        else:
-            from rejoint.camera.film import read_folder
+    about: dict[str, Any] = {"run": job, "settings": settings}
+    if kind == "points":
+        about["gauge"] = read_measurements(Path(what), job.arm, frame=frame)
+    elif kind == "camera" and what and not (what.isdecimal() or what == EMULATED):
+        from rejoint.camera.film import read_folder
 
-            given = read_folder(what, job.arm, means.pattern(), means.carried)
-        found = call.do(rejoint.calibrate, run=job, gauge=given, settings=settings)
+        about["gauge"] = read_folder(what, job.arm, means.pattern(), means.carried)
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
@@ -88,8 +85,8 @@ def calibrate(
         )
         if scouts:
             call.message(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
-        about = {"gauge": gauge, "count": count, "visits": visits, "settings": settings}
-        found = call.do(rejoint.calibrate, robot, run=job, **about)
+        about |= {"robot": robot, "gauge": gauge, "count": count, "visits": visits}
+    found = call.do(rejoint.calibrate, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
     own, wear = found.calibration, found.preload

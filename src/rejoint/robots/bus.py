@@ -192,16 +192,16 @@ class Link:
             raise AddressError(str(error)) from error
         try:
             asked(lambda: self._bus.prepare(self._bus.clock.now() + FIRST), self.address)
-        except _AGAIN as error:
+        except RobotError as error:
             self.close()
-            found = str(error).removeprefix(f"{self.address}: ")
-            raise AddressError(
-                f"something listens at {self.address}, but no {self._bus.name} answers ({found}); "
-                "is it switched on, and is no other client connected?"
-            ) from error
-        except RobotError as error:  # it answers, and is not to be driven as it is
-            self.close()
-            raise AddressError(f"{self.address}: {error}") from error
+            why = f"{self.address}: {error}"  # it answers, and is not to be driven as it is
+            if isinstance(error, _AGAIN):
+                why = (
+                    f"something listens at {self.address}, but no {self._bus.name} answers "
+                    f"({str(error).removeprefix(f'{self.address}: ')}); is it switched on, and is no other client "
+                    "connected?"
+                )
+            raise AddressError(why) from error
 
     def ask(self, question: Callable[[], T]) -> T:
         """Ask a repeatable ``question``.

@@ -50,11 +50,11 @@ def judge(position: Array, arm: Arm) -> None:
         raise ImpossibleReplyError(f"the servos of {names} cannot be read")
     outside = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
     if outside.any():
-        j = int(np.argmax(outside))
-        angle, low, high = np.degrees([position[j], arm.lower[j], arm.upper[j]])
+        j = np.argmax(outside)
         raise ImpossibleReplyError(
-            f"{arm.joint_names[j]} reads {angle:.1f} deg, outside the arm's range of {low:.0f} to {high:.0f} deg by "
-            f"more than {np.degrees(RANGE_MARGIN):.0f}: it fell or was pushed there, or its zero or the answer is wrong"
+            f"{arm.joint_names[j]} reads {np.degrees(position[j]):.1f} deg, outside the arm's range of "
+            f"{np.degrees(arm.lower[j]):.0f} to {np.degrees(arm.upper[j]):.0f} deg by more than "
+            f"{np.degrees(RANGE_MARGIN):.0f}: it fell or was pushed there, or its zero or the answer is wrong"
         )
 
 
@@ -81,13 +81,13 @@ class Continuity:
         (earlier, first), (then, before) = self._accepted[0], self._accepted[-1]
         gone, elapsed = np.abs(position - before), time - then
         jumped, sudden = gone > self._reach(elapsed), gone > self._reach(min(elapsed, SURE))
-        agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
+        agreed = self._candidate is not None and (np.abs(position - self._candidate) <= JUMP_SLACK).all()
         self._doubted = time if jumped.any() else None
         if jumped.any() and len(self._accepted) > 1:  # two answers are sure
-            agreed = agreed and bool((np.abs(position - first) <= self._reach(time - earlier)).all())
+            agreed = agreed and (np.abs(position - first) <= self._reach(time - earlier)).all()
         if sudden.any() and not agreed:
             self._candidate = position
-            i = int(np.argmax(jumped if jumped.any() else sudden))
+            i = np.argmax(jumped if jumped.any() else sudden)
             says = "cannot have jumped" if jumped.any() else "is said, once, to have gone"
             raise ImpossibleReplyError(
                 f"joint {i + 1} {says} from {np.degrees(before[i]):.1f} to {np.degrees(position[i]):.1f} deg in "
@@ -171,13 +171,12 @@ class BusRobot:
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
         self._questions, self._known = list(bus.vitals()), Vitals()
-        # when [s] the next of the questions is due, and what one costs [s]
-        self._due = self._cost = 0.0
+        # when [s] the next of the questions is due, and what one of them and a reading cost [s]
+        self._due = self._cost = self._read_cost = 0.0
         self._command: Array | None = None
         self._state: JointState | None = None
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
         self._left: tuple[float, Array, Array] | None = None
-        self._read_cost: float | None = None
 
     def read(self) -> JointState:
         """Ask for the joint positions; RobotError."""
@@ -205,7 +204,7 @@ class BusRobot:
             raise InputError(
                 f"expected finite joint positions of shape (1, {self.arm.joints}), got {np.shape(command)}"
             )
-        last = self._state if self._state is not None else self.read()
+        last = self._state or self.read()
         if active is not None and not active[0]:
             return last
         period = self._rng.uniform(*self._period)
@@ -219,7 +218,7 @@ class BusRobot:
                 self.bus.send(goal.copy())  # a bus may reckon in place, and may be asked again
 
         self._link.ask(send)
-        ask_at = due - (self._read_cost or 0.0)
+        ask_at = due - self._read_cost
         if self._questions and (ask_at - self._clock.now() > _SPARE * self._cost or self._clock.now() >= self._due):
             self._ask_next()
         self._clock.wait(ask_at - self._clock.now())
@@ -261,7 +260,7 @@ class BusRobot:
         self._questions.append(question)
         self._take(self._link.ask(lambda: believed(question, self.arm.joints)))
         now = self._clock.now()
-        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
+        self._cost = _mean(self._cost, now - began)
         self._due = now + INTERVAL
 
     def _take(self, found: Vitals) -> None:
@@ -282,9 +281,13 @@ class BusRobot:
         now = self._clock.now()
         judge(reading.position, self.arm)
         self._continuity.check(now, reading.position)
-        cost = min(now - began, self._period[0])
-        self._read_cost = cost if self._read_cost is None else (1 - _SMOOTHING) * self._read_cost + _SMOOTHING * cost
+        self._read_cost = _mean(self._read_cost, min(now - began, self._period[0]))
         return now, reading
+
+
+def _mean(before: float, newest: float) -> float:
+    """Take the newest value into a running mean; 0: it begins."""
+    return before + (_SMOOTHING if before else 1.0) * (newest - before)
 
 
 def _batch(values: NDArray[Any] | None) -> NDArray[Any] | None:

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 from rejoint.arms import Arm
@@ -113,8 +113,7 @@ PORT, BAUD = 9000, 1_000_000
 _HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
 
 
-@dataclass(frozen=True, kw_only=True)
-class TcpAddress:
+class TcpAddress(NamedTuple):
     """A server for the robot, or an emulator."""
 
     text: str
@@ -131,8 +130,7 @@ class TcpAddress:
         return f"{_HERE.get(self.host, self.host)}:{self.port}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class SerialAddress:
+class SerialAddress(NamedTuple):
     """A serial port, or an emulator's pseudo-terminal."""
 
     text: str

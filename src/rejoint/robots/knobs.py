@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -200,9 +200,10 @@ class TunedServos(ABC):
                 self.relieve(joint)
                 load, heat = self._strain(joint)
             if load > HEAVIEST or heat > hottest:
-                said = f"{self.names[joint]} does not bear {name}={value}"
                 raise OverloadedError(
-                    f"{said}: load {100 * load:.0f} %, {heat:.0f} deg C; the gains are as before", joint
+                    f"{self.names[joint]} does not bear {name}={value}: load {100 * load:.0f} %, {heat:.0f} deg C; the "
+                    "gains are as before",
+                    joint,
                 )
 
     def _strain(self, joint: int) -> tuple[float, float]:
@@ -274,7 +275,7 @@ class ServoAddress:
         else:
             wire = tcp_address(plain)
         return cls(
-            wire=replace(wire, text=text),
+            wire=wire._replace(text=text),
             gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),
             **{name: read(given[name]) for name, read in cls.options.items() if name in given},
         )

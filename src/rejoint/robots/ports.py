@@ -71,11 +71,11 @@ def refused(device: str) -> str | None:
     return None if os.access(device, os.R_OK | os.W_OK) else why_closed(PermissionError(errno.EACCES, ""), device)
 
 
-def arm_at(device: str) -> tuple[str, str] | None:
-    """Return name and address of the arm that answers at a serial port, or None."""
+def arm_at(device: str) -> str | None:
+    """Return the address of the arm that answers at a serial port, or None."""
     wire = SerialAddress(text=device, device=device, baud=0)
     heard = answering(wire)
-    return None if heard is None else (heard[0].name.strip(","), address_at(wire, *heard))
+    return None if heard is None else address_at(wire, *heard)
 
 
 def answering(wire: Wire) -> tuple[Kind, int] | None:

@@ -79,7 +79,9 @@ _KNOWN = {family.scheme: family for family in FAMILIES}  # and those of other pa
 def place_of(text: str) -> Place[Any]:
     """Read a robot's address; AddressError with the forms."""
     scheme, colon, _ = (text := str(text)).partition(":")
-    family = _family(scheme) if colon else None
+    if colon and scheme not in _KNOWN and (points := tuple(entry_points(group=GROUP, name=scheme))):
+        _KNOWN[scheme] = _load(points[0])
+    family = _KNOWN.get(scheme) if colon else None
     if family is None:
         meant = ((words, re.fullmatch(form, text)) for form, words in _MEANT.items())
         hints = [words.format(*found.groups()) for words, found in meant if found][:1]
@@ -133,19 +135,14 @@ def driver_of(error: BaseException) -> str | None:
     return None
 
 
-def _family(scheme: str) -> Family[Any] | None:
-    if scheme not in _KNOWN and (points := tuple(entry_points(group=GROUP, name=scheme))):
-        _KNOWN[scheme] = _load(points[0])
-    return _KNOWN.get(scheme)
-
-
 def _load(point: EntryPoint) -> Family[Any]:
     who = f"{_package(point)} (entry point {point.name} = {point.value})"
     try:
         family = point.load()
     except Exception as error:  # whatever another package does wrong is named as its own
-        why = f"{type(error).__name__}: {first_line(error)}"
-        raise AddressError(f"{who} cannot be imported ({why}); update or remove it") from error
+        raise AddressError(
+            f"{who} cannot be imported ({type(error).__name__}: {first_line(error)}); update or remove it"
+        ) from error
     if not isinstance(family, Family) or family.scheme != point.name:
         found = f"the family of {family.scheme}:" if isinstance(family, Family) else f"a {type(family).__name__}"
         raise AddressError(f"{who} is refused: expected a Family of the scheme {point.name}, found {found}")

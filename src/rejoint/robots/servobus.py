@@ -264,8 +264,10 @@ class ServoBus(TunedServos, Bus):
                 f"{self.place}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
             )
         if missing:
-            names = listed(map(self.call, missing))
-            raise kind(f"{names} is missing on the bus; check its cable, its ID and its baud rate{others}")
+            raise kind(
+                f"{listed(map(self.call, missing))} is missing on the bus; check its cable, its ID and its baud rate"
+                f"{others}"
+            )
 
     # --- the memory of gains ----------------------------------------------------------------
 
@@ -363,7 +365,7 @@ class MotorRanges(NamedTuple):
     def require(self, arm: Arm, homing: Counts) -> None:
         """Raise RobotError unless the servos of ``arm`` have these offsets (n,)."""
         if (self.homing != homing).any():
-            j = int(np.argmax(self.homing != homing))
+            j = np.argmax(self.homing != homing)
             raise RobotError(
                 f"the calibration file is not that of this arm: {arm.joint_names[j]} has a homing offset of "
                 f"{homing[j]} counts in its servo and {self.homing[j]} in the file; give the arm's own file, or run "

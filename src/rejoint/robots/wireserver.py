@@ -267,8 +267,7 @@ class TerminalServer(Server):
 
     def __init__(self, session: Conversation[Any]) -> None:
         self._own, client = pty.openpty()
-        address = f"{session.scheme.replace('tcp', 'serial')}://{os.ttyname(client)}?baud=1000000"
-        super().__init__(session, address)
+        super().__init__(session, f"{session.scheme.replace('tcp', 'serial')}://{os.ttyname(client)}?baud=1000000")
         os.set_blocking(self._own, False)
         tty.setraw(client)
         os.close(client)

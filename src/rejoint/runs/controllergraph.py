@@ -74,7 +74,7 @@ def _scripted(function: Callable[..., Any]) -> Any:  # noqa: ANN401
 @_scripted
 def _pose(arm: list[Tensor], q: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Joint axes, origins [m], centres of mass [m] (n, 3) each, TCP (3,) [m], Jacobian transposed (n, 3)."""
-    still, sine, cosine, axis, com, tip = arm[0], arm[1], arm[2], arm[3], arm[4], arm[5]
+    still, sine, cosine, axis, com, tip = arm[:6]
     frame, index = torch.eye(4, dtype=torch.float64)[:3], torch.arange(q.shape[0])
     frames = torch.zeros((q.shape[0], 3, 4), dtype=torch.float64)
     for j in range(q.shape[0]):
@@ -106,7 +106,7 @@ def _search(
 ) -> Tensor:
     """Posture (n,) [rad] of a ``target`` (3,) [m] after ``rounds`` from ``q``."""
     tolerance, most_damping, rest_gain, most_step = settings
-    rest, lower, upper = arm[6], arm[7], arm[8]
+    rest, lower, upper = arm[6:]
     q = torch.clamp(q, lower, upper)
     count, left = 0, int(rounds)
     while count < left:

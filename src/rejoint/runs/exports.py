@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -179,8 +178,10 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
         if (unit := _unit(run)) is not run.arm:
             corrected = "This unit: the corrections are in the joint origins."
             write_urdf(place / "urdf" / f"{run.arm.name}.urdf", unit, corrected)
-    described = f"{path.with_suffix('.yaml').name} describes it"
-    return place, f"Controller: {name} ({why}). What is written is the {design.name}; {described}. {notice}"
+    return place, (
+        f"Controller: {name} ({why}). What is written is the {design.name}; {path.with_suffix('.yaml').name} describes "
+        f"it. {notice}"
+    )
 
 
 ROS2 = "export/ros2/"
@@ -194,8 +195,7 @@ OUTSIDE = (
 """Warning to the user of the file"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
+class Design(NamedTuple):
     """Content of a controller's graph."""
 
     arm: Arm
@@ -203,7 +203,7 @@ class Design:
     """with the anchor ``goal``"""
     network: bytes | None
     """the policy's ONNX file; None: the law alone, the feed-forward controller"""
-    name: str = "policy"
+    name: str
     periods: tuple[float, float] = (0.018, 0.055)
     """[s] shortest and longest control period"""
     gains: str = ""
@@ -237,17 +237,16 @@ def design_of(run: Run, best: str) -> Design:
     written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
     if written == name or best == SHELF:
         return design
-    return replace(design, instead=f"{best} cannot be written so; this is the {name} of the run instead.")
+    return design._replace(instead=f"{best} cannot be written so; this is the {name} of the run instead.")
 
 
 def metadata(design: Design, notice: str) -> dict[str, str]:
     """Metadata: a description, with a ``notice`` to the user."""
-    low, high = design.periods
     return {
         "joint_names": ",".join(design.arm.joint_names),
         "rejoint.controller": design.name,
         "rejoint.arm": design.arm.name,
-        "rejoint.period_s": f"{low:g},{high:g}",
+        "rejoint.period_s": "{:g},{:g}".format(*design.periods),
         "rejoint.memory_use": (
             "zeros begin again; where a command was limited on its way, write what was sent into the first "
             f"{design.arm.joints} entries of state_out before it goes back as state_in"
@@ -291,8 +290,8 @@ def mjcf_text(arm: Arm, twin: Twin) -> str:
 
 def isaaclab_text(arm: Arm, twin: Twin) -> str:
     """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
-    about = {"arm": arm, "p": twin.parameters, "missing": _missing(arm, twin)}
-    return render("export/isaaclab.py.txt", by_joint=_by_joint, **about) + "\n"
+    missing = _missing(arm, twin)
+    return render("export/isaaclab.py.txt", by_joint=_by_joint, arm=arm, p=twin.parameters, missing=missing) + "\n"
 
 
 def _by_joint(arm: Arm, values: Any) -> dict[str, float]:  # noqa: ANN401

@@ -42,8 +42,8 @@ def failure_of(error: BaseException) -> Failure:
         return Failure(text, "OSError", UNUSABLE)
     from rejoint.robots.registry import driver_of  # late: this module may be what is broken
 
-    whose, what = driver_of(error) or "rejoint itself", f"{type(error).__name__}: {first_line(error)}"
-    return Failure(f"a bug in {whose}: {what}", "InternalError", BUG, "".join(traceback.format_exception(error)))
+    text = f"a bug in {driver_of(error) or 'rejoint itself'}: {type(error).__name__}: {first_line(error)}"
+    return Failure(text, "InternalError", BUG, "".join(traceback.format_exception(error)))
 
 
 def kept(failure: Failure) -> Failure:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -39,8 +40,7 @@ MOVED, SET_UP = "moved", "set up"
 """Reasons of a new baseline: a move, or another description"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Past:
+class Past(NamedTuple):
     """History of an arm since its baseline began."""
 
     visits: tuple[PastCheck, ...]
@@ -61,8 +61,14 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
     due = found.due
-    arm = replace(rows[0], state=found.state, cause=cause_of(found), line=line)
-    arm = replace(arm, tolerance_mm=found.tolerance_mm, controlled_mm=found.controlled_mm)
+    arm = replace(
+        rows[0],
+        state=found.state,
+        cause=cause_of(found),
+        line=line,
+        tolerance_mm=found.tolerance_mm,
+        controlled_mm=found.controlled_mm,
+    )
     if due is not None:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     states = {one.joint: one.state for one in reversed(found.changes)}  # the worst of each joint
@@ -167,8 +173,7 @@ REPAIR, REPAIRED = "repair", "repaired"
 _ORDER = ("alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ArmHistory:
+class ArmHistory(NamedTuple):
     """All rows of one arm."""
 
     name: str
@@ -233,7 +238,7 @@ def what_to_do(row: HistoryRow) -> str:
     """Last advice to the user."""
     if row.kind == REPAIR:
         return f"{command('check', row.robot)} --repeat 5"
-    return row.line.rpartition("Do: ")[2] if "Do: " in row.line else ""
+    return row.line.partition("Do: ")[2]
 
 
 def _span(early: datetime | None, late: datetime | None) -> str:

@@ -86,7 +86,7 @@ class Run(Readable):
             return run
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
-        created = datetime.now().isoformat(timespec="seconds")
+        created = f"{datetime.now():%Y-%m-%dT%H:%M:%S}"
         info = RunInfo(
             robot=robot, arm=arm.name, seed=as_seed(seed), version=__version__, created=created, format=FORMAT
         )
@@ -218,7 +218,7 @@ def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
 def mark_quick(run: Run, *, quick: bool) -> None:
     """Mark a quick stage: the folder's results are not valid."""
     if quick:
-        write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
+        write_json(run.folder.quick, {"quick": f"{datetime.now():%Y-%m-%dT%H:%M:%S}"})
 
 
 def finish(run: Run) -> None:
@@ -228,7 +228,7 @@ def finish(run: Run) -> None:
         (folder.judgement,) if run.robot.startswith(LOGS) else (folder.diagnosis, folder.policy, folder.comparison)
     )
     if all(path.exists() for path in (folder.twin, *results)):
-        write_json(folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
+        write_json(folder.finished, {"finished": f"{datetime.now():%Y-%m-%dT%H:%M:%S}"})
 
 
 def remove_if_empty(run: Run) -> None:
@@ -288,21 +288,19 @@ class StageMotion:
             nonlocal before
             if command is None:
                 return
-            if before is not None:
-                self._count(robot, before, state, command)
-            before = state
+            last, before = before, state
+            if last is None:
+                return
+            if self.journal is None and self.path is not None:
+                if self.run is not None:
+                    self.run.begin()
+                self.journal = Journal(self.path, robot.arm, robot.address, self.stage)
+            self.moving += max(float(np.nan_to_num(state.time[0] - last.time[0])), 0.0)
+            self.travel += float(np.nansum(np.abs(state.position[0] - last.position[0])))
+            if self.journal is not None:
+                self.journal.append(last.time[0], last.position[0], command[0], *np.full((2, 3), np.nan))
 
         return WatchedRobot(robot, see) if robot.count == 1 else robot
-
-    def _count(self, robot: Robot, before: JointState, state: JointState, command: Array) -> None:
-        if self.journal is None and self.path is not None:
-            if self.run is not None:
-                self.run.begin()
-            self.journal = Journal(self.path, robot.arm, robot.address, self.stage)
-        self.moving += max(float(np.nan_to_num(state.time[0] - before.time[0])), 0.0)
-        self.travel += float(np.nansum(np.abs(state.position[0] - before.position[0])))
-        if self.journal is not None:
-            self.journal.append(before.time[0], before.position[0], command[0], *np.full((2, 3), np.nan))
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
+from typing import Any, TypeAlias, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ from rejoint.control.servogains import (
     stiffness_under,
 )
 from rejoint.control.start import Stance
+from rejoint.control.targets import in_mm
+from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
@@ -55,11 +57,8 @@ from rejoint.session.inputs import (
     laden,
 )
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
-
-if TYPE_CHECKING:
-    from rejoint.diagnosis.calibration.calibration import Calibration
-    from rejoint.twin.twin import Twin
-
+from rejoint.twin.parameters import Layout, back_emf, lifting_torque
+from rejoint.twin.twin import Twin
 
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
@@ -70,24 +69,20 @@ UNSEEN = 3.0
 
 
 def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
-    """Say for each of K ``points`` (K, 3) [m] which motor is too weak by a limit that the twin has seen; else empty."""
+    """Say at which of K ``points`` (K, 3) [m] a motor is too weak by a limit that the twin has seen."""
     start = np.broadcast_to(arm.rest, (len(points), arm.joints))
     limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(arm, twin).usable, np.inf)
     judged = (too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns))
-    return ["" if joint is None else why for joint, why in judged]
+    return [f"{in_mm(point)}: {why}" for point, (joint, why) in zip(points, judged, strict=True) if joint is not None]
 
 
 def _limits_seen(twin: Twin) -> NDArray[Any]:
     """Whether the motion that was fitted showed the torque limits (n,) of a twin."""
-    from rejoint.twin.parameters import Layout
-
     return twin.identified[Layout(len(twin.joint_names)).at("torque_limit")]
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:
     """Motors of a twin; unseen limits may be three times as high."""
-    from rejoint.twin.parameters import back_emf, lifting_torque
-
     own = twin.parameters
     limit = np.where(_limits_seen(twin), own.torque_limit, UNSEEN * own.torque_limit)
     late = float(own.delay) + 0.5 * NOMINAL_PERIOD
@@ -107,7 +102,7 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     least = 0.02 * np.abs(gravity_torque(arm, position)).max(initial=0.0)
     doubt = np.broadcast_to(np.maximum(own.coulomb, least) / np.sqrt(3.0), missing.shape)
     weight = np.where(free, 1.0 / doubt, 0.0)
-    total = float(((lever * weight) ** 2).sum())
+    total = ((lever * weight) ** 2).sum()
     if total <= 0.0:
         return None
     doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture

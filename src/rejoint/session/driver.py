@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.inertia import LoadedArm
+from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -37,11 +38,11 @@ from rejoint.control.robot import (
 )
 from rejoint.control.servogains import Rung, ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import Playback, begin, check_ready, move
-from rejoint.control.targets import in_mm
+from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
-from rejoint.robots import is_virtual, open_robot
+from rejoint.robots import open_robot
 from rejoint.runs.run import Run, dated, exclusive, staged
 from rejoint.session.context import (
     ControllerMaker,
@@ -67,6 +68,7 @@ from rejoint.session.inputs import (
     as_calibration,
     as_twin,
     equipped,
+    is_batchable,
     period_of,
     settled,
 )
@@ -75,12 +77,8 @@ from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:
-    from rejoint.arms.rotations import Orientation
-    from rejoint.diagnosis.calibration.calibration import Calibration
-    from rejoint.twin.twin import Twin
-
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.twin import Twin
 
 LogKind: TypeAlias = tuple[Robot, str, str]
 """Robot, name of the file before its date, and label of a log"""
@@ -205,7 +203,6 @@ class RehearsedRobot(WatchedRobot):
 
     def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
         """NotReadyError where the arm would not be moved either."""
-        from rejoint.twin.parameters import nominal_parameters
         from rejoint.twin.simulation import Draw, TwinRobot
 
         check_ready(robot)
@@ -236,18 +233,17 @@ class RehearsedRobot(WatchedRobot):
 
     def summary(self) -> str:
         """Say how far, how long and how close to limits it moved."""
-        arm, seconds = self.arm, float(self.read().time[0])
-        way = np.array(self._positions)
-        tool = float(np.linalg.norm(np.diff(tcp_position(arm, way), axis=0), axis=-1).sum())
+        arm, way = self.arm, np.array(self._positions)
+        tool = np.linalg.norm(np.diff(tcp_position(arm, way), axis=0), axis=-1).sum()
         turned = np.abs(np.diff(way, axis=0)).sum(axis=0)
-        most = int(turned.argmax())
+        most = turned.argmax()
         spare = np.minimum(way - arm.lower, arm.upper - way).min(axis=0)
-        near = int(spare.argmin())
-        clear = float(clear_by(GuardLimits.of(arm), way).min())
+        near = spare.argmin()
         return (
-            f"Dry run, nothing moved. The arm would move for {seconds:.0f} s: the tool by {1e3 * tool:.0f} mm, joints "
-            f"by up to {np.degrees(turned[most]):.0f} deg ({arm.joint_names[most]}). Closest to a limit: "
-            f"{arm.joint_names[near]}, {np.degrees(spare[near]):.0f} deg; to the floor or itself: {1e3 * clear:.0f} mm."
+            f"Dry run, nothing moved. The arm would move for {self.read().time[0]:.0f} s: the tool by "
+            f"{1e3 * tool:.0f} mm, joints by up to {np.degrees(turned[most]):.0f} deg ({arm.joint_names[most]}). "
+            f"Closest to a limit: {arm.joint_names[near]}, {np.degrees(spare[near]):.0f} deg; to the floor or itself: "
+            f"{1e3 * clear_by(GuardLimits.of(arm), way).min():.0f} mm."
         )
 
 
@@ -304,13 +300,13 @@ class GoalCheck:
         """See `rejoint.control.loop.Schedule`."""
         self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
         away = np.abs(position - (inputs.sent[0] if self.joints is None else self.joints))
-        worst = int(away.argmax())
+        worst = away.argmax()
         self._joint = f"{self.arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
         if self.joints is None:
             aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
-            error = float(np.linalg.norm(aim[0] - tcp_position(self.arm, position)))
-            turned = float(turned_off(self.arm, inputs)[0])
-            near = bool(inputs.arrived[0]) and error < self.within and not turned > self.within_turn
+            error = np.linalg.norm(aim[0] - tcp_position(self.arm, position))
+            turned = turned_off(self.arm, inputs)[0]
+            near = inputs.arrived[0] and error < self.within and not turned > self.within_turn
             self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
         else:
             near = away[worst] < self.within_turn
@@ -425,8 +421,8 @@ class ArmDriver:
     @cached_property
     def robot(self) -> Robot:
         """The open robot."""
-        robot = self.given
-        if robot is None:
+        robot = given = self.given
+        if robot is None or given is None:
             raise InputError("session: there is no robot to drive")
         if self.run is not None:
             require_space(self.run.path)
@@ -441,8 +437,7 @@ class ArmDriver:
             self._stack.enter_context(self._gains)
             self._limit(robot)
             pace, paced = self._pace, None if self._pace is None else False
-            virtual = self.rehearsal is not None or (isinstance(self.given, str) and is_virtual(self.address))
-            if pace is not None and virtual:
+            if pace is not None and (self.rehearsal is not None or is_batchable(given)):
                 robot = WallClock(robot, lambda: pace)
             return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
 
@@ -544,9 +539,7 @@ class ArmDriver:
         arm, twin = self.arm, self.twin
         if twin is None or not isinstance(arm, LoadedArm):
             return
-        points = targets.reshape(-1, 3)
-        judged = heavy(arm, twin, points, turns and turns.flat)
-        found = [f"{in_mm(point)}: {why}" for point, why in zip(points, judged, strict=True) if why]
+        found = heavy(arm, twin, targets.reshape(-1, 3), turns and turns.flat)
         if found:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
@@ -610,8 +603,17 @@ class ArmDriver:
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool] | None = None) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
-        about: dict[str, Any] = {"sent": self._sent, "limits": self.limits, "give_up": give_up}
-        self._seen_through(lambda see: move(self.robot, posture, settle=0.5, on_cycle=see, **about))
+        self._seen_through(
+            lambda see: move(
+                self.robot,
+                posture,
+                settle=0.5,
+                on_cycle=see,
+                sent=self._sent,
+                limits=self.limits,
+                give_up=give_up,
+            )
+        )
 
     def _see(self, cycle: Cycle, *watches: OnCycle) -> None:
         self._last = cycle

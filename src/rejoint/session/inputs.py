@@ -15,6 +15,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, Box, clearance, differing, load_
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
+from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, describe
 from rejoint.robots import place_of
@@ -22,14 +23,13 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
+from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
     from rejoint.arms.rotations import Orientation
     from rejoint.control.controllers.policy import Policy
     from rejoint.control.seeing import Eye
-    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-    from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
 """An arm, its catalogue name or its file"""
@@ -139,11 +139,7 @@ def source_of(logs: LogsLike) -> str:
 
 def as_twin(given: TwinLike) -> Twin:
     """Twin, or read it."""
-    if not isinstance(given, Path | str):
-        return given
-    from rejoint.twin.twin import read_twin
-
-    return read_twin(Path(given))
+    return read_twin(Path(given)) if isinstance(given, Path | str) else given
 
 
 def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
@@ -151,8 +147,6 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
 
     ContractError for another arm's.
     """
-    from rejoint.diagnosis.calibration.calibration import read_calibration
-
     if given is None:
         file = None if run is None else run.folder.calibration
         return None if file is None or not file.exists() else read_calibration(file, arm)

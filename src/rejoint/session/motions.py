@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,7 +39,7 @@ from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
 from rejoint.control.recording import Cycle, Observer, Recording, recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
-from rejoint.control.seeing import Eye, Finishing, Seen
+from rejoint.control.seeing import Eye, Finishing, Seen, simulated
 from rejoint.control.targets import require_reachable
 from rejoint.runs.run import Run
 from rejoint.session.context import correction_of
@@ -50,9 +50,7 @@ from rejoint.system.errors import LOGGER, InputError
 from rejoint.system.files import saving
 from rejoint.system.numbers import as_floats, as_seconds, as_within
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:
-    from rejoint.twin.twin import Twin
+from rejoint.twin.twin import Twin
 
 
 def deploy(
@@ -182,8 +180,6 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
     if given is None:
         yield None
     elif given == "emulated":
-        from rejoint.control.seeing import simulated
-
         yield simulated(robot).eye(seed)
     elif not isinstance(given, str):
         yield given if hasattr(given, "sighting") else given(robot)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from rejoint.arms import choose_postures, tcp_position
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
-from rejoint.control.reference import Reference, ToolAtGoals
-from rejoint.control.robot import ControlInput, Controller, Relaying, part_of
+from rejoint.control.reference import ToolAtGoals
+from rejoint.control.robot import ControlInput, Relaying, part_of
 from rejoint.robots.serving import Clients, OrderLog, ServedArm
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
@@ -24,9 +23,6 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.results import Readable
 from rejoint.system.shell import host_and_port, listen_tcp
 from rejoint.system.stopping import Interrupted, noted
-
-if TYPE_CHECKING:
-    import socket
 
 WIRE_JOINTS = 6
 """Joints of the only arm whose wire is spoken: a myCobot"""
@@ -125,7 +121,11 @@ def serve(
         log = OrderLog(path, say=say)
         stack.callback(log.close)
         session.begin("serve", "posture")
-        served, clients = _put_together(session, log, listener)
+        wire = part_of(session.robot, Relaying)
+        choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
+        served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
+        clients = Clients(served, log, None if wire is None else wire.relay, say, listener)
+        served.on_arrival = clients.arrived
         server = clients.server()
         session.beside.append(clients.relay)
         log.write("begin", address=server.address, robot=session.address)
@@ -141,16 +141,6 @@ def serve(
         return Serving(address=server.address, orders=log.orders, log=str(path))
 
 
-def _put_together(session: ArmSession, log: OrderLog, listener: socket.socket | None) -> tuple[ServedArm, Clients]:
-    arm, say = session.arm, session.observer.message
-    wire = part_of(session.robot, Relaying)
-    choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
-    served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
-    clients = Clients(served, log, None if wire is None else wire.relay, say, listener)
-    served.on_arrival = clients.arrived
-    return served, clients
-
-
 def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:
 
     def watch(cycle: Cycle) -> None:
@@ -161,11 +151,9 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
         rests = lasted > PIECE and not served.moving
         return rests or lasted > LONGEST_PIECE or over()
 
-    reference: Reference = served
-    if session.settings.controller is None:
-        controller: Controller = session.posture_controller()
-    else:
-        controller, reference = session.driver()[1], ToolAtGoals(session.arm, served)
+    asked = session.settings.controller is not None
+    controller = session.driver()[1] if asked else session.posture_controller()
+    reference = ToolAtGoals(session.arm, served) if asked else served
     while not over():
         before, moving, began = log.orders, served.moving, session.robot.read().time[0]
         session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), reference, watch)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from math import radians
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -40,11 +41,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
+WITHIN, WITHIN_TURN = 0.002, radians(1.0)
 """[m] and [rad] within which poses are reached (chosen)"""
-WITHIN_JOINT = float(np.radians(0.5))
+WITHIN_JOINT = radians(0.5)
 """[rad] within which joint positions are reached (chosen)"""
-EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=float(np.radians(19.5)))
+EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=radians(19.5))
 """Joint positions without a place: every joint is brought close (measured)"""
 TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
@@ -179,8 +180,11 @@ class ArmSession(ArmDriver):
         found = choose_postures(self.arm, targets, start, turn=turns, motors=self.motors, chained=True)
         for k, why in enumerate(found.refusals):
             if why:
-                number, near = f" {k + 1}" if len(targets) > 1 else "", in_mm(found.nearest[k])
-                raise InputError(f"target{number} {in_mm(targets[k])}: {why}; the nearest place that works is {near}")
+                number = f" {k + 1}" if len(targets) > 1 else ""
+                raise InputError(
+                    f"target{number} {in_mm(targets[k])}: {why}; the nearest place that works is "
+                    f"{in_mm(found.nearest[k])}"
+                )
         return with_ways(self.arm, found.q, start, motors=self.motors)
 
     def move_joints(
@@ -193,11 +197,10 @@ class ArmSession(ArmDriver):
         goal = self._joints("move_joints", joints_rad)
         beyond = np.maximum(self.arm.lower - goal, goal - self.arm.upper)
         if beyond.max() > 0.0:
-            j = int(beyond.argmax())
-            low, at, high = np.degrees([self.arm.lower[j], goal[j], self.arm.upper[j]])
+            j = beyond.argmax()
             raise InputError(
-                f"move_joints: {self.arm.joint_names[j]} at {at:.0f} deg is outside its limits of {low:.0f} to "
-                f"{high:.0f} deg"
+                f"move_joints: {self.arm.joint_names[j]} at {np.degrees(goal[j]):.0f} deg is outside its limits of "
+                f"{np.degrees(self.arm.lower[j]):.0f} to {np.degrees(self.arm.upper[j]):.0f} deg"
             )
         within, timeout = as_positive("move_joints", within_rad, ANGLE), as_seconds("move_joints", timeout_s)
         self._require_free()
@@ -337,8 +340,23 @@ class ArmSession(ArmDriver):
                 self._seen = cycle_at_rest(self.robot.read(), self.robot.true_tcp(), self._sent)
                 for see in self.watching:
                     see(self._seen)
-            newest = self._last if moving and self._last is not None else self._seen
-            return self._state(newest, moving=moving)
+            sent, target, error, turned = self._last, None, None, None
+            newest = sent if moving and sent is not None else self._seen
+            joints = newest.position[0]
+            if sent is not None:
+                if np.isfinite(off := sent.aim[0] - tcp_position(self.arm, joints)).all():
+                    target, error = sent.target[0].copy(), float(np.linalg.norm(off))
+                if np.isfinite(sent.turned[0]):
+                    turned = float(sent.turned[0])
+            return ArmState(
+                time_s=float(newest.time[0]),
+                joints_rad=joints.copy(),
+                tool_m=self.apparent.tool(joints),
+                moving=moving,
+                target_m=target,
+                error_m=error,
+                turned_rad=turned,
+            )
 
     @contextmanager
     def recording(self, name: str = "record") -> Iterator[RunRecorder]:
@@ -492,21 +510,3 @@ class ArmSession(ArmDriver):
             self._motion = None  # else an interruption at the end would leave it for the next motion to raise
         motion.result()
         return self.state
-
-    def _state(self, newest: Cycle, *, moving: bool) -> ArmState:
-        joints, sent = newest.position[0], self._last
-        target, error, turned = None, None, None
-        if sent is not None:
-            if np.isfinite(off := sent.aim[0] - tcp_position(self.arm, joints)).all():
-                target, error = sent.target[0].copy(), float(np.linalg.norm(off))
-            if np.isfinite(sent.turned[0]):
-                turned = float(sent.turned[0])
-        return ArmState(
-            time_s=float(newest.time[0]),
-            joints_rad=joints.copy(),
-            tool_m=self.apparent.tool(joints),
-            moving=moving,
-            target_m=target,
-            error_m=error,
-            turned_rad=turned,
-        )

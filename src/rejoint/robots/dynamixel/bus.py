@@ -67,8 +67,9 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         """Write registers; ValueError where the servo refuses."""
         error = super().write(servo, address, data) & ~ALERT
         if error:
-            why = REFUSED.get(error, f"error {error}")
-            raise ValueError(f"servo {servo} refused {list(data)} for register {address}: {why}")
+            raise ValueError(
+                f"servo {servo} refused {list(data)} for register {address}: {REFUSED.get(error, f'error {error}')}"
+            )
         return error
 
     def reboot(self, servo: int) -> None:
@@ -161,10 +162,10 @@ class DynamixelBus(ServoBus):
         if servo in self.wire.alerts and self.address.reboot and not self._was_ready:
             self._restart(servo)
         if servo in self.wire.alerts and not self._was_ready:
-            errors = trouble(KIND.faults, self.get(servo, "error"))
             raise RobotError(
-                f"{self.call(servo)} has switched itself off ({errors}); find out why, let it cool down, support the "
-                "arm, then say reboot=yes in the address, or switch the power off and on"
+                f"{self.call(servo)} has switched itself off ({trouble(KIND.faults, self.get(servo, 'error'))}); find "
+                "out why, let it cool down, support the arm, then say reboot=yes in the address, or switch the power "
+                "off and on"
             )
         mode, homing = self.get(servo, "mode"), self.get(servo, "homing")
         if mode not in MODES:
@@ -196,7 +197,7 @@ class DynamixelBus(ServoBus):
         middle += COUNTS_PER_TURN * np.round((place - middle) / COUNTS_PER_TURN)
         apart = place - middle - (place - middle)[lead][self.joint]
         if (np.abs(apart) > APART).any():
-            at = int(np.argmax(np.abs(apart)))
+            at = np.argmax(np.abs(apart))
             raise RobotError(
                 f"{self.call(self.ids[at])} stands {apart[at]:.0f} counts from the other servo of its joint, and would "
                 f"pull against it: set its homing offset (register {TABLE['homing'].address}) and its drive mode"
@@ -222,8 +223,7 @@ class DynamixelBus(ServoBus):
         wire.quieten(0.0 if wire.fast else QUIET)
         self._before = self._before or self.read_gains()
         self._care()
-        self._first_volts = self._volts if self._first_volts is None else self._first_volts
-        slow = DELAY_UNIT * int(self.get_all("delay").max())
+        slow = DELAY_UNIT * self.get_all("delay").max()
         if slow > PROMPT:
             say(f"A servo waits {slow} us before it answers; register {TABLE['delay'].address} set to 0 would end that")
         held = _latency(self.place.device) if isinstance(self.place, SerialAddress) else 1
@@ -288,8 +288,9 @@ class DynamixelBus(ServoBus):
         """Ask for supply and temperature."""
         volts, heats = self.ask_all("voltage", "heat")
         self._volts = VOLT * volts
-        before = self._volts if self._first_volts is None else self._first_volts
-        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, before, strict=True)]
+        if self._first_volts is None:
+            self._first_volts = self._volts
+        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, self._first_volts, strict=True)]
         return Vitals(temperature=np.maximum.reduceat(heats, self.leads))
 
     def _named(self, words: list[str]) -> list[str]:

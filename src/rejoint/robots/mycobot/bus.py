@@ -41,9 +41,8 @@ common.print = lambda *_: None  # standard output belongs to the user's program
 common.locale = SimpleNamespace(getdefaultlocale=locale.getlocale)  # the same, without a deprecation at each question
 common.time = SimpleNamespace(time=time.monotonic, sleep=time.sleep)  # all that it uses of it
 
-LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
-"""of the clients"""
-HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_max"])
+_LIMITS: dict[str, list[float]] = RobotLimit.robot_limit["MyCobot280"]
+LOWEST_DEG, HIGHEST_DEG = _LIMITS["angles_min"], _LIMITS["angles_max"]
 """of the clients"""
 
 

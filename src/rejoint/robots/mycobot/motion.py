@@ -6,6 +6,7 @@ A *ramp* moves every joint at the set speed; a *path* has limited acceleration a
 from __future__ import annotations
 
 from collections import deque
+from math import ceil, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -13,21 +14,21 @@ import numpy as np
 from rejoint.arms import Arm, Array, Mask, solve_position, tcp_pose
 from rejoint.arms.rotations import Orientation, difference, moved, tool_axis
 
-FULL_SPEED = float(np.radians(120.0))
+FULL_SPEED = radians(120.0)
 """[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
-ACCELERATION = float(np.radians(200.0))
+ACCELERATION = radians(200.0)
 """[rad/s^2] (vendor's communication protocol page)"""
 CARTESIAN_SPEED = 0.1
 """[m/s] on a line (vendor's protocol page)"""
-TURN_SPEED = np.radians(40.0)
+TURN_SPEED = radians(40.0)
 """[rad/s] on a line (same page)"""
 
 _TOLERANCE = 2e-4
 """[m, rad] (chosen)"""
 _STEP = 0.005
 """[m] between waypoints (chosen)"""
-_TURN_STEP = np.radians(2.0)
-_MAX_JUMP = np.radians(20.0)
+_TURN_STEP = radians(2.0)
+_MAX_JUMP = radians(20.0)
 """[rad] of another branch"""
 _STARTS = 24
 """Random start postures (chosen)"""
@@ -70,7 +71,7 @@ def line_path(arm: Arm, start: Array, pose: Array) -> tuple[TimedPath, bool]:
     here = tcp_pose(arm, start)
     change = difference(pose, here)
     length, angle = np.linalg.norm(change.reshape(2, 3), axis=1)
-    count = max(1, int(np.ceil(max(length / _STEP, angle / _TURN_STEP))))
+    count = max(1, ceil(length / _STEP), ceil(angle / _TURN_STEP))
     slowest = max(length / CARTESIAN_SPEED, angle / TURN_SPEED) / count
     points, times = [start], [0.0]
     for via in moved(here, np.arange(1, count + 1)[:, None] / count * change):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from rejoint.arms import Arm, Array, Mask, tcp_pose
 from rejoint.arms.rotations import difference, moved, to_coords, to_pose
 from rejoint.robots.mycobot.motion import FULL_SPEED, Motion, TimedPath, joint_path, line_path, solve_pose
 from rejoint.robots.wireserver import Format
-from rejoint.system.files import Table, read_shipped
+from rejoint.system.files import read_shipped
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -74,11 +73,6 @@ def pack_encoders(angles: Array, step: float) -> bytes:
     return pack_int16(ENCODER_ZERO + np.round(angles / step))
 
 
-def encoder_angle(count: float | Array, step: float) -> Array:
-    """Joint angle [rad] of an encoder count."""
-    return np.subtract(count, ENCODER_ZERO) * step
-
-
 HEADER = b"\xfe\xfe"
 FOOTER = 0xFA
 MAX_PAYLOAD = 28
@@ -88,8 +82,7 @@ _OVERHEAD = 2
 """[bytes] command id and footer in LEN"""
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """One command or reply of at most `MAX_PAYLOAD` bytes."""
 
     command: int
@@ -410,19 +403,17 @@ def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN40
             return min(max(data[0], 1), 100) / 100.0
         case "j":
             return computer.joint_index(data[0])
+        case "a" | "A":
+            found = unpack_angles(data)
+        case "e" | "E":
+            found = (unpack_int16(data) - ENCODER_ZERO) * computer.arm.encoder_step
         case "w":
-            return unpack_int16(data)[0]
-        case "a":
-            return unpack_angles(data)[0]
-        case "A":
-            return unpack_angles(data)
-        case "e":
-            return encoder_angle(unpack_int16(data)[0], computer.arm.encoder_step)
-        case "E":
-            return encoder_angle(unpack_int16(data), computer.arm.encoder_step)
+            found = unpack_int16(data)
         case "P":
             return to_pose(unpack_coords(data))
-    return data
+        case _:
+            return data
+    return found if part.isupper() else found[0]
 
 
 def write_answer(computer: Computer, kind: str, value: Any) -> bytes:  # noqa: ANN401
@@ -462,13 +453,9 @@ class Row(NamedTuple):
     argument: bool | int | None = None
 
 
-class _Commands(Table):
-    rows: tuple[Row, ...]
-
-
 ROWS = {
     (row.command, sum(SIZES[part] for part in row.parts)): row
-    for row in read_shipped(__file__, "commands.toml", _Commands).rows
+    for row in read_shipped(__file__, "commands.toml", dict[str, tuple[Row, ...]])["rows"]
 }
 """By command and length of the payload [bytes]"""
 COMMANDS = frozenset(row.command for row in ROWS.values() if row.answer == ORDER)

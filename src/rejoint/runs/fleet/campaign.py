@@ -8,7 +8,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
@@ -45,15 +45,14 @@ class FleetRules:
     now: Callable[[], datetime] = datetime.now
 
 
-@dataclass(frozen=True, kw_only=True)
-class Work:
+class Work(NamedTuple):
     """One step of one arm."""
 
     arm: FleetArm
     step: Step
     folder: Path
     """of all runs and checks, or the run"""
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any]
     """of `repair`"""
 
     @property
@@ -67,8 +66,7 @@ class Work:
         return self.moves and not self.arm.virtual
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorkOutcome:
+class WorkOutcome(NamedTuple):
     """End of a task; its findings are in files."""
 
     seconds: float = 0.0
@@ -85,7 +83,7 @@ HELD = "held, as it was asked to stop"
 
 def do_work(work: Work) -> WorkOutcome:
     """Do one task; errors are in the outcome."""
-    begun, arm, problem, code, trace = time.monotonic(), work.arm, "", 0, ""
+    begun, arm, outcome = time.monotonic(), work.arm, WorkOutcome()
     try:
         if work.step == "check":
             from rejoint.runs.stages.check import check
@@ -94,11 +92,11 @@ def do_work(work: Work) -> WorkOutcome:
         else:
             repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
     except Interrupted as error:
-        problem, code = HELD, error.exit_code
+        outcome = WorkOutcome(problem=HELD, code=error.exit_code)
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
-        failure = failure_of(error)
-        problem, code, trace = "; ".join((failure.text, *getattr(error, "__notes__", ()))), failure.code, failure.trace
-    return WorkOutcome(seconds=time.monotonic() - begun, problem=problem, code=code, trace=trace)
+        text, _, code, trace = failure_of(error)
+        outcome = WorkOutcome(problem="; ".join((text, *getattr(error, "__notes__", ()))), code=code, trace=trace)
+    return outcome._replace(seconds=time.monotonic() - begun)
 
 
 Verb: TypeAlias = Literal["check", "repair"]
@@ -353,8 +351,8 @@ class FleetRow:
     @property
     def cells(self) -> list[str]:
         """Row of the table `HEADERS`."""
-        seconds = sum(took for _, took in self.steps)
-        done = ", ".join(name for name, _ in self.steps) + (f" ({seconds:.0f} s)" if self.steps else "")
+        spent = f" ({sum(took for _, took in self.steps):.0f} s)" if self.steps else ""
+        done = ", ".join(name for name, _ in self.steps) + spent
         error = "" if self.error_mm is None else f"{self.error_mm:.1f}"
         return [self.name, self.state, error, done, self.todo]
 

@@ -6,10 +6,9 @@ import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,13 +34,12 @@ _MINUTE, _MONDAY = timedelta(minutes=1), datetime(2001, 1, 1)
 _DAY, _WEEK = 24 * 60, 7 * 24 * 60  # minutes
 
 
-@dataclass(frozen=True, kw_only=True)
-class Hours:
+class Hours(NamedTuple):
     """Hours at which an arm may move, by the local clock."""
 
-    spans: tuple[tuple[int, int], ...] = ()
+    spans: tuple[tuple[int, int], ...]
     """first minute of the week and number of minutes; (): always open"""
-    closed: tuple[tuple[int, int], ...] = ()
+    closed: tuple[tuple[int, int], ...]
     """first and last minute without motion, from `_MONDAY`"""
 
     def _open(self, now: datetime, minutes: int) -> Mask:
@@ -143,8 +141,7 @@ class FleetArm(_SharedTable, kw_only=True):
         return f"arm-{self.name}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fleet:
+class Fleet(NamedTuple):
     """All arms of a file."""
 
     path: Path

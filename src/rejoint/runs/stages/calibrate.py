@@ -66,15 +66,16 @@ def _measured(
             raise
     prior = None if session.fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
-    if file is not None and found is None:
-        set_aside(file)
-    elif file is not None and found is not None:
-        if (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
+    if file is not None:
+        if found is None:
+            set_aside(file)
+        elif (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
             raise InputError(
                 f"{file}: an interrupted session with another number of postures or sides, by something "
                 "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
             )
-        log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
+        else:
+            log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
     again = ["--fresh"] if session.fresh else []
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
     with kept(file, fresh=session.fresh, more=f", and this fits it: {fits}"):
@@ -207,7 +208,12 @@ def calibrate(
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
             with saving(result):
-                _write(about, result)
+                about.begin()
+                write_calibration(set_aside(about.folder.calibration), result.calibration)
+                # from then on nothing goes on from them
+                write_measurements(about.folder.measurements, about.arm, result.measurements)
+                if result.filmed is not None:
+                    result.filmed.write(about.folder)
         update(1.0, "fitted")
         return result
 
@@ -228,11 +234,3 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
     )
-
-
-def _write(run: Run, result: Calibrated) -> None:
-    run.begin()
-    write_calibration(set_aside(run.folder.calibration), result.calibration)
-    write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
-    if result.filmed is not None:
-        result.filmed.write(run.folder)

@@ -131,8 +131,8 @@ def check(
     >>> print(found.line)
     """
     said, chosen, home = notes or CheckNotes(), settings or Settings(), Path(history)
-    when = said.when
-    if when is not None and when.tzinfo is not None:
+    when = said.when or utc_now()
+    if when.tzinfo is not None:
         when = when.astimezone(UTC).replace(tzinfo=None)
     if tolerance_mm is not None:
         as_positive("check", tolerance_mm, "a tolerance in millimetres")
@@ -140,7 +140,7 @@ def check(
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, built = address_of(robot), arm_of(robot, arm)
     head = HistoryRow(
-        time=utc_now() if when is None else when,
+        time=when,
         kind="check",
         arm=name_of(address, built.name) if name is None else plain_name(name),
         robot=address,

@@ -11,7 +11,7 @@ from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from multiprocessing.connection import Connection, Pipe
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,16 +61,12 @@ from rejoint.system.progress import Progress
 from rejoint.system.results import Readable
 from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:
-    from rejoint.twin.twin import Twin
-
+from rejoint.twin.twin import Twin
 
 DEFAULT = DefaultController.name
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OpenLoopTrials:
+class OpenLoopTrials(NamedTuple):
     """Ten targets, each sent once."""
 
     targets: Array

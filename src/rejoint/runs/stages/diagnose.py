@@ -136,18 +136,13 @@ def diagnose(
             result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
             if session.run is not None:
                 with saving(result):
-                    _write(session.run, result, quick=quick)
+                    mark_quick(session.run.begin(), quick=quick)
+                    for name, log in (("targets", logs.targets), ("excitation", logs.excitation)):
+                        log.save(set_aside(session.run.folder.log(name)))
+                    write_json(set_aside(session.run.folder.diagnosis), found)
+                    summarise(session.run)
                 keep(session.run, session.settings)
         return result
-
-
-def _write(run: Run, result: Diagnosed, *, quick: bool) -> None:
-    run.begin()
-    mark_quick(run, quick=quick)
-    for name in ("targets", "excitation"):
-        getattr(result, name).save(set_aside(run.folder.log(name)))
-    write_json(set_aside(run.folder.diagnosis), result.diagnosis)
-    summarise(run)
 
 
 def _from_logs(

@@ -142,7 +142,10 @@ def identify(
             twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
         if about is not None:
             mark_quick(about.begin(), quick=quick)
-            _write(about, twin)
+            about.folder.judgement.unlink(missing_ok=True)
+            twin.save(about.folder.twin)
+            if twin.judgement is not None:
+                write_json(about.folder.judgement, twin.judgement)
         return twin
 
 
@@ -153,13 +156,6 @@ def _motions(run: Run) -> list[RunLog]:
         given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
         raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
     return [RunLog.load(one) for one in (path, targets) if one.exists()]
-
-
-def _write(run: Run, twin: Twin) -> None:
-    run.folder.judgement.unlink(missing_ok=True)
-    twin.save(run.folder.twin)
-    if twin.judgement is not None:
-        write_json(run.folder.judgement, twin.judgement)
 
 
 TWIN = "twin"
