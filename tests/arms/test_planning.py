@@ -161,13 +161,19 @@ def test_a_joint_that_holds_more_than_it_lifts_is_lightened_before_it_lifts():
     assert (driven > 0.55).sum() < 0.5 * (straight > 0.55).sum()
 
 
-def test_a_way_asks_no_joint_for_more_speed_than_its_motor_has_left():
+@pytest.mark.parametrize("by_lead", [False, True])
+def test_a_way_asks_no_joint_for_more_speed_than_its_motor_and_its_command_have_left(by_lead):
     arm, rng = mycobot280(), np.random.default_rng(5)
     free = comfortable_postures(arm)
     motors = Motors(np.full(6, 1.5), np.full(6, 1.2), back_emf=np.full(6, 0.8))
+    if by_lead:  # torques are no limit, but commands that may lead by 15 degrees do not ask for more
+        stiffness = motors.limit / np.radians(15.0)
+        asked = Motors(np.full(6, 9.0), motors.usable, damping=motors.back_emf, stiffness=stiffness)
+    else:
+        asked = motors
     slower = []
     for start, goal in free[rng.integers(len(free), size=(40, 2))]:
-        way, usual = plan(arm, start, goal, motors=motors), plan(arm, start, goal)
+        way, usual = plan(arm, start, goal, motors=asked), plan(arm, start, goal)
         time = np.linspace(0.0, way.duration, 200)
         torque, speed = gravity_torque(arm, way.at(time)), way.at(time, 1)
         left = motors.limit - np.where(torque * speed > 1e-9, np.abs(torque), 0.0).max(axis=0)

@@ -200,6 +200,17 @@ def test_a_joint_that_falls_ends_a_motion_that_watches_for_it():
     assert recording.tripped[0] == Reason.NOT_FOLLOWING
 
 
+def test_a_joint_that_follows_its_command_away_from_its_goal_does_not_fall():
+    state = state_of(REST[None])
+    watch, goal, none = Following(ARM, state, state.position), REST[None] + np.radians(40.0), np.zeros(1, dtype=bool)
+    for behind, falls in ((1.0, False), (8.0, True)):
+        for k in range(1, 60):
+            away = REST[None] - np.radians(1.0 * k) * (np.arange(6) == 1)
+            now = replace(state, time=np.full(1, 0.025 * k), position=away)
+            watch.check(now, away + np.radians(behind), none, goal)
+        assert watch.falling.any() == falls
+
+
 def swing(time):
     """Two joints to and fro, farther than a monitor of travel would allow."""
     wave = np.radians(14.0) * np.sin(2.0 * np.pi * time / 3.0)

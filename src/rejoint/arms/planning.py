@@ -261,7 +261,7 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
 def _limits(arm: Arm, way: Array, motors: Motors | None) -> Array:
     """Limits (3, n) of speed, acceleration and jerk on the way (k, n)."""
     fastest = _SPEED * arm.max_speed
-    acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
+    acceleration = np.minimum(fastest / RAMP, arm.servo_acceleration)
     if motors is not None:
         torque, lifted = _torques(arm, way[None], 4 * _PARTS)
         against = motors.coulomb + np.where(lifted, np.abs(torque), 0.0).max(axis=(0, 1, 2))
