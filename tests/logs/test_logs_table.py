@@ -1,5 +1,7 @@
 """Text with columns: units are read from names or options, never guessed."""
 
+import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -47,3 +49,13 @@ def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path: Path, unit
     names = {f"{g}.{j}_rad": f"{g}.{j}_{unit}" for g in ("position", "command") for j in ARM.joint_names}
     with pytest.raises(FileError, match=said):
         import_logs(write_table(tmp_path / "wave.csv", sample(), names, scale=scale), ARM, out=tmp_path / "logs")
+
+
+def test_a_list_of_json_records_is_a_table(tmp_path: Path):
+    table = write_table(tmp_path / "wave.csv", sample())
+    with table.open(newline="") as stream:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(stream)]
+    (tmp_path / "records.json").write_text(json.dumps(rows))
+    both = [import_logs(tmp_path / name, ARM, out=tmp_path / name[:3]).logs[0] for name in ("wave.csv", "records.json")]
+    for name in ("time", "position", "command"):
+        np.testing.assert_array_equal(*(getattr(log, name) for log in both))

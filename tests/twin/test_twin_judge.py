@@ -11,7 +11,7 @@ from rejoint.arms import tcp_position
 from rejoint.system.errors import InputError
 from rejoint.twin.judge import Candidate, judge, predict_logs, read_published
 from rejoint.twin.parameters import healthy_parameters
-from rejoint.twin.twin import NO_TWIN, TablePlane
+from rejoint.twin.twin import NO_TWIN, TablePlane, smaller
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
 
@@ -57,6 +57,19 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert press.errors["truth on its table"].contact.tcp < 0.002
     assert press.errors["truth on its table"].all.tcp < 0.2 * press.errors["truth"].all.tcp
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "sure"),
+    [
+        ([1, 1], [2, 2], True),
+        ([1, 2.1], [2, 2], False),
+        ([1, 1, 1], [2, 2.2, 1.8], True),
+        ([1, 3, 1], [2, 2, 2], False),
+    ],
+)
+def test_few_motions_are_trusted_where_each_is_better(ours, theirs, sure):
+    assert smaller(np.array(ours, float), np.array(theirs, float)) == sure
 
 
 @pytest.mark.parametrize("names", [("truth", "truth"), (NO_TWIN,)])
