@@ -197,7 +197,7 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         version, power = (_reply_of(case.opened, method) for method in ("get_system_version", "get_servo_voltages"))
         expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
-        told = power and len(power) == arm.joints
+        told = np.size(power) == arm.joints
         state = replace(state, voltage=np.array(power, float)[None] if told else None)
     yield from look_at_servos(arm, state)
 

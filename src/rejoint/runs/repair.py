@@ -270,10 +270,9 @@ def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer,
 
 
 def _kept(run: Run, name: StageName) -> object:
-    diagnosis, comparison = run.diagnosis, run.comparison
-    if name == "diagnose" and diagnosis is not None:
+    if name == "diagnose" and (diagnosis := run.diagnosis):
         return Diagnosed(diagnosis=diagnosis)
-    if name == "compare" and comparison is not None:
+    if name == "compare" and (comparison := run.comparison):
         return Compared(comparison=comparison, recommendation=recommend(comparison))
     return None
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Array, load_arm
+from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
@@ -336,9 +336,12 @@ def train(
             chosen, folder, seed = found.arm, found.path, found.seed
         else:
             known = None if twin is None else as_twin(twin)
-            if known is None and arm is None:
+            if arm is not None:
+                chosen = as_arm(arm)
+            elif twin is not None:
+                chosen = arm_of_twin(twin)
+            else:
                 raise InputError("training: neither a twin, a run nor an arm is given")
-            chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
             if known is not None:
                 known.require(chosen)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
