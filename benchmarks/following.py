@@ -169,7 +169,7 @@ def diagnosed(wears: list[Wear], wire: str, seed: int) -> Bands:
     bands = []
     for logs in recorded(wears, wire, seed):
         pair = () if logs is None else (logs.excitation, logs.targets)
-        law = 2 * [np.full(ARM.joints, np.nan)] if logs is None else measure(ARM, logs.excitation).balance
+        law = 2 * [np.full(ARM.joints, np.nan)] if logs is None else measure(ARM, logs.excitation).balance(ARM)
         bands.append(standing_bands(ARM, pair, *law))
 
     fields = ("slope", "offset", "reach", "width", "lifted")

@@ -66,7 +66,7 @@ def test_a_servo_that_gives_no_more_has_a_short_reach():
 
 def bands_of(logs):
     """Bands of an arm by what its diagnosis measures."""
-    return standing_bands(ARM, (logs.excitation, logs.targets), *measure(ARM, logs.excitation).balance)
+    return standing_bands(ARM, (logs.excitation, logs.targets), *measure(ARM, logs.excitation).balance(ARM))
 
 
 @pytest.fixture(scope="module", params=["healthy", "play-in-loop"])

@@ -210,8 +210,8 @@ class Following:
         track, name = self._tracks[b, j], self._arm.joint_names[j]
         if self.falling[b, j]:
             return (
-                f"{name}: it moves away from its command; it has no torque, or too little for its load: support the "
-                "arm before you switch it off"
+                f"{name}: it moves away from its command; it has no torque, too little for its load, or a wrong "
+                "reading: support the arm before you switch it off"
             )
         seen = (
             f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
@@ -298,7 +298,7 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], balances: Sequence[Array]) -> t
         [_held(log, _push(lead, balance, reach)) for log, lead, balance in zip(logs, leads, balances, strict=True)]
         for reach in REACHES
     ]
-    width = np.maximum(np.max(held, axis=1), arm.encoder_step)
+    width = np.maximum(np.max(held, axis=1), max(arm.encoder_step, REACHES[-1]))
     best = np.argmax(REACHES[:, None] / width, axis=0)
     return REACHES[best], width[best, np.arange(arm.joints)]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from rejoint.arms import CATALOGUE, Arm, Array, link_inertia
+from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque, link_inertia
 from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.metrics import (
@@ -30,6 +30,9 @@ from rejoint.system.statistics import NORMAL95, Estimate
 
 LOADED = 0.05
 """[N m] gravity range on a myCobot 280 that a stiffness needs; chosen"""
+
+POSTURES = 1000
+"""Drawn for the largest load of a joint; chosen"""
 
 FOLLOWS = 0.8
 """Share of the sag (`Law.follows`) from which it tells a stiffness. Measured: at least 0.86 for emulated arms of known
@@ -121,15 +124,18 @@ class Measurement:
     period_s: float
     """median of the readings"""
 
-    @property
-    def balance(self) -> tuple[Array, Array]:
-        """Sag per gravity torque (n,) [rad/(N m)], 0 if unknown, and lead without load (n,) [rad], NaN if unknown."""
+    def balance(self, arm: Arm) -> tuple[Array, Array]:
+        """Sag per gravity torque (n,) [rad/(N m)] and lead without load (n,) [rad]; NaN if unknown.
+
+        Joints that gravity hardly loads do not sag.
+        """
         stiffness = [row.stiffness_nm_per_rad for row in self.joints]
         offset = [row.offset_rad for row in self.joints]
-        return (
-            np.array([0.0 if one is None else 1.0 / one.value for one in stiffness]),
-            np.array([np.nan if one is None else -one.value for one in offset]),
-        )
+        sag = np.array([np.nan if one is None else 1.0 / one.value for one in stiffness])
+        anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.joints))
+        light = np.abs(gravity_torque(arm, anywhere)).max(axis=0) < LOADED * torque_size(arm)
+        lead = np.array([np.nan if one is None else -one.value for one in offset])
+        return np.where(np.isnan(sag) & light, 0.0, sag), lead
 
 
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:

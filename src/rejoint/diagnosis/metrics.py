@@ -375,7 +375,7 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
         return None
     steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
     power = mean_of(np.array([float((block**2).mean()) / 2 for block in np.array_split(steps, 6)]))
-    return Estimate(*(max(one or 0.0, 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
+    return Estimate(*((one or 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
 
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)

@@ -15,6 +15,7 @@ from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import find_postures, too_heavy
 from rejoint.arms.rotations import Orientation
+from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.controllers.catalogue import (
     CONTROLLERS,
@@ -62,8 +63,8 @@ from rejoint.twin.twin import Twin
 
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
-ALONE = 0.08
-"""[kg] standard error of one posture's estimate (measured)"""
+ALONE, LEAST = 0.08, 0.013
+"""[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
 UNSEEN = 3.0
 """Factor on torque limits that a twin never saw (chosen)"""
 
@@ -105,7 +106,8 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     total = ((lever * weight) ** 2).sum()
     if total <= 0.0:
         return None
-    doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
+    scale = torque_size(arm) / length_size(arm)  # of masses; joints stick to one side, and share it in a posture
+    doubtful = max(1.0 / np.sqrt(total), scale * ALONE / len(rows), scale * LEAST)
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
@@ -129,7 +131,8 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     paths = [run.folder.log(name) for name in ("excitation", "targets")]
     if not all(path.exists() for path in paths):
         return limits
-    bands = standing_bands(laden(run), [RunLog.load(path) for path in paths], *told.measurement.balance)
+    own = laden(run)
+    bands = standing_bands(own, [RunLog.load(path) for path in paths], *told.measurement.balance(own))
     return replace(limits, bands=bands, gains=told.servo_gains)
 
 

@@ -357,8 +357,8 @@ class GoalStream(Reference):
 
 NAMED = 5
 """Targets that a line names at most (chosen)"""
-SURE, LEAST = 3.0, 0.04
-"""Standard errors, and [kg], from which a load counts as noticed (chosen)"""
+SURE = 3.0
+"""Standard errors from which a load counts as noticed (chosen)"""
 
 
 class ArmDriver:
@@ -550,7 +550,7 @@ class ArmDriver:
         """Report an unexpected load that the sag of a ``log`` shows."""
         twin = self.twin_now
         found = None if twin is None or log is None else noticed_load(self.arm, twin, log)
-        if found is None or not found[0] > max(LEAST, SURE * found[1]):
+        if found is None or not found[0] > SURE * found[1]:
             return
         more = " more than was told" if isinstance(self.arm, LoadedArm) else ""
         self.observer.message(
