@@ -211,6 +211,21 @@ def test_a_joint_that_follows_its_command_away_from_its_goal_does_not_fall():
         assert watch.falling.any() == falls
 
 
+def test_a_joint_without_a_band_is_judged_as_one_without_a_diagnosis():
+    state, aimed, endless = state_of(REST[None]), np.ones(1, dtype=bool), np.full(6, np.inf)
+    bands = Bands(slope=np.zeros(6), offset=np.zeros(6), reach=endless, width=endless)
+    watches = [Following(ARM, state, state.position, each) for each in (None, bands)]
+    flagged = []
+    for k in range(1, 240):
+        sent = REST[None] + np.radians(20.0) * np.sin(0.05 * k) * (np.arange(6) == 0)
+        read = np.where(np.arange(6) == 0, REST[0] + np.radians(20.0) * np.sin(0.05 * min(k - 1, 120)), sent)
+        now = replace(state, time=np.full(1, 0.025 * k), position=read)
+        flagged.append([watch.check(now, sent, aimed) for watch in watches])
+    without, unknown = np.swapaxes(flagged, 0, 1)
+    assert (without == unknown).all()
+    assert without[:, 0, 0].any(), "a frozen reading of a joint that moved is noticed"
+
+
 def swing(time):
     """Two joints to and fro, farther than a monitor of travel would allow."""
     wave = np.radians(14.0) * np.sin(2.0 * np.pi * time / 3.0)

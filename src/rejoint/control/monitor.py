@@ -121,11 +121,9 @@ class Following:
         if self._verdict.max() < compiled.UNKNOWN and not self.falling.any():
             return self.falling
         bad: Mask = (self._verdict == compiled.OVERDUE) | self.falling
-        late: Mask = self._tracks["late"] > 0
-        if self._bands is None:
-            travelled, more = self._travelled(state.position, sent)
-            late = late | more
-            bad = bad | (travelled & aimed[:, None])
+        travelled, more = self._travelled(state.position, sent)
+        bad = bad | (travelled & aimed[:, None])
+        late: Mask = (self._tracks["late"] > 0) | more
         return bad & ~self._excused(bad, late)[:, None]
 
     def _fall(self, position: Array, sent: Array, goal: Array) -> None:
@@ -189,12 +187,12 @@ class Following:
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
-        """Joints (B, n) with commands far from a constant reading."""
-        tracks = self._tracks
-        travel = np.abs(tracks["travel"])
+        """Joints (B, n) without a known band whose commands are far from a constant reading."""
+        tracks, unknown = self._tracks, self._verdict == compiled.UNKNOWN
+        travel, unknown = np.abs(tracks["travel"]), unknown & np.isinf(tracks["width"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
         away = np.abs(sent - position) > ARRIVED
-        asked = (self._verdict == compiled.UNKNOWN) & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
+        asked = unknown & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
         if not asked.any():
             return asked, asked
         lever = self._levers(position)

@@ -28,8 +28,8 @@ from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog, is_excitation
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import NORMAL95, Estimate
 
-LOADED = 0.05
-"""[N m] gravity range on a myCobot 280 that a stiffness needs; chosen"""
+LOADED, LIGHT = 0.05, 0.01
+"""[N m] gravity range on a myCobot 280 that a stiffness needs, and largest load of a joint that does not sag; chosen"""
 
 POSTURES = 1000
 """Drawn for the largest load of a joint; chosen"""
@@ -133,7 +133,7 @@ class Measurement:
         offset = [row.offset_rad for row in self.joints]
         sag = np.array([np.nan if one is None else 1.0 / one.value for one in stiffness])
         anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.joints))
-        light = np.abs(gravity_torque(arm, anywhere)).max(axis=0) < LOADED * torque_size(arm)
+        light = np.abs(gravity_torque(arm, anywhere)).max(axis=0) < LIGHT * torque_size(arm)
         lead = np.array([np.nan if one is None else -one.value for one in offset])
         return np.where(np.isnan(sag) & light, 0.0, sag), lead
 
