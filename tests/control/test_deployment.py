@@ -87,7 +87,7 @@ def test_a_policy_is_refused_by_the_period_that_was_measured():
 def diagnosed():
     """As much of a diagnosis as a guard needs: gains, and softness [rad/(N m)] and offsets [rad] of the joints."""
     balance = np.array([0.0, 0.1, 0.1, 0.1, 0.0, 0.0]), np.zeros(6)
-    return SimpleNamespace(servo_gains=None, measurement=SimpleNamespace(balance=balance))
+    return SimpleNamespace(servo_gains=None, measurement=SimpleNamespace(balance=lambda _: balance))
 
 
 def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
