@@ -30,7 +30,7 @@ LOW = 0.001
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _SHORTCUTS = 4000, 80
 LEAD = np.radians(15.0)
-"""[rad] by which commands may lead joints in motion: the limit of classical controllers"""
+"""[rad] by which commands may lead joints in motion, also those of classical controllers (anti-windup); chosen"""
 SLOWEST = 0.2
 """Share of an arm's speed that each motor is trusted with (chosen)"""
 LIGHTER, LONGER = 0.95, 0.05

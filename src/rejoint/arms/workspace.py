@@ -237,6 +237,13 @@ def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     return frozen(np.abs(gravity_torque(arm, posture_grid(arm, per_edge).q)).max(axis=0))
 
 
+@lru_cache(maxsize=32)
+def largest_loads(arm: Arm) -> Array:
+    """Largest gravity torque (n,) [N m] over all postures."""
+    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
+    return frozen(np.abs(gravity_torque(arm, postures)).max(axis=0))
+
+
 def posture_grid(arm: Arm, per_edge: int) -> Solution:
     """Postures (per_edge^3, n) [rad] of a grid of targets."""
     return solve_position(arm, arm.targets.grid(per_edge), arm.rest)

@@ -188,8 +188,8 @@ class Following:
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
         """Joints (B, n) without a known band whose commands are far from a constant reading."""
-        tracks, unknown = self._tracks, self._verdict == compiled.UNKNOWN
-        travel, unknown = np.abs(tracks["travel"]), unknown & np.isinf(tracks["width"])
+        tracks, travel = self._tracks, np.abs(self._tracks["travel"])
+        unknown = (self._verdict == compiled.UNKNOWN) & np.isinf(tracks["width"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
         away = np.abs(sent - position) > ARRIVED
         asked = unknown & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
@@ -267,7 +267,8 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     """Friction bands of an arm's joints from the ``logs`` of its diagnosis.
 
     ``softness`` (n,) [rad/(N m)] and ``offset`` (n,) [rad] are those of the balance; joints with a NaN, or flagged in
-    these logs, stay unknown. The width is the largest push of a joint stationary for `HELD`; the reach minimises it.
+    these logs, stay unknown. The width is the largest push of a joint stationary for `HELD`, at
+    least the least reach; the reach minimises it.
     """
     logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
     endless, slope, zero = np.full(arm.joints, np.inf), np.where(known, softness, 0.0), np.where(known, offset, 0.0)

@@ -241,13 +241,8 @@ class TargetSequence(Reference):
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         self.count, self.legs = targets.shape[:2]
         self.planned = bool(ways)
-        self._arm, self._targets, self._turns, self._correction, self._rows = (
-            arm,
-            targets,
-            turns,
-            correction,
-            ways or (),
-        )
+        self._arm, self._targets, self._turns, self._correction = arm, targets, turns, correction
+        self._rows = ways or ()
         self._aim = targets[:, 0]
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
         self._pace = np.ones(self.count)  # at which the ways go on

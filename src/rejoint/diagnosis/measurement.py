@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque, link_inertia
-from rejoint.arms.workspace import torque_size
+from rejoint.arms import CATALOGUE, Arm, Array, link_inertia
+from rejoint.arms.workspace import largest_loads, torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.metrics import (
     INERTIA,
@@ -30,9 +30,6 @@ from rejoint.system.statistics import NORMAL95, Estimate
 
 LOADED, LIGHT = 0.05, 0.01
 """[N m] gravity range on a myCobot 280 that a stiffness needs, and largest load of a joint that does not sag; chosen"""
-
-POSTURES = 1000
-"""Drawn for the largest load of a joint; chosen"""
 
 FOLLOWS = 0.8
 """Share of the sag (`Law.follows`) from which it tells a stiffness. Measured: at least 0.86 for emulated arms of known
@@ -132,8 +129,7 @@ class Measurement:
         stiffness = [row.stiffness_nm_per_rad for row in self.joints]
         offset = [row.offset_rad for row in self.joints]
         sag = np.array([np.nan if one is None else 1.0 / one.value for one in stiffness])
-        anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.joints))
-        light = np.abs(gravity_torque(arm, anywhere)).max(axis=0) < LIGHT * torque_size(arm)
+        light = largest_loads(arm) < LIGHT * torque_size(arm)
         lead = np.array([np.nan if one is None else -one.value for one in offset])
         return np.where(np.isnan(sag) & light, 0.0, sag), lead
 

@@ -86,7 +86,7 @@ class Run(Readable):
             return run
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
-        created = f"{datetime.now():%Y-%m-%dT%H:%M:%S}"
+        created = datetime.now().isoformat(timespec="seconds")
         info = RunInfo(
             robot=robot, arm=arm.name, seed=as_seed(seed), version=__version__, created=created, format=FORMAT
         )
@@ -218,7 +218,7 @@ def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
 def mark_quick(run: Run, *, quick: bool) -> None:
     """Mark a quick stage: the folder's results are not valid."""
     if quick:
-        write_json(run.folder.quick, {"quick": f"{datetime.now():%Y-%m-%dT%H:%M:%S}"})
+        write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
 
 
 def finish(run: Run) -> None:
@@ -228,7 +228,7 @@ def finish(run: Run) -> None:
         (folder.judgement,) if run.robot.startswith(LOGS) else (folder.diagnosis, folder.policy, folder.comparison)
     )
     if all(path.exists() for path in (folder.twin, *results)):
-        write_json(folder.finished, {"finished": f"{datetime.now():%Y-%m-%dT%H:%M:%S}"})
+        write_json(folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
 
 
 def remove_if_empty(run: Run) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
-from rejoint.arms.workspace import reach
+from rejoint.arms.workspace import largest_loads, reach
 from rejoint.control.robot import Servos
 from rejoint.system.errors import InputError
 
@@ -412,11 +412,9 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
     return TwinParameters(**{p.name: p.healthy * getattr(worn, p.name) for p in PARAMETERS})
 
 
-@lru_cache(maxsize=32)
 def largest_gravity_torque(arm: Arm) -> float:
     """[N m] about any joint, over all postures."""
-    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
-    return max(float(np.abs(gravity_torque(arm, postures)).max()), 1e-3)
+    return max(float(largest_loads(arm).max()), 1e-3)
 
 
 def _wrist(arm: Arm) -> Mask:

@@ -59,7 +59,9 @@ def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
     left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
     decided = [failure(row) for row in comparison.rows if row.out]
-    all_stopped = ["Every controller was stopped; this one got farthest."] * (len(decided) == len(comparison.rows))
+    all_stopped = (
+        ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    )
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (criterion.mean(row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row, comparison.shape)]

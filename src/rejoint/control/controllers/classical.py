@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls
 from rejoint.arms.kinematics import task
+from rejoint.arms.planning import LEAD
 from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import ControlInput
 
@@ -100,8 +101,6 @@ class Pace:
 # Chosen on simulated worn arms:
 RATE = GAIN / NOMINAL_PERIOD
 """[1/s] share of the step; twice as much oscillates in play"""
-LEAD = np.radians(15.0)
-"""[rad] largest following error (anti-windup)"""
 FADE = 4e-3
 """[m] error at which the steps fade to half"""
 REST_GAIN, REST_STEP, REST_DISTANCE = 0.01, np.radians(0.1), 0.01
