@@ -12,13 +12,13 @@ from time import perf_counter
 
 import numpy as np
 
-from rejoint.arms import mycobot280
+from rejoint.arms import Motors, mycobot280
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, PathReference, standard_path
-from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.recording import Recording
-from rejoint.twin.parameters import TwinParameters, healthy_parameters
+from rejoint.twin.parameters import TwinParameters, healthy_parameters, lifting_torque
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.evaluate import played
@@ -36,7 +36,8 @@ def drive(
     profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides, *, fold: bool = True
 ) -> Recording:
     known = TwinParameters.stacked([twin for twin in twins for _ in PATHS])
-    home = home_of(ARM, known) if fold else ARM.rest
+    motors = [Motors(one.torque_limit, lifting_torque(one)) if fold else None for one in twins]
+    home = np.stack([path.home(ARM, own) for own in motors for path in PATHS])
     start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
     robot = EmulatedRobot(ARM, wears, start=start, period=period)

@@ -29,12 +29,12 @@ from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.reference import LEAD_IN, PathReference, standard_path
-from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.robot import Controller
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
-from rejoint.session.context import heavy, noticed_load
+from rejoint.session.context import believed_motors, heavy, noticed_load
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -128,7 +128,7 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
     servos = twin.parameters.repeat(1)
-    home = home_of(robot.arm, servos)
+    home = path.home(robot.arm, believed_motors(robot.arm, twin))
     sent = move(robot, PathPostures(robot.arm, path.place[:1], home=home).last[0], sent=sent, settle=0.5).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
     recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [path], home), schedule)

@@ -26,7 +26,10 @@ from rejoint.control.start import begin
 from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, RobotError, first_line
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.results import Readable
+from rejoint.system.shell import Late
 from rejoint.system.stopping import shielded
+
+signal = Late("scipy.signal")
 
 ServoGains = Mapping[str, tuple[int, ...]]
 """(n,) per name"""
@@ -343,8 +346,6 @@ class _Climb:
 
     def drive(self, gains: ServoGains, targets: Array | None = None) -> tuple[Round | None, Mask]:
         """Return what a round under ``gains`` shows, or None, and the joints (n,) that ended it."""
-        from scipy.signal import detrend  # here, since it takes half a second to load
-
         if gains != self.gains:
             try:
                 self.servos.tune(gains)
@@ -363,7 +364,7 @@ class _Climb:
         for _, k, visit in visits(recording, len(targets)):
             last = visit.at(visit.since_target > DWELL - LOOKED)
             tool = tool_error(arm, last.position, targets[k]).mean()
-            unrest = detrend(last.position, axis=0).std(axis=0)  # an I part that still pulls is none
+            unrest = signal.detrend(last.position, axis=0).std(axis=0)  # an I part that still pulls is none
             found.append((np.abs(last.command - last.position).mean(axis=0), unrest, tool))
         error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
         return Round(error=error, unrest=unrest, tool=float(tools)), watch.joints

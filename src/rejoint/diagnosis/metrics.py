@@ -20,13 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import detrend
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.system.shell import Late
 from rejoint.system.statistics import Estimate
+
+signal = Late("scipy.signal")
 
 _GRID = 0.0025
 """[s] step of the interpolated readings; chosen"""
@@ -327,8 +329,7 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
     """Overshoot of steps, as a fraction of the motion."""
     shares = []
     for segment in data.of_kind(STEP, joint):
-        rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
-        position, final = data.log.position[rows, joint], data.log.position[end, joint]
+        position, final = (data.log.position[data.rows(segment, last=last), joint] for last in (np.inf, SETTLED_LAST))
         moved = float(final.mean() - position[0]) if len(final) else 0.0
         if abs(moved) > _MIN_STEP:
             shares.append(max(float((np.sign(moved) * (position - final.mean())).max() / abs(moved)), 0.0))
@@ -341,7 +342,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     None with fewer than four holds of four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
-    rest = [detrend(data.log.position[rows, joint]) for rows in spans if len(rows) >= 4]
+    rest = [signal.detrend(data.log.position[rows, joint]) for rows in spans if len(rows) >= 4]
     if len(rest) < 4:
         return None
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
@@ -354,7 +355,7 @@ def _repeating_share(pieces: list[Array]) -> float:
 
     0 if it may be that of noise without its line.
     """
-    noise, share = [detrend(np.eye(len(piece)), axis=0) for piece in pieces], 0.0
+    noise, share = [signal.detrend(np.eye(len(piece)), axis=0) for piece in pieces], 0.0
     for shift in range(1, min(5, min(map(len, pieces)) // 2) + 1):
         pairs = sum(len(piece) - shift for piece in pieces)
         both, chance = _correlation(pieces, shift), _correlation(noise, shift)

@@ -12,7 +12,7 @@ from typing import TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, Displacement, JointTrajectory
+from rejoint.arms import Arm, Displacement, JointTrajectory
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.loop import Schedule
 from rejoint.control.moving.drive import (
@@ -35,12 +35,11 @@ from rejoint.control.moving.reference import (
     Stream,
     read_path,
 )
-from rejoint.control.moving.tracker import PathPostures, Tracker, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.recording import Cycle, Observer, Recording, recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.seeing import Eye, Finishing, Seen, simulated
-from rejoint.control.targets import require_reachable
 from rejoint.runs.run import Run
 from rejoint.session.context import correction_of
 from rejoint.session.driver import ArmMotion
@@ -284,35 +283,37 @@ class PathDrive:
         self.within = as_within("follow", (settings.within or WITHIN) if within is None else within)
         if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
             raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
-        self.guide = followable(path, arm, session.seed, duration)
+        self.guide = guide_of(path, arm, session.seed, duration)
+        self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
+        self.controller = settings.controller or TRACKER
+        if settings.controller is None and session.twin is None:
+            self.controller = session.driver(posed=self.posed)[0]
+        self._follower(session.twin)
+        self.guide.home(arm, session.motors)
         self.duration = duration or 0.0
         if isinstance(known := self.guide, Path):
             self.duration = LEAD_IN + known.duration
             places, turns = known.poses(known.time[:: max(1, len(known.time) // LOOKED_AT)])
             session.say_heavy(places, turns)
             correction_of(session.calibration, arm, places)
-        self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
-        self.controller = settings.controller or TRACKER
-        if settings.controller is None and session.twin is None:
-            self.controller = session.driver(posed=self.posed)[0]
-        self._follower(session.twin)
 
-    def _follower(self, twin: Twin | None) -> tuple[str, Callable[[], Controller], Array | None]:
-        """Return the name of what follows, what makes it for each pass, and its preferred posture (n,) [rad]."""
+    def _follower(self, twin: Twin | None) -> tuple[str, Callable[[], Controller]]:
+        """Return the name of what follows, and what makes it for each pass."""
         session, arm = self.session, self.session.arm
         if self.controller != TRACKER:
             name, make = session.maker(self.controller, twin, posed=self.posed)
-            return name, partial(make, arm), None
+            return name, partial(make, arm)
         if twin is None:
             raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
         servos = twin.parameters.repeat(1)
-        return TRACKER, lambda: Tracker(arm, servos, period=session.usual), home_of(arm, servos)[0]
+        return TRACKER, lambda: Tracker(arm, servos, period=session.usual)
 
     def work(self, motion: ArmMotion) -> Followed | None:
         """Drive; None where the motion is asked to end."""
         session, arm, guide = self.session, self.session.arm, self.guide
         session.take_up(None)
-        name, make, home = self._follower(session.twin_now)
+        name, make = self._follower(session.twin_now)
+        home = guide.home(arm, session.motors)
         if session.settings.controller is not None or name == TRACKER:
             session.announce(name, "for paths, by the twin" if session.settings.controller is None else "as asked for")
         label = f"follow/{name}/{guide.name}"
@@ -344,8 +345,8 @@ class PathDrive:
         self.session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
 
 
-def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Guide:
-    """Stream or path that ``arm`` can follow, from an object, a file, numbers or a standard name; else InputError."""
+def guide_of(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Guide:
+    """Stream or path from an object, a file, numbers or a standard name; InputError."""
     if isinstance(given, Stream):
         as_seconds("follow: a stream", duration)
         if given.followed:
@@ -353,19 +354,14 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
                 "follow: this stream was followed already, up to its last target; put targets into another"
             )
         given.axis = tool_axis(arm)
-        places, turns = given.ahead(0.0, np.zeros(1))
-        require_reachable(arm, places[None], turns and turns[None])
         return given
     if duration is not None:
         raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
     if isinstance(given, Path):
-        path = given
-    elif isinstance(given, str | FilePath):
-        path = read_path(given, arm, seed)
-    else:
-        points = as_floats("path", given, "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
-        if points.ndim != 2 or points.shape[-1] != 4:
-            raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
-        path = Path(time=points[:, 0], place=points[:, 1:])
-    path.require_followable(arm)
-    return path
+        return given
+    if isinstance(given, str | FilePath):
+        return read_path(given, arm, seed)
+    points = as_floats("path", given, "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
+    if points.ndim != 2 or points.shape[-1] != 4:
+        raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
+    return Path(time=points[:, 0], place=points[:, 1:])

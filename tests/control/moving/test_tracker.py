@@ -10,7 +10,7 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Repetition, along, judge
 from rejoint.control.moving.reference import PathReference, standard_path
-from rejoint.control.moving.tracker import PathPostures, PushObserver, Tracker, command_for, home_of
+from rejoint.control.moving.tracker import PathPostures, PushObserver, Tracker, command_for
 from rejoint.control.robot import Servos
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -38,9 +38,8 @@ def drive(controller, guides, seed=0, arm=ARM, **wire):
     robot = EmulatedRobot(arm, [load_wear("worn", arm)] * len(guides), seed=seed, start=start, **wire)
     dwell = 2.0 + max(guide.duration for guide in guides)
     servos = worn_servos(len(guides), arm)
-    home = home_of(arm, servos) if isinstance(controller, Tracker) else None
     sent = command_for(arm, servos, np.stack([start] * 3))  # what holds it there
-    return run(robot, controller, PathReference(arm, guides, home), Schedule(dwell=dwell, sent=sent))
+    return run(robot, controller, PathReference(arm, guides), Schedule(dwell=dwell, sent=sent))
 
 
 def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():

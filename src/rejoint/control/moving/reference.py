@@ -16,13 +16,13 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Motors, choose_postures, collides, gravity_torque
 from rejoint.arms.arm import frozen
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import tool_error
-from rejoint.control.moving.tracker import PathPostures
+from rejoint.control.moving.tracker import PathPostures, joint_weights
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput
 from rejoint.control.targets import (
@@ -30,11 +30,11 @@ from rejoint.control.targets import (
     Pose,
     Poses,
     in_mm,
-    in_words,
     knots_of,
     oriented,
     placed,
     read_poses,
+    refused,
     turned_as,
     unit_hint,
 )
@@ -55,6 +55,13 @@ _OPPOSITE = -0.5
 SPEED_SHARE = 0.8
 """Largest share of joint speed"""
 _STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
+
+_BRANCHES = 5
+"""Places of a path whose postures are tried as its home (chosen)"""
+_FOLD = np.radians(60.0)
+"""(chosen among 30 to 90 deg)"""
+_LIGHT = 0.85
+"""Share of what motors lift, up to which no other home is tried (chosen)"""
 
 LEAD_IN = 2.0
 """[s] at rest before a path"""
@@ -150,47 +157,66 @@ class Path:
         """Return all targets."""
         return Route(LEAD_IN, self.grid, self.at(self.grid), self.aimed.at(self.grid))
 
-    def require_followable(self, arm: Arm) -> None:
-        """Raise InputError unless ``arm`` can follow."""
+    def home(self, arm: Arm, motors: Motors | None = None) -> Array:
+        """Home (n,) [rad] near which ``arm`` with its ``motors`` can follow; InputError."""
         if not SHORTEST <= self.duration <= LONGEST:
             raise InputError(
                 f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
                 "seconds, and what takes longer as paths one after the other"
             )
-        times = np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK)))
-        places, turns = self.poses(times)
-        postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
-        beyond = tool_error(arm, postures, places)
-        k = int(beyond.argmax())
-        if beyond[k] > NEAR:
-            raise InputError(
-                f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach on this way, the tool comes within "
-                f"{1e3 * beyond[k]:.0f} mm;{unit_hint(self.place)} give other places, or another way to them"
-            )
-        k = int(places[:, 2].argmin())
-        if places[k, 2] < arm.floor:
-            raise InputError(
-                f"path: at {times[k]:.2f} s {in_mm(places[k])} is lower than {1e3 * arm.floor:g} mm, where the guard "
-                "keeps the tool from the ground; lead it higher"
-            )
-        if turns is not None:
-            postures = PathPostures(arm, places[:1], turns[:1]).along(places[:, None], turns[:, None])[:, 0]
-            off, angle = missed_pose(arm, postures, places, turns)
-            askew = (off > NEAR) | (angle > TURNED)
-            if askew.any():
-                k = int(askew.argmax())
-                raise InputError(
-                    f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
-                    f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
-                )
-        share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
-        k, j = divmod(int(share.argmax()), arm.joints)
-        if share[k, j] > SPEED_SHARE:
-            raise InputError(
-                f"path: at {times[k]:.2f} s {in_mm(places[k])} {arm.joint_names[j]} would have to turn at "
-                f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
-                f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
-            )
+        time = np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK)))
+        return _home(arm, motors, time, *self.poses(time))
+
+
+def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Orientation | None) -> Array:
+    """Home (n,) [rad] near which ``arm`` passes poses (T,) at ``time`` (T,) [s]; InputError.
+
+    Rest. Where ``motors`` may not lift that way, a light joint is folded; where it is impossible, another branch.
+    """
+
+    def judged(home: Array) -> tuple[str, float]:
+        begin = PathPostures(arm, places[:1], turns and turns[:1], home)
+        way = begin.along(places[:, None], turns and turns[:, None])[:, 0]
+        problem, load = _problem(arm, way, time, places, turns), np.abs(gravity_torque(arm, way))
+        return problem, np.inf if problem else 0.0 if motors is None else float((load / motors.usable).max())
+
+    problem, load = judged(arm.rest)
+    if load < _LIGHT:
+        return arm.rest
+    if problem:
+        few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
+        others = choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors).q
+    else:
+        fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
+        others = np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper)
+    loads = [load, *(judged(home)[1] for home in others)]
+    if min(loads) == np.inf:
+        raise InputError(f"path: {problem}{unit_hint(places)}")
+    return np.asarray([arm.rest, *others][int(np.argmin(loads))])
+
+
+def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None) -> str:
+    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad], or empty."""
+    off, angle = tool_error(arm, way, places), np.zeros(len(time))
+    if turns is not None:
+        angle = np.nan_to_num(missed_pose(arm, way, places, turns)[1])
+    bad = (off > NEAR) | (angle > TURNED) | collides(arm, way)
+    k, at = int((off if off.max() > NEAR else bad).argmax()), [f"at {now:.2f} s" for now in time]
+    if bad[k]:
+        one = slice(k, k + 1)
+        return refused(arm, at[one], places[one], turns and turns[one]) or (
+            f"{at[k]}: {in_mm(places[k])} is out of reach on this way, or something would touch; give other places, or "
+            "another way to them"
+        )
+    share = np.abs(np.diff(way, axis=0)) / np.diff(time)[:, None] / arm.max_speed
+    k, j = divmod(int(share.argmax()), arm.joints)
+    if share[k, j] <= SPEED_SHARE:
+        return ""
+    speed, most = np.degrees(np.array([share[k, j], SPEED_SHARE]) * arm.max_speed[j])
+    return (
+        f"{at[k]}: {in_mm(places[k])} {arm.joint_names[j]} would have to turn at {speed:.0f} deg/s, {most:.0f} at most "
+        "were expected; give the path more time there"
+    )
 
 
 def read_path(given: FilePath | str, arm: Arm, seed: int = 0) -> Path:
@@ -342,6 +368,10 @@ class Stream:
         self._now = now
         return self._aims(self._between(now + later - self.lag, now))
 
+    def home(self, arm: Arm, motors: Motors | None = None) -> Array:
+        """See `Path`: by the first target."""
+        return _home(arm, motors, np.arange(2.0), *self.ahead(0.0, np.zeros(2)))
+
     def route(self) -> Route:
         """See `Path`."""
         rows, time = np.array(self.rows), np.array(self.time)
@@ -392,7 +422,7 @@ class Stream:
 
 
 Guide: TypeAlias = Path | Stream
-"""Target of one arm over time: `target`, `ahead` in ``later`` (k,) [s] than ``now``, and the `route` when it is over"""
+"""Target of one arm over time: `home`, `target`, `ahead` in ``later`` (k,) [s] than ``now``, the `route` at the end"""
 
 
 class PathReference(Reference):

@@ -16,7 +16,6 @@ from rejoint.arms import (
     Arm,
     Array,
     Mask,
-    collides,
     dls,
     gravity_torque,
     link_inertia,
@@ -54,9 +53,9 @@ class PathPostures:
     """Postures of B arms."""
 
     def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None) -> None:
-        """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,), or near ``home`` (n,) or (B, n) [rad]."""
+        """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,), near ``home`` (n,) or (B, n) [rad]."""
         self._arm = arm
-        self._home = arm.rest if home is None or turn is not None else home
+        self._home = arm.rest if home is None else home
         start = np.broadcast_to(self._home, (len(place), arm.joints))
         start = start if turn is None else find_postures(arm, place, start, turn)
         self.last = self._search(place, start, _FIRST, turn)
@@ -85,41 +84,6 @@ class PathPostures:
             largest = np.abs(step).max(axis=-1, keepdims=True)
             q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), arm.lower, arm.upper)
         return q
-
-
-_SPARE = 0.35
-"""Share of motor torque (chosen)"""
-_FOLDS = np.radians([-60.0, 60.0])  # from rest, of one joint (chosen among 30 to 90 deg)
-_PLACES = 32  # of the region of targets, at which postures are looked at
-
-
-def home_of(arm: Arm, servos: Servos) -> Array:
-    """Home (B, n) [rad].
-
-    Rest where the loaded motors have spare torque; else the fold that loads the weakest least
-    (`python -m benchmarks moving`).
-    """
-    places = arm.targets.sample(np.random.default_rng(0), (_PLACES,))
-    light = joint_weights(arm) > 1.0
-    room = np.maximum((1.0 - _SPARE) * servos.torque_limit - servos.coulomb, np.finfo(float).tiny)
-
-    def share(postures: Array) -> Array:  # (B,) of its room, of the joint that is loaded most
-        load = np.median(np.abs(gravity_torque(arm, postures)), axis=0)
-        return (load / room)[:, ~light].max(axis=-1)
-
-    at_rest = PathPostures(arm, places).last
-    least, touching = share(at_rest), collides(arm, at_rest)
-    homes = np.broadcast_to(arm.rest, room.shape).copy()
-    weak = least > 1.0
-    for joint in np.flatnonzero(light) if weak.any() else ():
-        for fold in _FOLDS:
-            home = arm.rest + fold * np.eye(arm.joints)[joint]
-            postures = PathPostures(arm, places, home=home).last
-            within = ((home > arm.lower) & (home < arm.upper)).all()
-            if within and not (collides(arm, postures) & ~touching).any():
-                better = weak & (share(postures) < least)
-                homes[better], least = home, np.where(better, share(postures), least)
-    return homes
 
 
 STEP = 0.03

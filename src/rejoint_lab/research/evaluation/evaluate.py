@@ -38,7 +38,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Guide, PathReference, Stream, standard_path
 from rejoint.control.moving.reference import Path as MotionPath
-from rejoint.control.moving.tracker import PathPostures, Tracker, command_for, home_of
+from rejoint.control.moving.tracker import PathPostures, Tracker, command_for
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Controller
 from rejoint.control.start import play
@@ -48,6 +48,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.procedure import Suggestion, before, suggest
 from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
+from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part
@@ -439,10 +440,11 @@ def _follow(
     arm: Arm, seeds: Sequence[int], twins: Sequence[Twin], threads: int, on_progress: Progress
 ) -> dict[str, list[tuple[Along, bool]]]:
     """Follow all paths with each arm; returns errors, and whether the guard stopped it, of each case."""
-    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
-    servos = TwinParameters.stacked([parameters for parameters, *_ in pairs])
+    pairs = [(twin, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
+    servos = TwinParameters.stacked([twin.parameters for twin, *_ in pairs])
     paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
-    home, driven = home_of(arm, servos), dict[str, Recording]()
+    home = np.stack([path.home(arm, believed_motors(arm, own)) for path, (own, *_) in zip(paths, pairs, strict=True)])
+    driven = dict[str, Recording]()
 
     def drive(case: str, profile: str, guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0) -> Recording:
         on_progress(len(driven) / len(CASES), case)

@@ -1,0 +1,72 @@
+"""An arm follows a path near rest where it can; where it cannot, or its motors hardly lift it, near another posture."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Motors, collides, gravity_torque, load_arm, tcp_position
+from rejoint.arms.postures import choose_postures, pool_of
+from rejoint.control.moving.reference import Path, standard_path
+from rejoint.control.moving.tracker import PathPostures
+from rejoint.system.errors import InputError
+
+AROUND = np.linspace(0.0, 2.0 * np.pi, 61)
+
+
+def along(arm, path, home):
+    """Postures (T, n) [rad] near a home."""
+    return PathPostures(arm, path.place[:1], home=home).along(path.place[:, None])[:, 0]
+
+
+def loads(arm, path, home):
+    """Largest gravity torques (n,) [N m] on a path."""
+    return np.abs(gravity_torque(arm, along(arm, path, home))).max(axis=0)
+
+
+def circles(arm, count):
+    """Circles of 20 mm radius in 20 s, somewhere in the workspace."""
+    rng, places = np.random.default_rng(2), pool_of(arm).place
+    for middle in places[rng.integers(len(places), size=count)]:
+        circle = 0.02 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
+        yield Path(time=np.linspace(0.0, 20.0, 61), place=middle + circle)
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
+    arm = load_arm(name)
+    possible, followed, beyond_rest = 0, 0, 0
+    for path in circles(arm, 30):
+        if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
+            continue
+        possible += 1
+        try:
+            home = path.home(arm)
+        except InputError:
+            continue
+        way = along(arm, path, home)
+        np.testing.assert_allclose(tcp_position(arm, way), path.place, atol=1e-3)
+        assert not collides(arm, way).any()
+        followed += 1
+        beyond_rest += bool((home != arm.rest).any())
+    assert possible > 10
+    assert followed >= 0.8 * possible
+    assert beyond_rest > 0
+
+
+@pytest.mark.parametrize(("name", "heavy"), [("mycobot280", 2), ("so101", 1)])
+def test_an_arm_too_weak_for_rest_takes_a_posture_that_its_motors_lift(name, heavy):
+    arm, path = load_arm(name), standard_path("circle-20s", load_arm(name))
+    need = loads(arm, path, arm.rest)
+    strong = 4.0 * need.max() * np.ones(arm.joints)
+    weak = strong.copy()
+    weak[heavy] = need[heavy]
+    np.testing.assert_array_equal(path.home(arm, Motors(strong, strong)), arm.rest)
+    assert loads(arm, path, path.home(arm, Motors(weak, weak)))[heavy] < 0.95 * need[heavy]
+
+
+def test_an_arm_that_no_posture_helps_stays_near_rest():
+    arm = load_arm("so101")
+    path = standard_path("circle-20s", arm)
+    none = np.full(arm.joints, 1e-3)
+    home = path.home(arm, Motors(none, none))
+    assert np.isfinite(home).all()
+    assert loads(arm, path, home).max() <= loads(arm, path, arm.rest).max()
