@@ -284,12 +284,12 @@ class PathDrive:
         if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
             raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
         self.guide = guide_of(path, arm, session.seed, duration)
+        self.guide.home(arm, session.motors)
         self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
         self.controller = settings.controller or TRACKER
         if settings.controller is None and session.twin is None:
             self.controller = session.driver(posed=self.posed)[0]
         self._follower(session.twin)
-        self.guide.home(arm, session.motors)
         self.duration = duration or 0.0
         if isinstance(known := self.guide, Path):
             self.duration = LEAD_IN + known.duration
