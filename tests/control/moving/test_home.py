@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import Motors, collides, gravity_torque, load_arm, tcp_position
+from rejoint.arms import Motors, clearances, collides, gravity_torque, load_arm, tcp_position
 from rejoint.arms.postures import choose_postures, pool_of
 from rejoint.control.moving.reference import Path, standard_path
 from rejoint.control.moving.tracker import PathPostures
@@ -63,10 +63,23 @@ def test_an_arm_too_weak_for_rest_takes_a_posture_that_its_motors_lift(name, hea
     assert loads(arm, path, path.home(arm, Motors(weak, weak)))[heavy] < 0.95 * need[heavy]
 
 
-def test_an_arm_that_no_posture_helps_stays_near_rest():
+def test_a_path_that_the_motors_do_not_lift_is_refused_with_the_joint():
     arm = load_arm("so101")
     path = standard_path("circle-20s", arm)
-    none = np.full(arm.joints, 1e-3)
-    home = path.home(arm, Motors(none, none))
-    assert np.isfinite(home).all()
-    assert loads(arm, path, home).max() <= loads(arm, path, arm.rest).max()
+    weak = 0.5 * loads(arm, path, arm.rest)
+    with pytest.raises(InputError, match=r"too heavy: .* needs"):
+        path.home(arm, Motors(weak, weak))
+
+
+@pytest.mark.parametrize("height", [0.026, 0.04])
+def test_an_accepted_path_keeps_the_clearance_of_targets(height):
+    arm = load_arm("mycobot280")
+    circle = 0.03 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
+    path = Path(time=np.linspace(0.0, 20.0, 61), place=np.array([0.16, 0.1, height]) + circle)
+    if any(choose_postures(arm, path.place, arm.rest).refusals):
+        with pytest.raises(InputError):
+            path.home(arm)
+    else:
+        way = along(arm, path, path.home(arm))
+        assert clearances(arm, way).min() > 0.0
+        assert np.maximum(arm.lower - way, way - arm.upper).max() < -np.radians(0.4)

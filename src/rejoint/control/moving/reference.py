@@ -16,9 +16,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array, Motors, choose_postures, collides, gravity_torque
+from rejoint.arms import Arm, Array, Motors, choose_postures, gravity_torque
 from rejoint.arms.arm import frozen
-from rejoint.arms.postures import NEAR, TURNED, missed_pose
+from rejoint.arms.postures import NEAR, TURNED, body_of, missed_pose, redundancy, too_heavy
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import tool_error
@@ -58,10 +58,11 @@ _STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
 
 _BRANCHES = 5
 """Places of a path whose postures are tried as its home (chosen)"""
+_ANY = np.finfo(float).max
 _FOLD = np.radians(60.0)
 """(chosen among 30 to 90 deg)"""
-_LIGHT = 0.85
-"""Share of what motors lift, up to which no other home is tried (chosen)"""
+_SURELY, _LIGHT, _HEAVY = 0.4, 0.85, 1.15
+"""Least share of a limit that a motor lifts, and shares of that: well, and at most (chosen on worn arms)"""
 
 LEAD_IN = 2.0
 """[s] at rest before a path"""
@@ -173,40 +174,52 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
 
     Rest. Where ``motors`` may not lift that way, a light joint is folded; where it is impossible, another branch.
     """
+    lifted = np.inf if motors is None else np.maximum(motors.usable, _SURELY * motors.limit)
+    loads = np.outer([_LIGHT, _HEAVY], lifted * np.ones(arm.joints))
 
     def judged(home: Array) -> tuple[str, float]:
         begin = PathPostures(arm, places[:1], turns and turns[:1], home)
         way = begin.along(places[:, None], turns and turns[:, None])[:, 0]
-        problem, load = _problem(arm, way, time, places, turns), np.abs(gravity_torque(arm, way))
-        return problem, np.inf if problem else 0.0 if motors is None else float((load / motors.usable).max())
+        problem, load = _problem(arm, way, time, places, turns, loads), np.abs(gravity_torque(arm, way))
+        return problem, np.inf if problem else float((load / loads[0]).max())
 
-    problem, load = judged(arm.rest)
-    if load < _LIGHT:
-        return arm.rest
-    if problem:
-        few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
-        others = choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors).q
-    else:
-        fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
-        others = np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper)
-    loads = [load, *(judged(home)[1] for home in others)]
-    if min(loads) == np.inf:
+    fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
+    few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
+    problem, least, best = "", np.inf, arm.rest
+    for enough, homes in (
+        (0.0, lambda: arm.rest[None]),
+        (1.0, lambda: np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper)),
+        (_ANY, lambda: choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors).q),
+    ):
+        if least <= enough:
+            break
+        for home in homes():
+            found, load = judged(home)
+            problem = problem or found
+            if load < least:
+                least, best = load, home
+    if least == np.inf:
         raise InputError(f"path: {problem}{unit_hint(places)}")
-    return np.asarray([arm.rest, *others][int(np.argmin(loads))])
+    return best
 
 
-def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None) -> str:
-    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad], or empty."""
-    off, angle = tool_error(arm, way, places), np.zeros(len(time))
+def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
+    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad], or empty.
+
+    ``loads`` (2, n) [N m]: usual and largest torque.
+    """
+    off, angle, cost = tool_error(arm, way, places), np.zeros(len(time)), np.empty(len(time))
+    redundancy.judge_all(body_of(arm), np.ascontiguousarray(way), loads, cost)
     if turns is not None:
         angle = np.nan_to_num(missed_pose(arm, way, places, turns)[1])
-    bad = (off > NEAR) | (angle > TURNED) | collides(arm, way)
+    bad = (off > NEAR) | (angle > TURNED) | (cost >= redundancy.FAR)
     k, at = int((off if off.max() > NEAR else bad).argmax()), [f"at {now:.2f} s" for now in time]
     if bad[k]:
         one = slice(k, k + 1)
+        joint, why = too_heavy(arm, way[k], loads[1])
+        why = f"is too heavy: {why}" if joint is not None else "is out of reach on this way, or something would touch"
         return refused(arm, at[one], places[one], turns and turns[one]) or (
-            f"{at[k]}: {in_mm(places[k])} is out of reach on this way, or something would touch; give other places, or "
-            "another way to them"
+            f"{at[k]}: {in_mm(places[k])} {why}; give other places, or another way to them"
         )
     share = np.abs(np.diff(way, axis=0)) / np.diff(time)[:, None] / arm.max_speed
     k, j = divmod(int(share.argmax()), arm.joints)

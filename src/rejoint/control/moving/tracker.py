@@ -23,7 +23,7 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.kinematics import task
-from rejoint.arms.postures import find_postures
+from rejoint.arms.postures import body_of, find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.reference import TURNING
@@ -82,7 +82,7 @@ class PathPostures:
             ridge = _SOFT * np.eye(way.shape[-1])
             step = home + (spread @ np.linalg.solve(jacobian @ spread + ridge, way[..., None]))[..., 0]
             largest = np.abs(step).max(axis=-1, keepdims=True)
-            q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), arm.lower, arm.upper)
+            q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), *body_of(arm).inner)
         return q
 
 
