@@ -16,7 +16,7 @@ from benchmarks.serve import ARM, attack, check_log, connected, holds, play, rea
 from madetwin import made_twin
 from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
 from rejoint.control.correction import Apparent
-from rejoint.control.guard import GuardLimits
+from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.robots.mycobot.bus import MyCobot280
 from rejoint.robots.mycobot.wire import COLLISION, FORMAT, Frame, encode, pack_angles, pack_coords
 from rejoint.robots.serving import PATIENCE, REFUSED, Clients, MoveEnd, OrderLog, ServedArm
@@ -173,6 +173,19 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
         "Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself (error 16)"
     ]
     assert answers.answer(Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x32")) == Frame(0x22, b"\x01")
+
+
+@pytest.mark.parametrize(("order", "axis"), [(0x32, 3), (0x30, 2)])
+def test_a_jog_ends_before_what_the_guard_keeps_the_arm_from(order, axis):
+    limits = GuardLimits.of(ARM)
+    served = ServedArm(ARM, ARM.rest, limits=limits)
+    answers, _ = answering(served)
+    forwards = 0 if order == 0x32 else 1
+    assert answers.answer(Frame(order, bytes([axis, forwards, 50]))) == Frame(order, b"\x01")
+    assert (served.motion.goal != ARM.rest).any()
+    assert clear_by(limits, served.motion.goal[None]).min() >= -1e-3
+    path = np.linspace(ARM.rest, served.motion.goal, 50)
+    assert order == 0x32 or clear_by(limits, path).min() >= -1e-3
 
 
 def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told():

@@ -32,6 +32,7 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.robots.mycobot.bus import ORDERS as NAMES
+from rejoint.robots.mycobot.motion import TimedPath
 from rejoint.robots.mycobot.wire import (
     ARRIVED_LENGTH,
     COLLISION,
@@ -276,6 +277,12 @@ class ServedArm(Computer, Reference):
             return True
         self.error = COLLISION
         return False
+
+    def _reach(self, path: TimedPath) -> int:
+        inside, error = super()._reach(path), self.error
+        reach = next((k for k in range(1, inside) if not self._is_clear(path.points[k])), inside)
+        self.error = error  # a jog ends there, and is no wrong order
+        return reach
 
     def _ready(self) -> bool:
         self._settled, self._since, self._stopped = False, np.inf, False

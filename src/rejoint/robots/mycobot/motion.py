@@ -54,7 +54,9 @@ class TimedPath(NamedTuple):
 
 def joint_path(start: Array, goal: Array) -> TimedPath:
     """Straight line in joint space, the longest joint at `FULL_SPEED`."""
-    return TimedPath(np.stack([start, goal]), np.array([0.0, np.abs(goal - start).max() / FULL_SPEED]))
+    turn = np.abs(goal - start).max()
+    count = max(1, ceil(turn / _TURN_STEP)) + 1
+    return TimedPath(np.linspace(start, goal, count), np.linspace(0.0, turn / FULL_SPEED, count))
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:

@@ -239,19 +239,26 @@ class Computer(ABC):
                 self.error = NO_SOLUTION
             return goal is not None and self.move_joints(goal, rate)
         path, complete = line_path(self.arm, start, pose)
+        if not self._is_clear(path.points[-1]):
+            return False
         if not complete or self._reach(path) < len(path.points):
             self.error = NO_LINE
             return False
-        if not self._is_clear(path.points[-1]) or not self._ready():
-            return False
-        return self.motion.enqueue(path, rate, now=self.fresh)
+        return self._ready() and self.motion.enqueue(path, rate, now=self.fresh)
 
     def jog_joint(self, joint: int, forwards: int, rate: float) -> bool:
         """Run one joint to its limit or a stop."""
         goal = self.planned_angles
         goal[joint] = self.upper[joint] if forwards else self.lower[joint]
-        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper))
-        return self._ready() and self.motion.enqueue(path, rate, now=True)
+        return self._jog(joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper)), rate)
+
+    def _jog(self, path: TimedPath, rate: float) -> bool:
+        reach = self._reach(path)
+        if reach < 2:
+            self.error = NO_LINE
+            return False
+        within = TimedPath(path.points[:reach], path.time[:reach])
+        return self._ready() and self.motion.enqueue(within, rate, now=True)
 
     def joint_index(self, identity: int) -> int | None:
         """Index of joint 1..n on the wire; None: another servo."""
@@ -301,13 +308,7 @@ class Computer(ABC):
             return False
         change = np.zeros(6)
         change[axis] = (1.0 if forwards else -1.0) * (_JOG_LENGTH if axis < 3 else _JOG_TURN)
-        path, _ = line_path(self.arm, self.planned_angles, moved(self.planned_pose(), change))
-        reach = self._reach(path)
-        if reach < 2:
-            self.error = NO_LINE
-            return False
-        within = TimedPath(path.points[:reach], path.time[:reach])
-        return self._ready() and self.motion.enqueue(within, rate, now=True)
+        return self._jog(line_path(self.arm, self.planned_angles, moved(self.planned_pose(), change))[0], rate)
 
     def set_limit(self, upper: bool, joint: int, word: float) -> bool:
         """Set a limit of a joint within the arm's own."""
