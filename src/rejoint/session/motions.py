@@ -293,9 +293,7 @@ class PathDrive:
         self.duration = duration or 0.0
         if isinstance(known := self.guide, Path):
             self.duration = LEAD_IN + known.duration
-            places, turns = known.poses(known.time[:: max(1, len(known.time) // LOOKED_AT)])
-            session.say_heavy(places, turns)
-            correction_of(session.calibration, arm, places)
+            correction_of(session.calibration, arm, known.at(known.time[:: max(1, len(known.time) // LOOKED_AT)]))
 
     def _follower(self, twin: Twin | None) -> tuple[str, Callable[[], Controller]]:
         """Return the name of what follows, and what makes it for each pass."""

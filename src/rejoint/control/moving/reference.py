@@ -58,7 +58,6 @@ _STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
 
 _BRANCHES = 5
 """Places of a path whose postures are tried as its home (chosen)"""
-_ANY = np.finfo(float).max
 _FOLD = np.radians(60.0)
 """(chosen among 30 to 90 deg)"""
 _SURELY, _LIGHT, _HEAVY = 0.4, 0.85, 1.15
@@ -177,30 +176,24 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
     lifted = np.inf if motors is None else np.maximum(motors.usable, _SURELY * motors.limit)
     loads = np.outer([_LIGHT, _HEAVY], lifted * np.ones(arm.joints))
 
-    def judged(home: Array) -> tuple[str, float]:
+    def judged(home: Array) -> tuple[float, str, Array]:
         begin = PathPostures(arm, places[:1], turns and turns[:1], home)
         way = begin.along(places[:, None], turns and turns[:, None])[:, 0]
-        problem, load = _problem(arm, way, time, places, turns, loads), np.abs(gravity_torque(arm, way))
-        return problem, np.inf if problem else float((load / loads[0]).max())
+        problem = _problem(arm, way, time, places, turns, loads)
+        return np.inf if problem else float((np.abs(gravity_torque(arm, way)) / loads[0]).max()), problem, home
 
-    fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
-    few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
-    problem, least, best = "", np.inf, arm.rest
-    for enough, homes in (
-        (0.0, lambda: arm.rest[None]),
-        (1.0, lambda: np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper)),
-        (_ANY, lambda: choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors).q),
-    ):
-        if least <= enough:
-            break
-        for home in homes():
-            found, load = judged(home)
-            problem = problem or found
-            if load < least:
-                least, best = load, home
-    if least == np.inf:
-        raise InputError(f"path: {problem}{unit_hint(places)}")
-    return best
+    tried = [judged(arm.rest)]
+    if tried[0][0] > 1.0:
+        fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
+        tried += map(judged, np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper))
+    if min(load for load, *_ in tried) == np.inf:
+        few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
+        found = choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors)
+        tried += map(judged, found.q)
+    load, _, home = min(tried, key=lambda one: one[0])
+    if load == np.inf:
+        raise InputError(f"path: {tried[0][1]}{unit_hint(places)}")
+    return home
 
 
 def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
