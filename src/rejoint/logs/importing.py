@@ -241,9 +241,11 @@ def import_logs(
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
     if not logs:
-        first = refused[0][1] if refused else FileError(source, "holds no log", "take another one")
-        more = f"; none of {len(refused)} logs can be imported" * (len(refused) > 1)
-        raise FileError(first.path, f"{first.problem}{more}", first.remedy)
+        why = {error.problem: error for _, error in reversed(refused)}
+        if len(why) == 1:
+            raise refused[0][1]
+        said = "".join(f"\n  {error}" for error in reversed(why.values()))
+        raise FileError(source, "no log here can be imported", f"the reasons:{said}")
     _write_whole(out, logs)
     return Imported(
         logs=tuple(logs.values()),
