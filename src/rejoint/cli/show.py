@@ -71,7 +71,7 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             else filmed.residuals[row].name
         )
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
-    if disturbed(own.suspects, own.points) and not wrong:
+    if (mixed := disturbed(own.suspects, own.points)) and not wrong:
         yield f"  ! {DISTURBED}"
     if filmed is not None:
         rig = filmed.rig
@@ -81,9 +81,10 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             f"{standing} in the base at {_place(rig.standing[:3, 3])} mm; {mounted} on the tool at "
             f"{_place(rig.mounted[:3, 3])} mm."
         )
+    fitting = own.points if mixed else own.points - len(own.suspects)
     yield (
-        f"At {own.points} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} "
-        f"mm from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does."
+        f"At {fitting} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} mm "
+        f"from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does."
     )
     if own.frame_name != "base":
         yield f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."

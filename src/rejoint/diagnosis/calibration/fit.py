@@ -231,12 +231,13 @@ SAME = np.radians(0.5)
 WRONG = 2.9
 """Standard deviations of a suspect point; chosen"""
 DISTURBED = (
-    "So many do not fit that something changed between them: a horn that slipped, an encoder that jumped, an arm or a "
-    "camera that was moved. Look at the arm, and measure all of them again."
+    "So many do not fit that something changed between them, or that they were not measured from the base: a horn that "
+    "slipped, an encoder that jumped, an arm or a camera that was moved, another origin (--frame). Look, and measure "
+    "all of them again."
 )
 
 
-def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool:
+def helps(arm: Arm, measured: Measurements, before: Array, after: Array, suspects: tuple[int, ...]) -> bool:
     """Whether the correction is clearly better at points left out: errors (M,) [m] without and with it."""
     numbers = np.unique(measured.posture)
     gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
@@ -244,6 +245,7 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     return (
         len(numbers) >= FEWEST
         and not astray(arm, after)
+        and not disturbed(suspects, len(after))
         and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
     )
 
@@ -262,7 +264,7 @@ def astray(arm: Arm, after: Array) -> bool:
 
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
     """Whether so many do not fit that the setup has moved."""
-    return len(suspects) >= max(3, points / 4)
+    return len(suspects) >= min(max(3, points / 4), points)
 
 
 def merge_repeats(measured: Measurements) -> Measurements:
@@ -359,6 +361,8 @@ def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem,
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
+    suspects = suspects_of(surprise, problem.known[:, :3])
+    fits = ~np.isin(np.arange(len(before)), suspects) | disturbed(suspects, len(before))
     return Calibration(
         arm=problem.arm,
         displacement=problem.layout.displacement(fitted.vector),
@@ -368,10 +372,10 @@ def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: s
         source=measured.source,
         date=date,
         points=len(measured),
-        before=float(before.mean()),
-        after=float(after.mean()),
-        used=helps(problem.arm, measured, before, after),
+        before=float(before[fits].mean()),
+        after=float(after[fits].mean()),
+        used=helps(problem.arm, measured, before, after, suspects),
         floor=floor_of(problem.arm),
-        suspects=suspects_of(surprise, problem.known[:, :3]),
+        suspects=suspects,
         left_out=np.stack([before, after], axis=-1),
     )
