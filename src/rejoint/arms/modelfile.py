@@ -157,6 +157,10 @@ def _strip(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
 
 
 def _repair(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
+    for joint in spec.joints:
+        if joint.range[0] > joint.range[1]:
+            notes.append(f"joint {joint.name}: its lower limit is above the upper one; they are exchanged")
+            joint.range, joint.limited = joint.range[::-1].copy(), True
     for body in spec.bodies:
         full, mass, com = np.array(body.fullinertia), float(body.mass), np.array(body.ipos)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(body.inertia)
