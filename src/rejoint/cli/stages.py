@@ -286,6 +286,12 @@ def compare(
     }
 
 
+def _arm(call: Call, robot: str, run: Path | None) -> rejoint.Arm | None:
+    if run is not None and call.picked:
+        raise InputError("the arm is that of RUN; leave out --arm, --base, --tip and --hold")
+    return None if run is not None else call.arm(robot)
+
+
 @takes
 def deploy(
     call: Call,
@@ -294,10 +300,7 @@ def deploy(
     targets: Path | None = None,
 ) -> object:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
-    if run is not None and call.picked:
-        raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
-    chosen = None if run is not None else call.arm(robot)
-    done = call.do(rejoint.deploy, robot, targets, run=run, arm=chosen, settings=call.settings)
+    done = call.do(rejoint.deploy, robot, targets, run=run, arm=_arm(call, robot, run), settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
     value = {
         "run": run,
@@ -320,10 +323,10 @@ def goto(
     timeout: float = 10.0,
 ) -> object:
     """Move the tool to one point, and hold it there."""
-    target = opt.point_of(x, y, z)
+    target, arm = opt.point_of(x, y, z), _arm(call, robot, run)
     with (
         call.watched("goto") as observer,
-        rejoint.connect(robot, run=run, arm=call.pick.arm, settings=call.settings, observer=observer) as session,
+        rejoint.connect(robot, run=run, arm=arm, settings=call.settings, observer=observer) as session,
     ):
         try:
             session.move_to(target, timeout_s=timeout)
