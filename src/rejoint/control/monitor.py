@@ -219,7 +219,7 @@ class Following:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
             seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
-            f"{seen}; it is held or stuck, carries more than was declared, or its encoder is dead: support the arm, "
+            f"{seen}; it is held or stuck, too weak for its load, or its encoder is dead: support the arm, "
             f"switch it off, turn {name} by hand and see whether its reading changes"
         )
 

@@ -37,7 +37,7 @@ from rejoint.control.moving.reference import (
 )
 from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.recording import Cycle, Observer, Recording, recording_of
-from rejoint.control.reference import TargetSequence
+from rejoint.control.reference import STUCK, TargetSequence
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.seeing import Eye, Finishing, Seen, simulated
 from rejoint.runs.run import Run
@@ -45,7 +45,7 @@ from rejoint.session.context import correction_of
 from rejoint.session.driver import ArmMotion
 from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Settings, Targets, as_targets
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import LOGGER, InputError
+from rejoint.system.errors import LOGGER, InputError, NotReachedError
 from rejoint.system.files import saving
 from rejoint.system.numbers import as_floats, as_seconds, as_within
 from rejoint.system.stopping import noted
@@ -320,11 +320,19 @@ class PathDrive:
             guide = corrected(arm, guide, session.correction, home)
         aimed, passes, lesson = guide, list[Pass](), None
         for number in range(self.repeat):
-            session.go(PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0], motion.give_up)
+            start = PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0]
+            session.go(start, motion.give_up)
+            away = np.abs(session.state.joints_rad - start)
+            if away.max() > STUCK[0] and not motion.ended.is_set():
+                joint = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg away"
+                raise NotReachedError(
+                    f"the arm did not come to the start of its path: {joint}; it holds. Send it to a point first"
+                )
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             schedule = Schedule(dwell=self.duration, give_up=motion.give_up)
-            reference = PathReference(arm, [aimed], home)
+            message = session.observer.message
+            reference = PathReference(arm, [aimed], home, motors=session.motors, message=message)
             last = session.drive(make(), schedule, reference, partial(self._show, number))
             if motion.ended.is_set():
                 return None

@@ -49,7 +49,8 @@ def test_a_parabola_is_reproduced_exactly():
     ("time", "place", "words"),
     [
         ([0.0, 1.0, 1.0], np.zeros((3, 3)), "time 1 s of point 3 is not after 1 s"),
-        ([0.0, 1.0], [[0.2, 0.0, np.nan], [0.2, 0.0, 0.2]], "no finite numbers"),
+        ([0.0, 1.0], [[0.2, 0.0, np.nan], [0.2, 0.0, 0.2]], "nan"),
+        ([0.0, 1.0], [[180, 0, 200], [190, 0, 200]], "millimetres"),
         ([0.0], np.zeros((1, 3)), "T > 1"),
     ],
 )

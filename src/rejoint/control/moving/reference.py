@@ -16,9 +16,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rejoint.arms import Arm, Array, Motors, choose_postures, gravity_torque
+from rejoint.arms import Arm, Array, Mask, Motors, gravity_torque, tcp_position
 from rejoint.arms.arm import frozen
-from rejoint.arms.postures import NEAR, TURNED, body_of, missed_pose, redundancy, too_heavy
+from rejoint.arms.postures import NEAR, TURNED, body_of, missed_pose, pool_of, redundancy, too_heavy
 from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import tool_error
@@ -56,8 +56,8 @@ SPEED_SHARE = 0.8
 """Largest share of joint speed"""
 _STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
 
-_BRANCHES = 5
-"""Places of a path whose postures are tried as its home (chosen)"""
+_HOMES = 64
+"""Stored postures that are tried as the home of a path (chosen)"""
 _FOLD = np.radians(60.0)
 """(chosen among 30 to 90 deg)"""
 _SURELY, _LIGHT, _HEAVY = 0.4, 0.85, 1.15
@@ -97,11 +97,11 @@ class Path:
 
     def __post_init__(self) -> None:
         time = as_floats("path", self.time, "times (T,) in seconds")
-        place = as_floats("path", self.place, "places (T, 3) in metres")
+        place = as_place("path", self.place, "places (T, 3) in metres", axes=(2,))
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
-        if not (np.isfinite(time).all() and np.isfinite(place).all()):
-            raise InputError("path: some times or places are no finite numbers")
+        if not np.isfinite(time).all():
+            raise InputError("path: some times are no finite numbers")
         late = np.flatnonzero(np.diff(time) <= 0.0)
         if len(late):
             k = int(late[0]) + 1
@@ -171,53 +171,77 @@ class Path:
 def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Orientation | None) -> Array:
     """Home (n,) [rad] near which ``arm`` passes poses (T,) at ``time`` (T,) [s]; InputError.
 
-    Rest. Where ``motors`` may not lift that way, a light joint is folded; where it is impossible, another branch.
+    Rest. Where that is impossible, or ``motors`` may not lift it: the lightest of rest with a light joint folded; else
+    of stored postures at the first place.
     """
+    loads = _loads(arm, motors)
+
+    def ways(homes: Array) -> Array:
+        """Postures (H, T, n) [rad] near ``homes`` (H, n)."""
+        each = np.broadcast_to(places[:, None], (len(places), len(homes), 3))
+        turned = turns and turns[np.repeat(np.arange(len(places))[:, None], len(homes), axis=1)]
+        return PathPostures(arm, each[0], turned and turned[0], homes).along(each, turned).swapaxes(0, 1)
+
+    def weight(way: Array) -> float:
+        """Largest torque over the usual; infinite: impossible."""
+        bad = _impossible(arm, way, places, turns, loads)[0].any() or _speeds(arm, way, time).max() > SPEED_SHARE
+        return np.inf if bad else float((np.abs(gravity_torque(arm, way)) / loads[0]).max())
+
+    usual = ways(arm.rest[None])[0]
+    if weight(usual) <= 1.0:
+        return arm.rest
+    fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
+    pool = pool_of(arm)
+    near = np.linalg.norm(pool.place - places[0], axis=-1).argsort()[:_HOMES]
+    for homes in arm.rest + np.vstack([0.0 * arm.rest, fold, -fold]), pool.posture[near]:
+        homes = np.clip(homes, arm.lower, arm.upper)
+        found = np.array([weight(way) for way in ways(homes)])
+        if found.min() < np.inf:
+            return homes[found.argmin()]
+    raise InputError(f"path: {_problem(arm, usual, time, places, turns, loads)}{unit_hint(places)}")
+
+
+def _loads(arm: Arm, motors: Motors | None) -> Array:
+    """Usual and largest torque (2, n) [N m] along a path."""
     lifted = np.inf if motors is None else np.maximum(motors.usable, _SURELY * motors.limit)
-    loads = np.outer([_LIGHT, _HEAVY], lifted * np.ones(arm.joints))
-
-    def judged(home: Array) -> tuple[float, str, Array]:
-        begin = PathPostures(arm, places[:1], turns and turns[:1], home)
-        way = begin.along(places[:, None], turns and turns[:, None])[:, 0]
-        problem = _problem(arm, way, time, places, turns, loads)
-        return np.inf if problem else float((np.abs(gravity_torque(arm, way)) / loads[0]).max()), problem, home
-
-    tried = [judged(arm.rest)]
-    if tried[0][0] > 1.0:
-        fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
-        tried += map(judged, np.clip(arm.rest + np.vstack([fold, -fold]), arm.lower, arm.upper))
-    if min(load for load, *_ in tried) == np.inf:
-        few = np.linspace(0, len(places) - 1, _BRANCHES).astype(int)
-        found = choose_postures(arm, places[few], arm.rest, turn=turns and turns[few], motors=motors)
-        tried += map(judged, found.q)
-    load, _, home = min(tried, key=lambda one: one[0])
-    if load == np.inf:
-        raise InputError(f"path: {tried[0][1]}{unit_hint(places)}")
-    return home
+    return np.outer([_LIGHT, _HEAVY], lifted * np.ones(arm.joints))
 
 
-def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
-    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad], or empty.
-
-    ``loads`` (2, n) [N m]: usual and largest torque.
-    """
-    off, angle, cost = tool_error(arm, way, places), np.zeros(len(time)), np.empty(len(time))
+def _impossible(arm: Arm, way: Array, places: Array, turns: Orientation | None, loads: Array) -> tuple[Mask, Array]:
+    """Which postures (T,) of a ``way`` (T, n) [rad] miss their pose, touch something, or are too heavy; misses [m]."""
+    off, angle, cost = tool_error(arm, way, places), np.zeros(len(way)), np.empty(len(way))
     redundancy.judge_all(body_of(arm), np.ascontiguousarray(way), loads, cost)
     if turns is not None:
         angle = np.nan_to_num(missed_pose(arm, way, places, turns)[1])
-    bad = (off > NEAR) | (angle > TURNED) | (cost >= redundancy.FAR)
+    return (off > NEAR) | (angle > TURNED) | (cost >= redundancy.FAR), off
+
+
+def _speeds(arm: Arm, way: Array, time: Array) -> Array:
+    """Shares (T - 1, n) of the joints' speeds on a ``way`` (T, n) [rad] at ``time`` (T,) [s]."""
+    return np.abs(np.diff(way, axis=0)) / np.diff(time)[:, None] / arm.max_speed
+
+
+def _why(arm: Arm, posture: Array, place: Array, loads: Array) -> str:
+    """Why an impossible ``posture`` (n,) [rad] is it."""
+    joint, why = too_heavy(arm, posture, loads[1])
+    why = f"is too heavy: {why}" if joint is not None else "is out of reach on this way, or something would touch"
+    return f"{in_mm(place)} {why}"
+
+
+def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
+    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad].
+
+    ``loads`` (2, n) [N m]: usual and largest torque.
+    """
+    bad, off = _impossible(arm, way, places, turns, loads)
     k, at = int((off if off.max() > NEAR else bad).argmax()), [f"at {now:.2f} s" for now in time]
     if bad[k]:
         one = slice(k, k + 1)
-        joint, why = too_heavy(arm, way[k], loads[1])
-        why = f"is too heavy: {why}" if joint is not None else "is out of reach on this way, or something would touch"
         return refused(arm, at[one], places[one], turns and turns[one]) or (
-            f"{at[k]}: {in_mm(places[k])} {why}; give other places, or another way to them"
+            f"{at[k]}: {_why(arm, way[k], places[k], loads)}; give other places, or another way to them"
         )
-    share = np.abs(np.diff(way, axis=0)) / np.diff(time)[:, None] / arm.max_speed
+    share = _speeds(arm, way, time)
     k, j = divmod(int(share.argmax()), arm.joints)
-    if share[k, j] <= SPEED_SHARE:
-        return ""
     speed, most = np.degrees(np.array([share[k, j], SPEED_SHARE]) * arm.max_speed[j])
     return (
         f"{at[k]}: {in_mm(places[k])} {arm.joint_names[j]} would have to turn at {speed:.0f} deg/s, {most:.0f} at most "
@@ -432,30 +456,57 @@ Guide: TypeAlias = Path | Stream
 
 
 class PathReference(Reference):
-    """Paths and streams of B arms."""
+    """Paths and streams of B arms. Where a stream asks for the impossible, its arm holds the last possible posture."""
 
-    def __init__(self, arm: Arm, guides: Sequence[Guide], home: Array | None = None) -> None:
-        """``home`` (n,) or (B, n) [rad]: postures stay near to it; None: rest."""
-        self._guides, self.count = guides, len(guides)
+    def __init__(
+        self,
+        arm: Arm,
+        guides: Sequence[Guide],
+        home: Array | None = None,
+        *,
+        motors: Motors | None = None,
+        message: Callable[[str], None] | None = None,
+    ) -> None:
+        """``home`` (n,) or (B, n) [rad]: postures stay near to it; None: rest. ``message`` hears of the first hold."""
+        self._arm, self._guides, self.count = arm, guides, len(guides)
         self.waits = np.array([isinstance(guide, Path) for guide in guides])
+        self._loads, self._message = _loads(arm, motors), message
         now = np.zeros(self.count)
         places, turns = self.poses(now, now[None])
         self._now, self._later = (PathPostures(arm, places[0], turns and turns[0], home) for _ in range(2))
+        self._held = {postures: postures.last for postures in (self._now, self._later)}
 
     def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`."""
         since = now.since_target
         place = np.stack([guide.target(float(time)) for guide, time in zip(self._guides, since, strict=True)])
         aims, turns = self.poses(since, np.zeros((1, self.count)))
+        goal, held = self._possible(self._now, aims, turns)
+        if held.any() and self._message is not None:
+            b = int(held[0].argmax())
+            why = _why(self._arm, self._now.last[b], aims[0, b], self._loads)
+            self._message(f"stream: {why}; the arm holds until it can follow again")
+            self._message = None
         return replace(
             now,
-            goal=self._now.at(aims, turns)[0],
-            target=aims[0],
+            goal=goal[0],
+            target=np.where(held[0, :, None], tcp_position(self._arm, goal[0]), aims[0]),
             turn=turns and turns[0],
             place=place,
             aim=aims[0],
-            ahead=lambda later: self._later.at(*self.poses(since, later)),
+            ahead=lambda later: self._possible(self._later, *self.poses(since, later))[0],
         )
+
+    def _possible(self, postures: PathPostures, places: Array, turns: Orientation | None) -> tuple[Array, Mask]:
+        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m], and whether (k, B) they are held ones."""
+        way, held = postures.at(places, turns).copy(), np.zeros(places.shape[:2], bool)  # their search goes on
+        for b in np.flatnonzero(~self.waits):
+            held[:, b], _ = _impossible(self._arm, way[:, b], places[:, b], turns and turns[:, b], self._loads)
+        for k in range(len(way)):
+            last = way[k - 1] if k else self._held[postures]
+            way[k] = np.where(held[k, :, None], last, way[k])
+        self._held[postures] = way[len(way) // 2]
+        return way, held
 
     def poses(self, now: Array, later: Array) -> Poses:
         """Corrected targets (k, B, 3) [m] and orientations (k, B), ``later`` (k, B) [s] than ``now`` (B,)."""
