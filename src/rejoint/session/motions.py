@@ -322,7 +322,7 @@ class PathDrive:
         for number in range(self.repeat):
             start = PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0]
             session.go(start, motion.give_up)
-            away = np.abs(session.state.joints_rad - start)
+            away = np.abs(session.robot.read().position[0] - start)
             if away.max() > STUCK[0] and not motion.ended.is_set():
                 joint = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg away"
                 raise NotReachedError(
@@ -331,8 +331,7 @@ class PathDrive:
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             schedule = Schedule(dwell=self.duration, give_up=motion.give_up)
-            message = session.observer.message
-            reference = PathReference(arm, [aimed], home, motors=session.motors, message=message)
+            reference = PathReference(arm, [aimed], home, motors=session.motors, message=session.observer.message)
             last = session.drive(make(), schedule, reference, partial(self._show, number))
             if motion.ended.is_set():
                 return None
