@@ -59,7 +59,7 @@ MANY = 8
 """Logs from which each is one observation; chosen"""
 
 KINDS = {
-    "stuck": "stuck, too weak or without power",
+    "stuck": "not following its commands",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
     "hysteresis": "stopping short of where it is sent",
@@ -176,7 +176,7 @@ def diagnose_logs(
     if not data.of_kind(FREE):
         raise InputError(
             f"diagnosis: no {SHORTEST:g} s of free motion in one piece{evidence.left_out}; record longer motions, off "
-            "table and stops"
+            "table and stops, or give the right zeros of the joints, which look like a table too"
         )
     on_progress(0.1, "joints")
     measurement = Measurement(joints=measure_joints(data), period_s=data.log.period)

@@ -37,8 +37,8 @@ QUIET_COUNTS = 2.0
 SATURATED = 0.3
 """Share of time at the limit that hides stiffness and friction; chosen"""
 
-FOLLOWS = 0.3
-"""Share of a slow sweep of a stuck joint; chosen: a worn one makes 0.7"""
+FOLLOWS = 0.6
+"""Least share of its commands that a joint follows, and over the largest; chosen: a worn one makes 0.7"""
 
 STUCK_ERROR = 0.17
 """[rad] following error of a stuck joint without sweep; chosen: twice a worn joint's sag"""
@@ -167,7 +167,8 @@ def find(
             encoder_step=arm.encoder_step,
             common_lag=common,
         )
-        found += [_finding(case, kind, told, bad) for kind, (_, rule) in RULES.items() if (told := rule(case))]
+        rules = TOO_FAR if stuck(case) else RULES
+        found += [_finding(case, kind, told, bad) for kind in rules if (told := RULES[kind][1](case))]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
@@ -191,13 +192,13 @@ def stuck(case: _Case) -> Found:
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
-    follows = gain is not None and gain > FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
+    follows = gain is not None and FOLLOWS < gain < 1.0 / FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
     if follows or far < STUCK_ERROR:
         return None
     return float((case.levers * case.errors).mean()), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
-        "no power, is blocked or too weak to lift the arm, or its reading is another joint's or turned round; at its "
-        "targets this costs"
+        "no power, is blocked or too weak to lift the arm, or its reading is another joint's, turned round, or has "
+        "another zero or scale; at its targets this costs"
     )
 
 
@@ -318,6 +319,8 @@ RULES: dict[str, tuple[str, Callable[[_Case], Found]]] = {
     "noise": ("noise_rad", noise),
 }
 """Judged quantity and rule for one joint, by the kind of finding"""
+TOO_FAR = ("stuck", "play_in_loop", "torque_limit", "noise")
+"""Kinds that hold of a joint which no servo's law describes"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:

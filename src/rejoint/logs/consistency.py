@@ -384,9 +384,9 @@ def check_agreement(motion: RecordedMotion) -> Iterator[Remark]:
             said = f"{name} moves {gain:.3g} times as far as its command: not one unit"
             yield said, "give states and commands in one unit"
         low, apart, high = np.percentile(error[:, joint], (10, 50, 90))
-        if abs(apart) > APART:
+        if abs(apart) > APART / 2:
             said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median)"
-            if high - low < abs(apart) / 2 and gain > FOLLOWED:
+            if abs(apart) > APART and high - low < abs(apart) / 2 and gain > FOLLOWED:
                 yield said, "check unit, joint order and zero of states and commands"
             yield f"state: {said}: a weak servo, or another zero", ""
     yield from _check_lag(motion, command)
