@@ -4,7 +4,7 @@ Emulated arms drawn about the worn one, each diagnosed and with its own twin; on
 `--policy` of `python -m benchmarks elimination`; without one the generic policy takes part). What every controller does
 at every target is emulated side by side first, twice with other noise, holding for eight seconds. The first time is the
 long way, twenty targets judged by their intervals. Of the second time the comparison in blocks takes the trials that it
-asks for, the first 4.5 seconds of each hold; its arm's time is that of these trials. What the recommended controller
+asks for, the first seconds of each hold; its arm's time is that of these trials. What the recommended controller
 costs is measured on all forty holds: how much farther off it settles than the best one, and how much later it stays
 within 2 mm. ``--sets 2`` goes to twenty targets.
 """

@@ -26,7 +26,6 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
-from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
@@ -282,8 +281,8 @@ SETS, REPETITIONS = 10, 6
 ONE_ARM_SETS = 1
 """Target sets on one arm; chosen: those of the diagnosis"""
 
-ONE_ARM_PROTOCOL = Protocol(hold=DWELL)
-"""On one arm, with the holds of the diagnosis"""
+ONE_ARM_PROTOCOL = Protocol(hold=4.0)
+"""On one arm (chosen: on twelve arms it recommends as longer holds do, `python -m benchmarks elimination`)"""
 
 
 @dataclass(frozen=True, kw_only=True)
