@@ -113,6 +113,8 @@ def test_units_of_others_are_doubted(tmp_path: Path) -> None:
     arm = read_arm(written(tmp_path, urdf(SIX).replace('lower="-3.14" upper="3.14"', 'lower="-180" upper="180"')))
     assert any("those of j3 are beyond 4 turns, and not believed" in note for note in arm.notes)
     np.testing.assert_allclose((arm.arm.lower[2], arm.arm.upper[2]), (-np.pi, np.pi))
+    turned = read_arm(written(tmp_path, urdf(SIX).replace('lower="-3.14" upper="3.14"', 'lower="2" upper="-1"')))
+    np.testing.assert_allclose((turned.arm.lower[2], turned.arm.upper[2]), (-1.0, 2.0))
     millimetres = tuple(
         (kind, " ".join(str(1e3 * float(part)) for part in origin.split()), axis, limits)
         for kind, origin, axis, limits in SIX

@@ -158,6 +158,11 @@ def test_one_misread_point_corrects_nothing():
     assert not fit(ARM, replace(m, point=m.point - [0.0, 0.0, 0.025])).used
 
 
+def test_points_between_which_the_arm_was_moved_correct_nothing():
+    m = measured(worn(0), 20)
+    assert not fit(ARM, replace(m, point=m.point + 0.006 * (np.arange(20) % 4 == 0)[:, None])).used
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_few_points_help_where_the_links_are_not_as_described(seed):
     twist = np.random.default_rng([seed, 2]).normal(0.0, [1e-3] * 3 + [np.radians(0.3)] * 3, (7, 6))

@@ -34,7 +34,9 @@ TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, fricti
 
 @pytest.fixture(scope="module")
 def logs():
-    return dict(zip(WEARS, record_motions(list(WEARS.values()), 7, 16.0), strict=True))
+    found = dict(zip(WEARS, record_motions(list(WEARS.values()), 7, 16.0), strict=True))
+    scale = 1.0 - 0.5 * np.eye(ARM.joints)[0]
+    return found | {"half scale": [dataclasses.replace(log, position=scale * log.position) for log in found["healthy"]]}
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +58,7 @@ def kinds(diagnosis):
         ("sticky roll", {("wrist_roll", "hysteresis")}),  # gravity does not load it: friction has no torque here
         ("blocked wrist", {("wrist_flex", "stuck")}),
         ("limp wrist", {("wrist_flex", "stuck")}),
+        ("half scale", {("shoulder_pan", "stuck")}),
     ],
 )
 def test_one_wear_is_named_and_nothing_else(found, name, expected):
