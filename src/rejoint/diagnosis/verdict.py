@@ -167,8 +167,8 @@ def find(
             encoder_step=arm.encoder_step,
             common_lag=common,
         )
-        rules = TOO_FAR if stuck(case) else RULES
-        found += [_finding(case, kind, told, bad) for kind in rules if (told := RULES[kind][1](case))]
+        kinds = [kind for kind in RULES if kind not in SEEMING or not stuck(case)]
+        found += [_finding(case, kind, told, bad) for kind in kinds if (told := RULES[kind][1](case))]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
@@ -319,8 +319,8 @@ RULES: dict[str, tuple[str, Callable[[_Case], Found]]] = {
     "noise": ("noise_rad", noise),
 }
 """Judged quantity and rule for one joint, by the kind of finding"""
-TOO_FAR = ("stuck", "play_in_loop", "torque_limit", "noise")
-"""Kinds that hold of a joint which no servo's law describes"""
+SEEMING = ("lag", "offset")
+"""Kinds that a joint which does not follow only seems to show"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
