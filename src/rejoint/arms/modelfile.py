@@ -99,7 +99,7 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         )
         coupled = {one.name1: one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT}
         _strip(spec, notes)
-        _repair(spec, notes)
+        _repair(spec, notes, urdf)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file") from error
@@ -156,8 +156,8 @@ def _strip(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
-def _repair(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
-    for joint in spec.joints:
+def _repair(spec: Any, notes: list[str], urdf: bool) -> None:  # noqa: ANN401
+    for joint in spec.joints if urdf else ():
         if joint.range[0] > joint.range[1]:
             notes.append(f"joint {joint.name}: its lower limit is above the upper one; they are exchanged")
             joint.range, joint.limited = joint.range[::-1].copy(), True
