@@ -159,6 +159,7 @@ Format = Literal["sage", "table", "mcap", "rosbag", "lerobot"]
 READERS: dict[Format, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
 """Importable formats"""
 
+_NAMED = 8  # reasons for which logs are refused
 _EXPECTED = (
     "a folder with SAGE's state_motor.csv, text with columns such as time_s, position.JOINT_rad and command.JOINT_rad, "
     "an MCAP file, a bag of ROS, or a folder with LeRobot's meta/info.json"
@@ -244,8 +245,8 @@ def import_logs(
         why = {error.problem: error for _, error in reversed(refused)}
         if len(why) == 1:
             raise refused[0][1]
-        said = "".join(f"\n  {error}" for error in reversed(why.values()))
-        raise FileError(source, "no log here can be imported", f"the reasons:{said}")
+        said = "".join(f"\n  {error}" for error in [*reversed(why.values())][:_NAMED])
+        raise FileError(source, "no log here can be imported", f"the first reasons:{said}")
     _write_whole(out, logs)
     return Imported(
         logs=tuple(logs.values()),
