@@ -324,10 +324,8 @@ class PathDrive:
             session.go(start, motion.give_up)
             away = np.abs(session.robot.read().position[0] - start)
             if away.max() > STUCK[0] and not motion.ended.is_set():
-                joint = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg away"
-                raise NotReachedError(
-                    f"the arm did not come to the start of its path: {joint}; it holds. Send it to a point first"
-                )
+                far = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg from the start of its path"
+                raise NotReachedError(f"{far}, and the arm holds; clear its way, or send it to a point first")
             if self.repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             schedule = Schedule(dwell=self.duration, give_up=motion.give_up)

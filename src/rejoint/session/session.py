@@ -302,8 +302,8 @@ class ArmSession(ArmDriver):
     ) -> Followed | None:
         """Drive the tool along ``path``; ``repeat`` as in `rejoint.follow`, ``wait`` as in `move_to`.
 
-        A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`. InputError for a path out of
-        reach or too fast, or without a twin.
+        A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`, or away from the start.
+        InputError for a path out of reach or too fast, or without a twin.
         """
         from rejoint.session.motions import PathDrive
 

@@ -125,16 +125,23 @@ def test_a_corrected_stream_is_judged_by_the_postures_of_its_own_way():
     np.testing.assert_allclose(stream.route().aim, places - correction.shift(way), atol=1e-5)
 
 
-def test_where_a_stream_asks_for_the_impossible_its_arm_holds_and_comes_back():
+@pytest.mark.parametrize(
+    ("ahead", "out", "back"),
+    [
+        (lambda away: 0.18 + 0.1 * max(3.0 - away, 0.0), 1.8, 2.3),  # beyond its reach, or through its own base
+        (lambda away: 0.1 * min(away, 2.0), 0.6, 0.9),
+    ],
+)
+def test_where_a_stream_asks_for_the_impossible_its_arm_holds_and_comes_back(ahead, out, back):
     stream, heard, times = Stream(lag=0.0), [], np.arange(0.0, 8.0, 0.05)
-    for time in times:  # out of reach from 2 to 6 s
-        stream.put([0.18 + 0.1 * max(3.0 - abs(time - 4.0), 0.0), 0.0, 0.2], time)
+    for time in times:
+        stream.put([ahead(abs(time - 4.0)), 0.0, 0.2], time)
     reference = PathReference(ARM, [stream], message=heard.append)
     goals = [reference.advance(now_at(np.zeros((1, ARM.joints)), np.array([time]))) for time in times]
     tool = np.array([tcp_position(ARM, one.goal)[0] for one in goals])
     away = np.abs(times - 4.0)
-    np.testing.assert_allclose(tool[away > 2.3], np.array(stream.rows)[away > 2.3], atol=1e-3)
-    assert np.ptp(tool[away < 1.8], axis=0).max() == 0.0
+    np.testing.assert_allclose(tool[away > back], np.array(stream.rows)[away > back], atol=1e-3)
+    assert np.ptp(tool[away < out], axis=0).max() == 0.0
     np.testing.assert_allclose(goals[80].target[0], tool[80])
     assert len(heard) == 1
 

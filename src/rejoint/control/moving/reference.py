@@ -192,7 +192,7 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
         return arm.rest
     fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
     pool = pool_of(arm)
-    near = np.linalg.norm(pool.place - places[0], axis=-1).argsort()[:_HOMES]
+    near = np.linalg.norm(pool.place - places[0], axis=-1).argsort()[: _HOMES if turns is None else _HOMES // 4]
     for homes in arm.rest + np.vstack([0.0 * arm.rest, fold, -fold]), pool.posture[near]:
         homes = np.clip(homes, arm.lower, arm.upper)
         found = np.array([weight(way) for way in ways(homes)])
@@ -491,7 +491,7 @@ class PathReference(Reference):
             now,
             goal=goal[0],
             target=np.where(held[0, :, None], tcp_position(self._arm, goal[0]), aims[0]),
-            turn=turns and turns[0],
+            turn=turns and replace(turns[0], weight=np.where(held[0], 0.0, turns.weight[0])),
             place=place,
             aim=aims[0],
             ahead=lambda later: self._possible(self._later, *self.poses(since, later))[0],
@@ -499,13 +499,24 @@ class PathReference(Reference):
 
     def _possible(self, postures: PathPostures, places: Array, turns: Orientation | None) -> tuple[Array, Mask]:
         """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m], and whether (k, B) they are held ones."""
-        way, held = postures.at(places, turns).copy(), np.zeros(places.shape[:2], bool)  # their search goes on
-        for b in np.flatnonzero(~self.waits):
-            held[:, b], _ = _impossible(self._arm, way[:, b], places[:, b], turns and turns[:, b], self._loads)
+
+        def impossible(way: Array) -> Mask:
+            bad = np.zeros(places.shape[:2], bool)
+            for b in np.flatnonzero(~self.waits):
+                bad[:, b] = _impossible(self._arm, way[:, b], places[:, b], turns and turns[:, b], self._loads)[0]
+            return bad
+
+        way, last, middle = np.array(postures.at(places, turns)), self._held[postures], len(places) // 2
+        held = impossible(way)
+        if held.any():  # the search may have gone to another branch meanwhile
+            postures.last = last
+            other = postures.at(places, turns)
+            way = np.where((held & ~impossible(other))[..., None], other, way)
+            held = impossible(way)
+        postures.last = way[middle].copy()
         for k in range(len(way)):
-            last = way[k - 1] if k else self._held[postures]
-            way[k] = np.where(held[k, :, None], last, way[k])
-        self._held[postures] = way[len(way) // 2]
+            last = way[k] = np.where(held[k, :, None], last, way[k])
+        self._held[postures] = way[middle]
         return way, held
 
     def poses(self, now: Array, later: Array) -> Poses:
