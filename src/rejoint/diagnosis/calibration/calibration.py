@@ -248,7 +248,7 @@ class Calibration(Readable):
     points: int
     """measurements in the fit"""
     before: float
-    """[m] mean true error by encoders"""
+    """[m] mean true error by encoders, of the points that fit"""
     after: float
     """[m] the same by this calibration, points left out"""
     used: bool

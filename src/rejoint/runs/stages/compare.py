@@ -294,7 +294,7 @@ class TrialPlan:
     repetitions: int | None = None
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s, on one arm 5 s"""
+    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s, on one arm 4 s"""
     full: bool = False
     """on a real arm, eliminate only after three targets missed in a row"""
 
