@@ -12,7 +12,7 @@ from rejoint.arms import Array
 from rejoint.cli.console import ShownTable
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
-from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
+from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed, fitting
 from rejoint.logs.runfolder import Effort, cost
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             else filmed.residuals[row].name
         )
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
-    if (mixed := disturbed(own.suspects, own.points)) and not wrong:
+    if disturbed(own.suspects, own.points) and not wrong:
         yield f"  ! {DISTURBED}"
     if filmed is not None:
         rig = filmed.rig
@@ -81,9 +81,9 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             f"{standing} in the base at {_place(rig.standing[:3, 3])} mm; {mounted} on the tool at "
             f"{_place(rig.mounted[:3, 3])} mm."
         )
-    fitting = own.points if mixed else own.points - len(own.suspects)
+    count = fitting(own.suspects, own.points).sum()
     yield (
-        f"At {fitting} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} mm "
+        f"At {count} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} mm "
         f"from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does."
     )
     if own.frame_name != "base":

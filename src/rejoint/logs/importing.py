@@ -242,6 +242,8 @@ def import_logs(
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
     if not logs:
+        if not refused:
+            raise FileError(source, "holds no log", "take another one")
         why = {error.problem: error for _, error in reversed(refused)}
         if len(why) == 1:
             raise refused[0][1]

@@ -237,7 +237,7 @@ DISTURBED = (
 )
 
 
-def helps(arm: Arm, measured: Measurements, before: Array, after: Array, suspects: tuple[int, ...]) -> bool:
+def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool:
     """Whether the correction is clearly better at points left out: errors (M,) [m] without and with it."""
     numbers = np.unique(measured.posture)
     gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
@@ -245,7 +245,6 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array, suspect
     return (
         len(numbers) >= FEWEST
         and not astray(arm, after)
-        and not disturbed(suspects, len(after))
         and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
     )
 
@@ -265,6 +264,11 @@ def astray(arm: Arm, after: Array) -> bool:
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
     """Whether so many do not fit that the setup has moved."""
     return len(suspects) >= min(max(3, points / 4), points)
+
+
+def fitting(suspects: tuple[int, ...], points: int) -> Mask:
+    """Points (M,) that count in a mean error: all, where so many do not fit."""
+    return ~np.isin(np.arange(points), suspects) | disturbed(suspects, points)
 
 
 def merge_repeats(measured: Measurements) -> Measurements:
@@ -362,7 +366,7 @@ def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: s
     """Make a calibration of a fit, tested on rows left out."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
     suspects = suspects_of(surprise, problem.known[:, :3])
-    fits = ~np.isin(np.arange(len(before)), suspects) | disturbed(suspects, len(before))
+    fits = fitting(suspects, len(measured))
     return Calibration(
         arm=problem.arm,
         displacement=problem.layout.displacement(fitted.vector),
@@ -374,7 +378,7 @@ def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: s
         points=len(measured),
         before=float(before[fits].mean()),
         after=float(after[fits].mean()),
-        used=helps(problem.arm, measured, before, after, suspects),
+        used=helps(problem.arm, measured, before, after) and not disturbed(suspects, len(measured)),
         floor=floor_of(problem.arm),
         suspects=suspects,
         left_out=np.stack([before, after], axis=-1),

@@ -282,7 +282,7 @@ ONE_ARM_SETS = 1
 """Target sets on one arm; chosen: those of the diagnosis"""
 
 ONE_ARM_PROTOCOL = Protocol(hold=4.0)
-"""On one arm (chosen: on twelve arms it recommends as longer holds do, `python -m benchmarks elimination`)"""
+"""On one arm (chosen: holds of 4.5 s recommend the same on twelve arms of `python -m benchmarks elimination`)"""
 
 
 @dataclass(frozen=True, kw_only=True)
