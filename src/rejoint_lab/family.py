@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from importlib.resources import files
 
 from rejoint.arms import CATALOGUE, Arm, load_arm
@@ -12,6 +12,7 @@ from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.dynamixel import KIND as X_SERIES
 from rejoint.robots.feetech import KIND as STS
 from rejoint.robots.knobs import Gains
+from rejoint.system.records import value_type
 from rejoint_lab.plant.xseries import drives
 
 SIMULATOR = "mujoco"
@@ -21,7 +22,7 @@ _PERIOD = (0.020, 0.030)
 _PROFILES = files(__package__) / "plant" / "profiles"
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class EmulatedAddress:
     """An arm emulated in this process."""
 

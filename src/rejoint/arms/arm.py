@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.system.errors import InputError
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, value_type
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -171,7 +171,7 @@ def _freeze(instance: object) -> None:
             object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Loaded(Readable):
     """An arm and its assumptions."""
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms.arm import Arm, Array
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats
+from rejoint.system.records import entity
 
 LINK_RADIUS_RATIO = 1 / 20
 """Radius of that cylinder over the reach (chosen)"""
@@ -160,7 +161,7 @@ class Payload:
     """[m] from the bare arm's TCP, in its axes"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class LoadedArm(Arm):
     """An arm with payload or tool."""
 

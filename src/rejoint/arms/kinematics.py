@@ -6,7 +6,7 @@ weight presses a joint to one side of its play and bends it (Khalil and Dombre 2
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from rejoint.arms.arm import Arm, Array, Mask, _freeze, frozen
 from rejoint.arms.rotations import Orientation, moved
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -155,7 +156,7 @@ def link_inertia(arm: Arm, q: Array) -> Array:
     return np.triu(about).sum(axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Solution:
     """Result of an inverse-kinematics search."""
 
@@ -219,7 +220,7 @@ FLOATING = 0.001
 """[N m] of a floating joint (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Displacement:
     """Displacement of n joints; zeros: none."""
 

@@ -6,7 +6,7 @@ Automatic Machines and Robots, 2008, section 3.4). At corners pieces overlap in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from rejoint.arms.kinematics import gravity_torque, link_inertia, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 
 interpolate = Late("scipy.interpolate")
@@ -48,7 +49,7 @@ class PlanningError(InputError):
     """No trajectory found; the message names the obstacle."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class JointTrajectory:
     """A jerk-limited motion, in pieces that may overlap."""
 
@@ -140,7 +141,7 @@ def clearance(arm: Arm, q: Array) -> Array:
     return smallest
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class _Field:
     arm: Arm
     body: Any

@@ -6,7 +6,6 @@ by damped least squares; the best lower their cost in the null space. A comforta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -30,6 +29,7 @@ from rejoint.arms.kinematics import (
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 
 redundancy = Late("rejoint.arms.redundancy")
@@ -85,7 +85,7 @@ class Motors(NamedTuple):
     """(n,) [N m s/rad] part of the damping that takes from the limit"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Goals:
     """Postures of K targets."""
 

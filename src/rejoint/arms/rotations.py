@@ -7,7 +7,7 @@ frame, weighted in m/rad.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms.arm import Arm, Array, Mask
 from rejoint.arms.inertia import bare
+from rejoint.system.records import entity
 
 
 def turned(vector: Array) -> Array:
@@ -93,7 +94,7 @@ REACHED_TURN = float(np.radians(5.0))
 """[rad] (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Orientation:
     """Wanted tool orientations; leading shape (...)."""
 

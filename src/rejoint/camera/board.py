@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rejoint.arms import Array
 from rejoint.system.errors import InputError
 from rejoint.system.files import MEGABYTE, read_bounded, read_toml, toml_of, write_text, write_whole
+from rejoint.system.records import entity, value_type
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""
@@ -25,7 +26,7 @@ _STRETCH = 0.05
 """Largest error of a print (chosen: "fit to page" makes 0.04)"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Board:
     """A ChArUco board as printed."""
 
@@ -101,7 +102,7 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class BoardView:
     """Corners of the board in one image."""
 

@@ -9,7 +9,7 @@ fit are left out; a bent board is refused: it makes focal lengths wrong.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -30,12 +30,13 @@ from rejoint.diagnosis.regression import fit_clustered
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
+from rejoint.system.records import entity, value_type
 from rejoint.system.textfile import ANGLES, COUNT, read_columns
 
 POSTURES = "postures.csv"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Shot:
     """One picture and its posture."""
 
@@ -53,7 +54,7 @@ class Shot:
         return self.seen.name
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Film:
     """Pictures by one camera of one board in a fixed setup."""
 
@@ -365,7 +366,7 @@ def _lens_ties(lens: Lens, board: Board, views: Sequence[BoardView], sights: Arr
     return np.array(ties), told
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Residual:
     """Residual of one view."""
 
@@ -403,7 +404,7 @@ def bow(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[float, flo
     return float(np.ptp(heights)), float(np.sqrt(ends @ fit.covariance[shapes, shapes] @ ends))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Filmed:
     """Result of a fit to an image sequence."""
 

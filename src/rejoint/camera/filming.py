@@ -31,6 +31,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
 from rejoint.system.files import set_aside, write_bytes
 from rejoint.system.progress import Progress
+from rejoint.system.records import entity
 from rejoint.system.stopping import check
 
 CANDIDATES = 240
@@ -125,7 +126,7 @@ class UnseenBoardError(InputError):
     """The board is not visible; move camera or board."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class CameraGauge:
     """A camera as measuring device."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ from rejoint.camera.board import Board, BoardView
 from rejoint.diagnosis.calibration.calibration import require_finite
 from rejoint.system.errors import ContractError
 from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
+from rejoint.system.records import entity, value_type
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
@@ -25,7 +25,7 @@ FLAT = 0.6
 """[px] rms residual that a view of a flat board may have in any case; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Lens:
     """A camera of square pixels."""
 
@@ -136,7 +136,7 @@ EDGE, STEEPEST = 20.0, np.radians(55.0)
 """[px] of a shown board from the edge of the picture, and most [rad] between line of sight and normal; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Rig:
     """A camera, a board and an arm."""
 

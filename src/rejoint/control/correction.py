@@ -18,6 +18,7 @@ from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
+from rejoint.system.records import value_type
 from rejoint.system.statistics import Estimate
 
 How = Literal["known", "measured", "modelled", "not known"]
@@ -32,7 +33,7 @@ class ToolModel(Protocol):
         """Mean and 95 % interval (3, ...) [m] of the distance from ``target`` (..., 3) [m] at ``position`` (..., n)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TrueError:
     """True distance from the target."""
 

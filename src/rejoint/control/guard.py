@@ -8,7 +8,7 @@ allowed. The guard judges the commanded posture, and what a step does to the mea
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntFlag
 from functools import cached_property
 from typing import NamedTuple
@@ -24,6 +24,7 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.monitor import Bands, Following
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 
 compiled, kinematics = Late("rejoint.control.compiled"), Late("rejoint.arms.compiled")
@@ -90,7 +91,7 @@ class Rules(NamedTuple):
     parts: int
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class GuardLimits:
     """Limits of an arm."""
 

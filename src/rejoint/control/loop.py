@@ -35,6 +35,7 @@ from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
 from rejoint.system.numbers import as_floats
+from rejoint.system.records import entity
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 FIRST_PERIOD = 0.02
@@ -69,7 +70,7 @@ def in_force(state: JointState, sent: Array | None) -> Array:
     return known if state.elsewhere is None else np.where(state.elsewhere[:, None], state.position, known)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Schedule:
     """What a run starts from, and how long targets last."""
 

@@ -6,7 +6,7 @@ Constants without a source are chosen.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.correction import tool_error
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import RunLog
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 
 compiled = Late("rejoint.control.compiled")
@@ -46,7 +47,7 @@ PULL = 2.0
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Bands:
     """Friction bands from `standing_bands`: pushes at which joints do not move; (n,) or (B, n).
 

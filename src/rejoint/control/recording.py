@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -14,13 +14,14 @@ from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import JointState, Robot
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, RateLimit
+from rejoint.system.records import entity
 
 GAP = 0.8
 """[s] of a gap (chosen)"""
 _CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Cycle:
     """One control cycle of B arms."""
 
@@ -83,7 +84,7 @@ class LookedAt(Protocol):
         """Make a `Look` for a run."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Recording(Cycle):
     """T cycles of B arms; fields of `Cycle` with a leading T."""
 

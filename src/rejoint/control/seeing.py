@@ -22,6 +22,7 @@ from rejoint.control.correction import MOST, Modelled, rms
 from rejoint.control.moving.reference import interpolated
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity
 
 NOISE = 0.3e-3
 """[m] least and default deviation of a coordinate"""
@@ -49,7 +50,7 @@ FRESH = 0.6
 """[s] age of a new detection"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Sighting:
     """A detection of the tool."""
 

@@ -25,7 +25,7 @@ from rejoint.control.robot import ControlInput, Controller, Robot, part_of
 from rejoint.control.start import begin
 from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, RobotError, first_line
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.shell import Late
 from rejoint.system.stopping import shielded
 
@@ -222,7 +222,7 @@ LABOURS = 1.0
 """[s] beyond `HEAVIEST` that end it"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Round:
     """Result of a round over the targets."""
 
@@ -234,7 +234,7 @@ class Round:
     """[m] mean tool error by the encoders"""
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class GainsFound(Readable):
     """Result of a search; gains by name, one per joint."""
 

@@ -6,7 +6,6 @@ Constants without a source are chosen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
 from rejoint.control.robot import ControlInput, JointState, Robot
 from rejoint.system.errors import NotReadyError
+from rejoint.system.records import entity
 from rejoint.system.stopping import pause
 
 BEYOND = np.radians(3.0)
@@ -53,7 +53,7 @@ SUPPLIES = (5.0, 7.4, 12.0)
 POWER = "check power supply and cables"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Stance:
     """Expected rest posture by a twin."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,11 +20,11 @@ from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, value_type
 from rejoint.system.statistics import Estimate
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Evidence:
     """What the logs of a diagnosis hold."""
 
@@ -96,7 +95,7 @@ FLANK = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Diagnosis(Readable):
     """What is wrong with an arm."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from rejoint.diagnosis.segments import TARGETS_LABEL, Segment, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.records import entity, value_type
 
 
 class Excitation:
@@ -104,7 +105,7 @@ class Excitation:
             self.follow(np.array([0.0, duration]), np.stack([goal, goal]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Plan:
     """Amplitudes, speeds and durations of an excitation, about 60 s; chosen."""
 
@@ -302,7 +303,7 @@ def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
 EXCITATION_LABEL = "diagnosis/excitation"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class DiagnosisLogs:
     """Logs for a diagnosis of one arm."""
 

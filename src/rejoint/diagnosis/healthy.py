@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,7 @@ from rejoint.diagnosis.regression import scaled
 from rejoint.robots import open_robot, usable
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.records import value_type
 from rejoint.system.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ AS_SOLD, SUPPLY = 32, 12.0
 """P if unknown, and [V] supply of references"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class HealthyReference:
     """Healthy values; an ``Estimate`` holds mean and healthy range."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,6 +26,7 @@ from rejoint.diagnosis.metrics import (
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
 from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog, is_excitation
 from rejoint.logs.runlog import RunLog
+from rejoint.system.records import value_type
 from rejoint.system.statistics import NORMAL95, Estimate
 
 LOADED, LIGHT = 0.05, 0.01
@@ -74,7 +75,7 @@ DELAY_ERROR = 0.003
 """[s] error of the delay; measured over emulated arms"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class JointMetrics:
     """One joint in numbers with 95 % intervals; None: unknown."""
 
@@ -113,7 +114,7 @@ class JointMetrics:
     """position without load minus command"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Measurement:
     """What logs say about an arm."""
 

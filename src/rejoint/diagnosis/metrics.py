@@ -14,7 +14,7 @@ from lag: of a fit for each delay, the one that predicts these starts best wins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.system.records import entity
 from rejoint.system.shell import Late
 from rejoint.system.statistics import Estimate
 
@@ -201,7 +202,7 @@ LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
 """Coefficients: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Law(LinearFit):
     """Of one joint, N windows."""
 

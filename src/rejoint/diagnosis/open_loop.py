@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, tcp_position
@@ -12,6 +10,7 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.logs.exclusions import Exclusions, joint_speed
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.records import value_type
 from rejoint.system.statistics import Estimate
 
 TARGETS = 10
@@ -24,7 +23,7 @@ SETTLED = 1.0
 """[s] at the end of each target for its error; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TargetError:
     """One target."""
 
@@ -37,7 +36,7 @@ class TargetError:
     """of the tool itself"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class OpenLoop:
     """Ten targets."""
 

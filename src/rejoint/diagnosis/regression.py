@@ -6,18 +6,17 @@ quantiles are Student's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rejoint.arms import Array, Index, Mask
+from rejoint.system.records import entity
 from rejoint.system.statistics import Estimate, student95
 
 _LAD_ROUNDS = 12
 """Reweightings of least absolute deviations; measured: converged to a percent of an interval"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class LinearFit:
     """Coefficients with their clustered covariance."""
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -20,11 +19,12 @@ from rejoint.arms.kinematics import frames
 from rejoint.logs.exclusions import Exclusions, free_runs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity, value_type
 
 _KEY = "segments"
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Segment:
     """A named span of an excitation."""
 
@@ -65,7 +65,7 @@ def of_diagnosis(logs: Sequence[RunLog]) -> bool:
     return any(map(is_excitation, logs)) and all(is_excitation(log) or log.label == TARGETS_LABEL for log in logs)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class ExcitationLog:
     """A run log with segments and derived signals."""
 

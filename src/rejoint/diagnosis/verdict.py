@@ -7,7 +7,6 @@ count.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, Measurement
 from rejoint.diagnosis.open_loop import Postures
 from rejoint.diagnosis.regression import mean_of
+from rejoint.system.records import entity, value_type
 from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
@@ -59,7 +59,7 @@ NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
 """Stands for numbers that are not known: no comparison with it holds"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Finding:
     """One thing that is wrong with one joint."""
 
@@ -83,7 +83,7 @@ class Finding:
         return self.tcp_mm >= FELT_MM
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class _Case:
     row: JointMetrics
     healthy: JointMetrics | None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.records import entity
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -106,7 +107,7 @@ FEWEST = 2
 """Rows of a log"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class FileMotion:
     """A motion, T rows, and where it is from."""
 
@@ -120,7 +121,7 @@ class FileMotion:
     notes: Sequence[str] = ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class RawMotion(FileMotion):
     """A motion as it is in a file: columns on one clock."""
 
@@ -168,7 +169,7 @@ class RawMotion(FileMotion):
         return replace(self, titles=(*self.titles, *sent.titles), values=lambda chosen: table[:, chosen])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class RecordedMotion(FileMotion):
     """A motion of an arm before the checks; row k holds state k and the command in force."""
 

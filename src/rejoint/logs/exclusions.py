@@ -7,13 +7,14 @@ of its travel, far from its command, is at a stop.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.logs.runlog import RunLog
+from rejoint.system.records import entity
 
 HELD_UP = 0.005
 """[m] of a held tip above its command (a free low-cost arm: at most 4 mm)"""
@@ -56,7 +57,7 @@ RESTING = 1e-3
 """[rad] rms at rest: below a 12-bit encoder's step (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Exclusions:
     """Rows (T,) without the free arm, with recovery."""
 

@@ -7,7 +7,7 @@ import os
 import re
 import typing
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from rejoint.arms import Arm
 from rejoint.logs.runlog import read_parquet, write_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import reading
+from rejoint.system.records import value_type
 from rejoint.system.shell import __version__
 
 _PASSING = re.compile(r"[?&](hours|ambient)=[^&]*")
@@ -61,7 +62,7 @@ FORMAT = 1
 _FORMAT_KEY = b"rejoint.history"
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class HistoryRow:
     """Summary of an arm or joint; None: unknown; times in UTC."""
 

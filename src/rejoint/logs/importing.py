@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -31,6 +31,7 @@ from rejoint.logs.runlog import TWO_TURNS, RunLog, describe
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.records import value_type
 from rejoint.system.textfile import DAMAGED
 
 PAUSE = 1.0
@@ -144,7 +145,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     return log, [*notes, *(f"imported by force, although {reason}" for reason in reasons)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Imported:
     """Result of an import."""
 

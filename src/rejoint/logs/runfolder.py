@@ -14,6 +14,7 @@ import numpy as np
 from rejoint.logs.journal import recover
 from rejoint.system.errors import LOGGER, FileError
 from rejoint.system.files import UNFINISHED, read_json, write_json, writing
+from rejoint.system.records import value_type
 
 
 class FilePlace:
@@ -38,7 +39,7 @@ LOGS = "logs:"
 """Robot of a run made from logs, before their folder"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class RunInfo:
     """Contents of run.json."""
 
@@ -176,7 +177,7 @@ def _put_right(folder: RunFolder) -> None:
         LOGGER.warning("A run that was cut short is kept: %s", log)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class StageCost:
     """Cost of a stage, all attempts together."""
 
@@ -197,7 +198,7 @@ class StageCost:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Effort:
     """Cost of all stages, in order."""
 

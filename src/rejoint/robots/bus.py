@@ -8,7 +8,6 @@ import termios
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +25,7 @@ from rejoint.system.errors import (
     StaleReplyError,
     first_line,
 )
+from rejoint.system.records import entity
 from rejoint.system.stopping import check, ending, pause
 
 ALARMING = 60.0
@@ -34,7 +34,7 @@ SAME = 2.0
 """[deg C] allowed difference of two such answers (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Vitals:
     """State of n servos; None: unknown this time."""
 
@@ -60,7 +60,7 @@ class Vitals:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Reading(Vitals):
     """An answer of a bus."""
 

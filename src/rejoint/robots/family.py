@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 from rejoint.arms import Arm
 from rejoint.control.robot import Robot
 from rejoint.system.extras import require
+from rejoint.system.records import entity
 
 T = TypeVar("T")
 
@@ -19,7 +19,7 @@ DEFAULT_ARM = "mycobot280"
 """Arm of the paper"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Opening:
     """Options of opening a robot."""
 
@@ -34,7 +34,7 @@ class Opening:
     """of a simulation"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Family(Generic[T]):
     """Robots with one kind of address; T is the parsed address."""
 
@@ -60,7 +60,7 @@ class Family(Generic[T]):
     """required extras or modules"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Place(Generic[T]):
     """A parsed address of a robot."""
 

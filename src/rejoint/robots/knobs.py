@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -19,6 +19,7 @@ from rejoint.robots.family import BAUD, Wire, serial_address, tcp_address
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_shipped
+from rejoint.system.records import value_type
 from rejoint.system.stopping import ending
 
 LIMIT = "limit"
@@ -29,7 +30,7 @@ Values = dict[str, tuple[int, ...]]
 """One per joint, by name"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Knob:
     """An adjustable gain."""
 
@@ -224,7 +225,7 @@ def _degrees(text: str) -> tuple[float, ...]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class ServoAddress:
     """A bus of servos, and what is known of its arm."""
 

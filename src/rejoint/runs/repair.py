@@ -43,6 +43,7 @@ from rejoint.session.inputs import (
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+from rejoint.system.records import entity
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
 """Stages that move the arm"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Stage:
     """Progress of a stage."""
 

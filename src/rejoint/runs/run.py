@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin, read_twin
 
@@ -37,7 +37,7 @@ RUNS = Path("runs")
 """Default parent of run folders"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Run(Readable):
     """One repair: folder, robot, arm, seed, results.
 

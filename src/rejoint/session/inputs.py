@@ -23,6 +23,7 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
+from rejoint.system.records import value_type
 from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
@@ -257,7 +258,7 @@ class Settings:
             as_within("settings", self.within)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class KeptSettings:
     """What a run keeps of its diagnosis (`settings.json`); fields as in `Settings`."""
 

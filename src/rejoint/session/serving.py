@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
@@ -20,7 +19,7 @@ from rejoint.robots.serving import Clients, OrderLog, ServedArm
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, value_type
 from rejoint.system.shell import host_and_port, listen_tcp
 from rejoint.system.stopping import Interrupted, noted
 
@@ -32,7 +31,7 @@ OBSTACLES = np.uint16(Reason.FLOOR | Reason.COLLISION | Reason.POSITION)
 """What the guard prevents for good"""
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Serving(Readable):
     """What an arm was served for."""
 

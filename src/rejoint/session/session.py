@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent import futures
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from math import radians
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -29,7 +28,7 @@ from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream, 
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted, pause
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 _SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class ArmState(Readable):
     """What is known of an arm at a moment."""
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
@@ -23,6 +23,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
+from rejoint.system.records import entity
 from rejoint.system.stopping import Interrupted, ending, interrupt
 
 StepName = Literal["find", "check", "diagnose", "repair", "calibrate", "prove", "use"]
@@ -32,7 +33,7 @@ Job = Callable[["Studio"], object]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Status:
     """What all pages show."""
 

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from rejoint.system.records import value_type
+
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
@@ -39,7 +41,7 @@ class Estimate:
             object.__setattr__(self, name, None if number is None else float(number))
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Spread:
     """A mean with its interval, and the scatter of values."""
 

@@ -7,7 +7,6 @@ import csv
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, read_bounded, reading
+from rejoint.system.records import entity
 
 TEXT_MOST = 200 * MEGABYTE
 """[bytes] (chosen)"""
@@ -53,7 +53,7 @@ _MINUS = "\N{MINUS SIGN}"
 _REMEDY = "mend the line or take another file"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Sheet:
     """A table of a text file."""
 

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -23,6 +22,7 @@ from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
 
+from rejoint.system.records import value_type
 from rejoint.training.task import PpoSettings, ReachTask
 
 LAST_LAYER_SCALE = 0.01
@@ -234,7 +234,7 @@ LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class CurvePoint:
     """State of the training after one update."""
 

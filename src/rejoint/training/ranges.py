@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.system.records import entity, value_type
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
@@ -35,7 +36,7 @@ class Ranges(Protocol):
         """Draw ``count`` arms."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class BroadRanges:
     """Independent ranges around the prior of an arm; intervals are factors on its medians."""
 
@@ -133,7 +134,7 @@ class BroadRanges:
         return np.where(rng.random(shape) < self.weak_joints, rng.uniform(*self.weakness, shape), 1.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class IdentifiedRanges:
     """Draws from the covariance of an identified twin.
 
@@ -159,7 +160,7 @@ class IdentifiedRanges:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class MixedRanges:
     """Takes each arm from ``first`` with probability ``share``, else from ``second``."""
 

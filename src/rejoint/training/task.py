@@ -9,7 +9,7 @@ Returns are bootstrapped from the last state of a target, also after a collision
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from rejoint.control.controllers.observation import ALL, Layout, Observation, Ob
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
+from rejoint.system.records import value_type
 from rejoint.training.ranges import Ranges
 from rejoint.twin.parameters import lifting_torque, nominal_parameters
 from rejoint.twin.simulation import Draw, Simulation
@@ -54,7 +55,7 @@ def privileged_constants(arm: Arm, draw: Draw) -> Observation:
     return np.concatenate(parts, axis=-1).clip(-8.0, 8.0).astype(np.float32)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TaskSettings:
     """Settings of a task."""
 
@@ -293,7 +294,7 @@ class ReachTask:
         return np.concatenate([moving, self._constants[rows]], axis=1)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PpoSettings:
     """Settings of proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
@@ -325,7 +326,7 @@ class PpoSettings:
     critic_layers: tuple[int, ...] = (128, 64)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Preset:
     """A recipe."""
 

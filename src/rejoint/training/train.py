@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -40,6 +40,7 @@ from rejoint.logs.runlog import write_parquet
 from rejoint.system.errors import ContractError
 from rejoint.system.files import write_bytes
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.records import value_type
 from rejoint.system.shell import __version__
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.ranges import BroadRanges, Ranges, training_ranges
@@ -54,7 +55,7 @@ DECAY_START = 0.7
 """[s] of the law where motors cross backlash slowly; chosen: such a joint swings once"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TrainingOptions:
     """Options of a training beside the recipe."""
 
@@ -85,7 +86,7 @@ class TrainingOptions:
         return replace(preset, ppo=replace(preset.ppo, **given), warm=warm)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TrainingResult:
     """Result of a training."""
 

@@ -7,13 +7,13 @@ loss (Charbonnier et al. 1997), Gaussian prior; residuals within `MEMORY` are on
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from rejoint.arms import Array, Mask, gravity_torque, link_inertia
 from rejoint.logs.exclusions import UNPOWERED
+from rejoint.system.records import entity
 from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
@@ -41,7 +41,7 @@ ROUNDS = 10
 """Rounds to find weights and scale of windows; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Weights:
     """Weights of residuals."""
 
@@ -51,7 +51,7 @@ class Weights:
     """(rows, n) of a window's motion: small if no twin follows it"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Fit:
     """Result of a fit."""
 

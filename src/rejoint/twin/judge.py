@@ -10,7 +10,6 @@ or one per joint.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +22,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
+from rejoint.system.records import value_type
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window, at_gain, in_force
 from rejoint.twin.step import GROUP
@@ -46,7 +46,7 @@ TRACE_ROWS = 2000
 """Rows of the residual for a figure; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Candidate:
     """A twin to judge."""
 

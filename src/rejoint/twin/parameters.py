@@ -19,12 +19,13 @@ from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import largest_loads, reach
 from rejoint.control.robot import Servos
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity, value_type
 
 TIMESTEP = 0.005
 """[s]; chosen: half of it changes predictions by less than an encoder step"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Parameter:
     """A row of `rejoint.twin.parameters.PARAMETERS`."""
 
@@ -286,7 +287,7 @@ def unpack(vector: Array, joints: int) -> TwinParameters:
     return shaped(np.where(log, np.exp(np.where(log, vector, 0.0)), vector), joints)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Prior:
     """Prior of an arm over the parameter vector."""
 

@@ -6,7 +6,7 @@ It adds late and limited commands (`rejoint.twin.reference`), backlash and delay
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, link_inertia, 
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
+from rejoint.system.records import entity
 from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
 from rejoint.twin.reference import Latency, LiveReference
 from rejoint.twin.step import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION, advance, workspace
@@ -119,7 +120,7 @@ SUBSTEPS = 6
 """Physics steps per control cycle: 3 to 9 ms each"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Draw:
     """All differences of N simulated arms."""
 

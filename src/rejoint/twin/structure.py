@@ -6,7 +6,7 @@ So fits to the same windows are compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
+from rejoint.system.records import entity
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import LEAST_FED, Prior, is_hobby, number, unknown_prior, unpack
 
@@ -64,7 +65,7 @@ _SHARES = (0.3,)
 """Load friction tried"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Structure:
     """What a fit may vary; by default without limits."""
 

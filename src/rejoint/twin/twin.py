@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, field
 from functools import cached_property
 from itertools import compress
 from operator import methodcaller
@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import array_of, digest, read_sealed, toml_of, write_sealed
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
     PARAMETERS,
@@ -38,7 +38,7 @@ NO_TWIN = "no twin"
 """The prediction that the arm is at its command"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PredictionError:
     """Root mean square error of a prediction, by encoders."""
 
@@ -50,7 +50,7 @@ class PredictionError:
     """[m] of the TCP by encoders"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Errors:
     """Errors of one motion, or their mean; None without rows."""
 
@@ -59,7 +59,7 @@ class Errors:
     all: PredictionError | None
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class MotionErrors:
     """All predictions of one motion."""
 
@@ -72,7 +72,7 @@ class MotionErrors:
     errors: dict[str, Errors]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Trace:
     """Residual of the worst motion of the first candidate."""
 
@@ -87,7 +87,7 @@ class Trace:
     """(n, T) [rad] predicted minus measured, first candidate"""
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Judgement(Readable):
     """Result of a replay of logs."""
 
@@ -119,7 +119,7 @@ def smaller(ours: Array, theirs: Array) -> bool:
     return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours)), fewest=FEWEST))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class HeldOut:
     """Errors on held-out motion."""
 
@@ -132,7 +132,7 @@ class HeldOut:
     """None where the arm's servos are unknown"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TablePlane:
     """A plane under the tip."""
 
@@ -151,7 +151,7 @@ class TablePlane:
             raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Twin(Readable):
     """Parameters of one arm with their covariance, over a vector of length k.
 

@@ -10,7 +10,7 @@ Saf. 94, 2009).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -25,6 +25,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import heaviest_load, length_size, posture_grid, reach
 from rejoint.system.errors import ProfileError, first_line
 from rejoint.system.files import Number, Positive, Table, read_toml
+from rejoint.system.records import entity
 from rejoint_lab.plant import xseries
 from rejoint_lab.plant.servo import AMBIENT, STEP
 
@@ -168,7 +169,7 @@ _MOVE_MARGIN = 1.1
 _SCALING_ARM = "mycobot280"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Wear:
     """State of n servos; arrays are (n,)."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.servogains import inner_name
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 SOONER = 0.2
@@ -24,7 +23,7 @@ SOONER = 0.2
 NO_INTERVAL = "too few trials for an interval"
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Recommendation(Readable):
     """The recommended controller."""
 
@@ -35,7 +34,7 @@ class Recommendation(Readable):
     """less simple controllers"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class _Criterion:
     name: str
     results: dict[str, Array]

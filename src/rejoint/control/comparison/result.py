@@ -16,7 +16,7 @@ import pyarrow as pa
 from rejoint.arms import Array
 from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled
 from rejoint.system.errors import InputError
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import Estimate, Labels, Spread, cluster, clustered_share, spread
 
 Values = tuple[float | None, ...]
@@ -61,7 +61,7 @@ class Key(NamedTuple):
         return "/".join(map(str, (self.kind, self.controller, *self.places[0])))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Driven:
     """A trial, or those of a batch."""
 
@@ -81,7 +81,7 @@ class Driven:
         return int(next(iter(self.columns.values())).shape[1])
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Stay:
     """Time within a distance."""
 
@@ -93,7 +93,7 @@ class Stay:
     """[s] over all holds; None: in fewer than half"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class ControllerRow:
     """Statistics of one controller; None: unknown."""
 
@@ -189,7 +189,7 @@ class Protocol:
         return tuple(f"stay_{1e3 * within:g}mm" for within in self.within)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class TargetErrors:
     """Mean errors at targets."""
 
@@ -210,7 +210,7 @@ class TargetErrors:
         return cls(encoders=tuple(encoders), true=true)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@value_type
 class Comparison(Readable):
     """Controllers on one arm with the same targets."""
 

@@ -7,7 +7,7 @@ without a source are chosen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -35,6 +35,7 @@ from rejoint.control.controllers.observation import View
 from rejoint.control.correction import tool_error
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import InputError
+from rejoint.system.records import value_type
 
 NOMINAL_STIFFNESS = 6.0
 """[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
@@ -58,7 +59,7 @@ Constant = Annotated[float, Meta(ge=0.0, le=1e6)]
 """of a policy's law, in SI units; its file is refused with another (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class FeedforwardGains:
     """Settings of the integrator."""
 
@@ -214,7 +215,7 @@ class FeedforwardController:
         self._pushed[where] = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class CommandLaw:
     """Constants of a learned policy's law, part of a contract: a classical law plus a bounded correction.
 

@@ -7,7 +7,7 @@ cycles. ``equation-16`` (3n + 10): Park et al. 2024 without theta_target; Delta 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Index, Mask, collides, position_kinematics
 from rejoint.arms.kinematics import DAMPING
 from rejoint.control.robot import ControlInput
+from rejoint.system.records import value_type
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | Index
@@ -46,7 +47,7 @@ PERIOD_SMOOTHING = 0.3
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = np.radians(1.0), np.radians(0.2)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Slot:
     """A group of numbers in the observation."""
 

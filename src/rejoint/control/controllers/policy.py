@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from rejoint.control.controllers.observation import Layout, Observation, Observe
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import ContractError, FileError, InputError, first_line
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_bytes
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.shell import Late
 
 FORMAT = 3
@@ -51,7 +51,7 @@ _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PolicyContract:
     """Common properties of policy and arm."""
 
@@ -292,7 +292,7 @@ class PolicyController(Commander):
         return _act(self._session, observation)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Policy(Readable):
     """A trained policy: an ONNX file and its contract.
 

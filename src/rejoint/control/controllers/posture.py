@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from rejoint.control.correction import tool_error
 from rejoint.control.reference import Reference, pace
 from rejoint.control.robot import ControlInput, Stillness
 from rejoint.system.errors import InputError
+from rejoint.system.records import value_type
 
 COUNTS = 1.5
 """encoder counts of a stationary reading (chosen)"""
@@ -50,7 +51,7 @@ CALM = 0.15
 """[s] within `COUNTS` of a stationary arm"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PostureGains:
     """Settings; chosen likewise."""
 

@@ -6,7 +6,7 @@ Repetition adds the share of the error that repeats to the path (Wiener's filter
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.linalg import norm
@@ -32,12 +32,12 @@ from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import Poses, in_words
 from rejoint.logs.runlog import RunLog
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Pass:
     """One repetition of a path."""
 
@@ -50,7 +50,7 @@ class Pass:
     """[rad] rms; None: not asked for"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Followed(Readable):
     """Result of a path."""
 
@@ -125,7 +125,7 @@ def missed(arm: Arm, recording: Recording, guide: Path, b: int = 0) -> tuple[Arr
 _LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Along:
     """Errors on a path."""
 
@@ -210,7 +210,7 @@ REACHED = Protocol.threshold
 _OFTEN = 0.5  # share of its cycles from which a remark names the guard (chosen)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Deployment:
     """Targets of a deployment."""
 
@@ -225,7 +225,7 @@ class Deployment:
     """(K,); None: any"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Visit:
     """Result at one target."""
 
@@ -247,7 +247,7 @@ class Visit:
     """[rad]"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Deployed(Readable):
     """Result of a deployment."""
 

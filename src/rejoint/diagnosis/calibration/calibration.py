@@ -24,7 +24,7 @@ from rejoint.control.controllers.policy import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import array_of, read_sealed, toml_of, write_sealed
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import CONFIDENCE
 
 OFFSET = np.radians(0.6)
@@ -126,7 +126,7 @@ def _by_twist(arm: Arm, joints: Array) -> Array:
     return np.moveaxis(both, 1, 2).reshape(len(joints), 6, 6 * (arm.joints + 1))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Belief:
     """A normal distribution over the vector (k,), truncated at bounds."""
 
@@ -142,7 +142,7 @@ class Belief:
     """log odds against the others"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PriorCase:
     """A kind of arm with its prior."""
 
@@ -224,7 +224,7 @@ _PARAMETERS = 64  # draws of the parameters, the same each time (chosen: a sigma
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Calibration(Readable):
     """What was measured about one arm, in its base frame.
 
@@ -343,7 +343,7 @@ _SIDES = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.
 """Raised side of the base, and the axis (x, y) of that turn"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Preload:
     """Benefit of a wedge."""
 

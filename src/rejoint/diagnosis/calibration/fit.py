@@ -6,7 +6,7 @@ floating joints; Huber's loss (1964).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from rejoint.diagnosis.calibration.calibration import (
 )
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.system.errors import InputError
+from rejoint.system.records import entity
 
 SLIP, MOST_SLIPS = 30.0, 0.25
 """Residual [sigma] of an outlier, and their largest share; chosen"""
@@ -46,7 +47,7 @@ _TILT = np.radians(6.0)
 _DIRECTIONS, _QUICK = 8, 4
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Fitted:
     """A solution and its uncertainty."""
 
@@ -62,7 +63,7 @@ ROWS = ("seen", "by_lens", "known", "spread", "position", "posture")
 """Fields of `ToolProblem` with a row each"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class ToolProblem:
     """What a device saw of the tool in R postures, and a prior.
 

@@ -21,7 +21,7 @@ from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import MEGABYTE, read_json, write_json
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
@@ -78,7 +78,7 @@ class Measurements(Readable):
         return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class MeasuringSession:
     """Progress of an interrupted measuring session."""
 
@@ -119,7 +119,7 @@ SHEET_MOST = 4 * MEGABYTE
 """Largest CSV file; chosen: ten thousand rows"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class MeasurementFile:
     """Content of a file of measurements."""
 

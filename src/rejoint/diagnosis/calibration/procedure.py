@@ -56,6 +56,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, reading, require_file
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.records import entity
 from rejoint.system.stopping import check, noted
 
 CANDIDATES = 300
@@ -74,7 +75,7 @@ _WIDEST = PLAY + 2.0 * PLAY_SIGMA  # [rad] play that a joint may have
 _PLACES = 32  # postures in the region of targets, and as many elsewhere, over which the error is expected (chosen)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Suggestion:
     """Postures to visit in order."""
 

@@ -10,7 +10,7 @@ Wear is a Brownian motion with drift, its first-passage time inverse Gaussian (F
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Literal
 
@@ -19,6 +19,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.diagnosis.regression import fit_believed
+from rejoint.system.records import entity, value_type
 from rejoint.system.shell import command
 
 FEWEST = 5
@@ -45,7 +46,7 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 """Too few checks; as at the beginning; moving away; surely changed"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Chart:
     """One quantity since its baseline began; T checks, the newest last."""
 
@@ -189,7 +190,7 @@ SCATTER_SHARE = 0.005
 """The same as a share of the value; measured as above"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class PastCheck:
     """One check of an arm."""
 
@@ -200,7 +201,7 @@ class PastCheck:
     """of use so far; None: not counted"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Change:
     """Change of one quantity of a joint, or of the tool."""
 
@@ -226,7 +227,7 @@ class Change:
         return abs(self.now_mm) < abs(self.usual_mm)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class MovedZero:
     """A joint's zero that moved: a collision or a new homing."""
 
@@ -239,7 +240,7 @@ class MovedZero:
     """first check after"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Due:
     """When the error reaches the tolerance: 10, 50 and 90 % quantiles."""
 
@@ -249,7 +250,7 @@ class Due:
     """None: perhaps never, or after a century"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Outlook:
     """State of an arm by its checks."""
 

@@ -9,7 +9,7 @@ vAP the distance between directions of approach. ISO 230-2: *reversal value* B, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from rejoint.diagnosis.segments import ExcitationLog, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.records import value_type
 
 POSES = 5
 """ISO 9283:1998: P1 to P5"""
@@ -96,7 +97,7 @@ DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
 """[s] and [rad] of commands with frozen readings of a dead joint; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class JointCheck:
     """One joint, in millimetres at the tool: angle times mean lever."""
 
@@ -115,7 +116,7 @@ class JointCheck:
     """of the servo"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class CheckMeasures:
     """Results of one check."""
 

@@ -19,6 +19,7 @@ from rejoint.pages.words import sentence
 from rejoint.robots import is_virtual
 from rejoint.system.errors import LOGGER, first_line
 from rejoint.system.extras import require
+from rejoint.system.records import entity
 
 if TYPE_CHECKING:
     from rejoint.pages.live.page import WebPage
@@ -38,7 +39,7 @@ SLOTS = 512
 """Cycles that wait to be drawn (chosen: ten seconds at the shortest usual period)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Shown:
     """A run of an arm: the control loop writes its cycles, the thread of the page takes them."""
 

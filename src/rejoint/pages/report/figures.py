@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +27,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.words import MM, cycles, number, short
 from rejoint.system.files import write_whole
+from rejoint.system.records import entity, value_type
 
 if TYPE_CHECKING:
     from rejoint.pages.report.page import Curves
@@ -100,7 +100,7 @@ VIEWS = {"from above": (1, 0), "from the side": (0, 2), "from the front": (1, 2)
 _DASHED = (0, (4, 3))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Series:
     """A group of values with name and look."""
 
@@ -205,7 +205,7 @@ LONGEST_ARROW = 0.15
 """Longest arrow over the figure (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Picture:
     """One embedded figure."""
 

@@ -6,7 +6,7 @@ A stage that was not run has no content: None.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, reading, write_json, write_text
+from rejoint.system.records import entity, value_type
 from rejoint.system.shell import command
 from rejoint.system.statistics import above_zero, spread
 from rejoint.twin import parameters
@@ -46,7 +47,7 @@ from rejoint.twin.twin import Judgement, Twin, read_twin
 _LAST = 5  # updates that are averaged for "at the end"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Curves:
     """Training curves, K updates."""
 
@@ -80,7 +81,7 @@ def read_curves(path: Path) -> Curves:
     return Curves(**columns)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class MeanErrors:
     """Mean distance from the targets."""
 
@@ -89,7 +90,7 @@ class MeanErrors:
     tool: TrueError
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class BeforeAfter:
     """An uncorrected arm, and one with a controller."""
 
@@ -122,7 +123,7 @@ def _errors(comparison: Comparison, controller: str) -> MeanErrors:
     return MeanErrors(encoders=None if row.settled is None else row.settled.mean.value, tool=row.true_error)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Contents:
     """Results of a run."""
 

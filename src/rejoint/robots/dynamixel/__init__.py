@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.knobs import Gains, ServoAddress, ServoKind
+from rejoint.system.records import value_type
 
 KIND = ServoKind.beside(__file__)
 CURRENT_BASED = 5
@@ -27,7 +27,7 @@ def _yes(text: str) -> bool:
     return True
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class DynamixelAddress(ServoAddress):
     """A bus of Dynamixel servos."""
 

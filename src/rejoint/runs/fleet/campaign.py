@@ -22,12 +22,13 @@ from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, saving, write_json, write_text
+from rejoint.system.records import value_type
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 Step: TypeAlias = Literal["check"] | StageName
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class FleetRules:
     """FleetRules for all arms of one call, and options of each repair as in `rejoint.repair`."""
 
@@ -131,7 +132,7 @@ class Executor(Protocol):
         """Release all processes."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class CampaignInfo:
     """Description of a call."""
 
@@ -326,7 +327,7 @@ def _summary(path: Path) -> HistoryRow | None:
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class FleetRow:
     """One arm."""
 
@@ -357,7 +358,7 @@ class FleetRow:
         return [self.name, self.state, error, done, self.todo]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class FleetResult:
     """Result of one call."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -37,7 +37,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
@@ -93,7 +93,7 @@ POINTS = 10
 """Default number of postures (docs/true-accuracy.md)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Calibrated(Readable):
     """Result of a calibration."""
 

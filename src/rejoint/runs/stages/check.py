@@ -36,7 +36,7 @@ from rejoint.system.errors import LOGGER, AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
 from rejoint.system.progress import Progress
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
 
 BETWEEN = timedelta(minutes=4)
@@ -45,7 +45,7 @@ LOG = "check.parquet"
 """Run log of a check"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Checked(Readable):
     """Result of a check."""
 

@@ -57,7 +57,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 from rejoint.twin.twin import Twin
@@ -114,7 +114,7 @@ SOURCE = "the diagnosis"
 """Source of the default controller's results"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Compared(Readable):
     """Result of a comparison."""
 
@@ -125,7 +125,7 @@ class Compared(Readable):
     """one per controller and protocol, such as ``hold-policy-0-0``"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class ComparisonJob:
     """Inputs of a comparison."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -36,11 +36,11 @@ from rejoint.session.inputs import (
 from rejoint.session.session import ArmSession
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Diagnosed(Readable):
     """Result of a diagnosis, with its motion."""
 

@@ -38,7 +38,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.results import Readable
+from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
@@ -165,7 +165,7 @@ THREADS = 2
 """of the simulation; no effect on results"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class Replayed(Readable):
     """A twin's prediction and its errors."""
 
@@ -241,7 +241,7 @@ QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
 """Size of a quick training; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@entity
 class TrainedPolicy(Policy):
     """A trained policy and its training."""
 

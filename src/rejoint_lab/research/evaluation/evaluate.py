@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -52,6 +52,7 @@ from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part
+from rejoint.system.records import value_type
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, Spread, clustered_share, paired_difference, spread
 from rejoint.twin.parameters import TwinParameters
@@ -139,7 +140,7 @@ def group_of(name: str) -> str:
     return name.partition(" #")[0]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Pair:
     """A controller against another, target by target on the same arms."""
 
@@ -152,7 +153,7 @@ class Pair:
     """[m] that of the settled true error on the arm where it is largest"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Evaluation:
     """A comparison under each condition: arms are its target sets, seeds of a learner its repetitions."""
 
@@ -408,7 +409,7 @@ REPEATED = f"time {REPETITIONS} of one path"
 CASES = (HEALTHY, SENT, AHEAD, REPEATED, STREAM)
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class MovingRow:
     """One case on one path, over the arms: rms errors."""
 

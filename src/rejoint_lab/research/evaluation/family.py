@@ -7,7 +7,7 @@ and gains are chosen on others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.records import value_type
 from rejoint.twin.twin import Twin, read_twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -44,7 +45,7 @@ FAMILY_SIZE = 10_000
 """Wear seeds that belong to one family"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Variant:
     """A condition that a family of arms is tried under."""
 
@@ -82,7 +83,7 @@ VARIANTS, CALIBRATED = (
 WORN = VARIANTS[0]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class ArmFamily:
     """Some arms of one family and the targets that each of them gets."""
 

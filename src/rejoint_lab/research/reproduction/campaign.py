@@ -26,6 +26,7 @@ from rejoint.pages.html import write_page as fill
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, read_shipped, write_json, write_whole
 from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.records import value_type
 from rejoint.training.ranges import Interval
 from rejoint.training.task import PpoSettings, Preset, ReachTask, TaskSettings
 from rejoint.training.train import TrainingOptions, train
@@ -39,7 +40,7 @@ HEALTHY_STIFFNESS, HEALTHY_DIVISOR = (1e4, 1e4), (10.0, 10.0)
 """P, and P over D, without wear; Park et al. 2024, section IV-C, first condition of Fig. 10"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class PaperRanges:
     """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
 
@@ -136,7 +137,7 @@ DPI = 100
 """of a figure; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Bench:
     """Folder, settings and size of all experiments."""
 
@@ -207,7 +208,7 @@ class Grid(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class Finished:
     """What an experiment found, in words."""
 

@@ -1,15 +1,17 @@
-"""How results look at a prompt and in a notebook, and how they become tables of pandas."""
+"""Frozen dataclasses; how results look at a prompt and in a notebook, and how they become tables of pandas."""
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from html import escape
 from importlib import import_module
 from operator import methodcaller
-from typing import Any
+from typing import Any, TypeVar, dataclass_transform
 
 import msgspec
 import numpy as np
+
+T = TypeVar("T")
 
 FEW = 3
 """Items that are shown as they are (chosen)"""
@@ -18,7 +20,7 @@ LONG = 80
 
 
 class Readable:
-    """Base of results, dataclasses with ``repr=False``: what is large in them is named, not written out."""
+    """Base of results: what is large in them is named, not written out."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{name}={text}' for name, text in self._shown())})"
@@ -39,6 +41,21 @@ class Readable:
 
     def _shown(self) -> list[tuple[str, str]]:
         return [(one.name, _short(getattr(self, one.name))) for one in fields(self)]  # type: ignore[arg-type]
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def value_type(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass of named fields, compared by value.
+
+    What users construct is a plain dataclass: the API pages show its signature.
+    """
+    return dataclass(frozen=True, kw_only=True, repr=not issubclass(cls, Readable))(cls)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False, field_specifiers=(field,))
+def entity(cls: type[T]) -> type[T]:
+    """Make the same, compared by identity: it holds arrays."""
+    return dataclass(frozen=True, kw_only=True, eq=False, repr=not issubclass(cls, Readable))(cls)
 
 
 def _short(value: object) -> str:
