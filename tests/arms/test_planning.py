@@ -13,15 +13,14 @@ from rejoint.arms import (
     Box,
     Motors,
     choose_postures,
-    clearances,
     gravity_torque,
     load_arm,
     mycobot280,
     so101,
     tcp_position,
 )
-from rejoint.arms.collision import guarded_floors
-from rejoint.arms.planning import SLOWEST, JointTrajectory, clearance, plan
+from rejoint.arms.collision import clearances, guarded_floors
+from rejoint.arms.planning import SLOWEST, JointTrajectory, plan
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import JointState
@@ -187,7 +186,7 @@ def test_a_way_asks_no_joint_for_more_speed_than_its_motor_and_its_command_have_
 def test_an_arm_that_touches_something_gets_out_of_it():
     arm = mycobot280()
     start = np.radians([0.0, 0, 150, -150, 0, 0])
-    assert clearance(arm, start) < 0.0
+    assert clearances(arm, start).min(axis=-1) < 0.0
     way = plan(arm, start, arm.rest)
     distances = clearances(arm, way.at(np.linspace(0.0, way.duration, 300)), guarded_floors(arm))
     least = np.minimum(distances[0], 0.0)
@@ -199,7 +198,7 @@ def test_an_arm_that_touches_something_gets_out_of_it():
 def test_clearance_is_the_smallest_distance():
     arm = so101()
     q = postures("so101")[:20]
-    found = clearance(arm, q)
+    found = clearances(arm, q).min(axis=-1)
     assert found.shape == (20,)
-    assert clearance(arm, q[3]) == found[3]
-    assert (found >= clearance(boxed("so101"), q)).all()
+    assert clearances(arm, q[3]).min(axis=-1) == found[3]
+    assert (found >= clearances(boxed("so101"), q).min(axis=-1)).all()

@@ -7,8 +7,7 @@ import pytest
 
 from modelfiles import resized
 from rejoint.arms import frames, mycobot280, tcp_position
-from rejoint.arms.collision import collision_shape
-from rejoint.arms.planning import clearance
+from rejoint.arms.collision import clearances, collision_shape
 from rejoint.control.guard import RAMP, GuardLimits, Reason, clear_by, guard, reason_names
 from rejoint.system.errors import InputError
 from standin import state_of
@@ -38,11 +37,11 @@ def test_a_sagging_arm_is_not_brought_nearer_than_its_margin_by_any_joint():
     rng, cases = np.random.default_rng(4), 0
     while cases < 60:
         measured = rng.uniform(LIMITS.lower, LIMITS.upper)
-        here = clearance(ARM, measured)
+        here = clearances(ARM, measured).min(axis=-1)
         if not 0.0 < here < 0.02:
             continue
         sent = measured + np.radians(8.0) * rng.uniform(-1.0, 1.0, 6)
-        if clearance(ARM, sent) < 0.03 or not (clear_by(LIMITS, sent)[:6] > 0.0).all():
+        if clearances(ARM, sent).min(axis=-1) < 0.03 or not (clear_by(LIMITS, sent)[:6] > 0.0).all():
             continue
         cases += 1
         command = sent + np.radians(3.0) * rng.uniform(-1.0, 1.0, 6)

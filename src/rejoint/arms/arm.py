@@ -103,6 +103,14 @@ class Arm(Readable):
             raise InputError(
                 f"arm {self.name}: {len(self.servos)} servos, expected one for each of {n} joints, or none"
             )
+        if np.isnan([(box.lower, box.upper) for box in self.keep_out]).any():
+            raise InputError(
+                "keep_out: a box has numbers that are not finite; give its lower and upper corner in metres"
+            )
+        if np.isnan([(box.lower, box.upper) for box in self.keep_out]).any():
+            raise InputError(
+                "keep_out: a box has numbers that are not finite; give its lower and upper corner in metres"
+            )
         if (self.lower >= self.upper).any():
             raise InputError(f"arm {self.name}: every lower joint limit must be below the upper one")
         if ((self.rest < self.lower) | (self.rest > self.upper)).any():
@@ -112,6 +120,10 @@ class Arm(Readable):
     def joints(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    def drawn(self, count: int, seed: int = 0) -> Array:
+        """Draw postures (count, n) [rad] within the limits."""
+        return np.random.default_rng(seed).uniform(self.lower, self.upper, (count, self.joints))
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r} with the joints {', '.join(self.joint_names)})"

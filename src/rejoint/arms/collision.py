@@ -56,7 +56,7 @@ class CollisionShape(NamedTuple):
     """(K, 6) [m] lower and upper corners"""
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def collision_shape(arm: Arm) -> CollisionShape:
     """Capsules and their pairs."""
     solution, links = posture_grid(arm, GRID), arm.joints + 1
@@ -82,14 +82,13 @@ def clearances_of(arm: Arm, shape: CollisionShape, q: Array) -> Array:
     return found.reshape(*q.shape[:-1], found.shape[1])
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def usual_distances(arm: Arm) -> Array:
     """Distances (256, c) [m] between bodies at random postures."""
-    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    return clearances(arm, drawn)
+    return clearances(arm, arm.drawn(256, seed=1))
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def guarded_floors(arm: Arm) -> Array:
     """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
     joint_floor = arm.floor + JOINT_CLEARANCE * length_size(arm)
@@ -117,6 +116,5 @@ def contact(arm: Arm, item: int) -> tuple[str, str]:
 
 def _moving(arm: Arm) -> NDArray[np.int64]:
     """Links (L,) with a moving end."""
-    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (16, arm.joints))
-    still = np.ptp(all_poses(arm, postures)[..., :3, 3], axis=0).max(axis=-1) < _STILL
+    still = np.ptp(all_poses(arm, arm.drawn(16))[..., :3, 3], axis=0).max(axis=-1) < _STILL
     return frozen(np.flatnonzero(~(np.append(True, still[:-1]) & still)))

@@ -73,12 +73,6 @@ def _cross(a, b):  # noqa: ANN001, ANN202
 
 
 @inner
-def _product(frame, vector):  # noqa: ANN001, ANN202
-    """Product (3,) of the rotation in a ``frame`` (4, 4) and a ``vector`` (3,)."""
-    return dot(frame[0], vector), dot(frame[1], vector), dot(frame[2], vector)
-
-
-@inner
 def _times(matrix, vector):  # noqa: ANN001, ANN202
     """Product (r,) of the first columns of a matrix (r, c) and a ``vector``."""
     out = np.empty(len(matrix))
@@ -189,14 +183,13 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
     frames, error, jacobian = place(chain, q), np.empty(rows), np.empty((rows, joints))
     for r in range(3):
         error[r] = goal[r] - frames[joints, r, 3]
-    for i in range(joints):
-        axis, lever = _product(frames[i], chain.axes[i]), _from_to(frames[:, :, 3], i, joints)
-        jacobian[0, i], jacobian[1, i], jacobian[2, i] = _cross(axis, lever)
+    own = _times(goal[3:12].reshape(3, 3), goal[12:15])
     if rows == 6:
         error[3:] = goal[15] * missing_turn(goal, frames[joints, :3])
-        own = _times(goal[3:12].reshape(3, 3), goal[12:15])
-        for i in range(joints):
-            axis = _times(frames[i, :3], chain.axes[i])
+    for i in range(joints):
+        axis, lever = _times(frames[i, :3], chain.axes[i]), _from_to(frames[:, :, 3], i, joints)
+        jacobian[0, i], jacobian[1, i], jacobian[2, i] = _cross(axis, lever)
+        if rows == 6:
             if goal[16] == 1.0:
                 axis -= dot(axis, own) * own
             jacobian[3:, i] = goal[15] * axis

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.system.errors import InputError
-from rejoint.system.numbers import as_floats
+from rejoint.system.numbers import as_floats, as_place
 from rejoint.system.records import entity
 
 LINK_RADIUS_RATIO = 1 / 20
@@ -175,20 +175,19 @@ def bare(arm: Arm) -> Arm:
 
 def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
     """Add a payload (a number: kg at the TCP) and a ``tool`` (3,) [m] in the TCP frame; InputError."""
-    if not isinstance(payload, Payload):
-        kilograms = _numbers("payload", 0.0 if payload is None else payload, "a mass in kg, or a Payload", ())
-        payload = Payload(mass=float(kilograms))
-    if payload.mass == 0.0 and tool is None:
+    load = payload if isinstance(payload, Payload) else Payload(mass=0.0 if payload is None else payload)
+    mass = as_floats("payload", load.mass, "a mass in kg, or a Payload")
+    if tool is None and mass.shape == () and mass == 0.0:
         return arm
     whole, places = float(arm.mass.sum()), f"x, y, z of at most {LONGEST_TOOL:g} m"
-    if not 0.0 <= payload.mass <= whole:
-        raise InputError(f"payload: {payload.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
-    com = _numbers("payload: the centre of mass", payload.com, places, (3,), LONGEST_TOOL)
+    if mass.shape or not 0.0 <= mass <= whole:
+        raise InputError(f"payload: {load.mass} kg, expected 0 to the {whole:.2g} kg of the arm itself")
+    com = as_place("payload: the centre of mass", load.com, places, most=LONGEST_TOOL)
     tip = arm.tip.copy()
-    tip[:3, 3] += tip[:3, :3] @ _numbers("tool", np.zeros(3) if tool is None else tool, places, (3,), LONGEST_TOOL)
+    tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, places, most=LONGEST_TOOL)
     fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
-    return LoadedArm(**fields | {"tip": tip} | heavier(arm, payload.mass, place), bare=bare(arm))
+    return LoadedArm(**fields | {"tip": tip} | heavier(arm, float(mass), place), bare=bare(arm))
 
 
 def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
@@ -196,10 +195,3 @@ def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
     link = pseudo_inertia(arm.mass[-1], arm.com[-1], arm.inertia[-1]) + pseudo_inertia(mass, place, np.zeros((3, 3)))
     values = zip(("mass", "com", "inertia"), rigid_body(link), strict=True)
     return {name: np.concatenate([getattr(arm, name)[:-1], [value]]) for name, value in values}
-
-
-def _numbers(what: str, given: ArrayLike, expected: str, shape: tuple[int, ...], most: float = np.inf) -> Array:
-    found = as_floats(what, given, expected)
-    if found.shape != shape or not np.abs(found).max() <= most:
-        raise InputError(f"{what}: expected {expected}, got {given!r}")
-    return found

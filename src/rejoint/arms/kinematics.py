@@ -59,7 +59,7 @@ class Chain(NamedTuple):
     com: Array
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def chain_of(arm: Arm) -> Chain:
     """Return the chain of an arm."""
     limits = np.stack([arm.lower, arm.upper])

@@ -7,9 +7,11 @@ docs/files.md lists the TOML keys. In a URDF, errors of zeros and links go into 
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -205,7 +207,7 @@ def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
     """Write a URDF with links `BASE`, ``link1``, ..., `TOOL`, and ``note`` as a comment."""
     root = ET.Element("robot", name=arm.name)
     if note:
-        root.append(ET.Comment(f" {note.replace('--', '-')} "))
+        root.append(ET.Comment(f" {re.sub('-+', '-', note)} "))
     links = [BASE, *(f"link{i + 1}" for i in range(arm.joints)), TOOL]
     _add(root, "link", name=BASE)
     for i, pose in enumerate([*arm.offset, arm.tip]):
@@ -328,17 +330,13 @@ def _believed(draft: Arm, what: str, size: Array, most: float, unit: str, assume
     wide = np.isfinite(size) & (size > most)
     if wide.any():
         notes.append(
-            f"{what}: those of {_chosen(draft.joint_names, wide)} are beyond {most / (2 * np.pi):.0f} {unit}, and not "
-            "believed; are they in degrees, where radians were expected?"
+            f"{what}: those of {', '.join(compress(draft.joint_names, wide))} are beyond "
+            f"{most / (2 * np.pi):.0f} {unit}, and not believed; are they in degrees, where radians were expected?"
         )
     given: Mask = size <= most
     if not given.all():
-        notes.append(f"{what}: none usable for {_chosen(draft.joint_names, ~given)}; {assumed} assumed")
+        notes.append(f"{what}: none usable for {', '.join(compress(draft.joint_names, ~given))}; {assumed} assumed")
     return given
-
-
-def _chosen(names: Sequence[str], mask: Mask) -> str:
-    return ", ".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
 
 
 def _listed(values: Array) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array, Mask, frozen
-from rejoint.arms.collision import clearances, clearances_of, contact
+from rejoint.arms.collision import clearances_of, contact
 from rejoint.arms.kinematics import gravity_torque, link_inertia, tcp_position
 from rejoint.arms.postures import Motors, body_of, pool_of, redundancy
 from rejoint.arms.workspace import length_size
@@ -133,12 +133,6 @@ def plan(
         raise PlanningError(f"{blocked}; no way round it was found")
     load, field, way = min(found, key=lambda one: one[0])
     return replace(_timed(field, way, _limits(arm, way, motors)), motors=motors, heavy=load > 1.0)
-
-
-def clearance(arm: Arm, q: Array) -> Array:
-    """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
-    smallest: Array = clearances(arm, np.asarray(q, dtype=float)).min(axis=-1, initial=np.inf)
-    return smallest
 
 
 @entity

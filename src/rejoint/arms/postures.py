@@ -296,7 +296,7 @@ def _load_of(arm: Arm, motors: Motors | None) -> Array:
     return np.stack([np.maximum(torque, UNLOADED * torque.max()), np.full(arm.joints, np.inf)])
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when it is first used
     """Return data of an arm for compiled loops."""
     margin = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))

@@ -70,11 +70,10 @@ def reach(arm: Arm) -> float:
     return float(np.linalg.norm(link_ends(arm), axis=1).sum())
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def rising_frames(arm: Arm, above: float = -np.inf) -> Mask:
     """Joint frames (n,) that change height, and are often ``above`` [m]."""
-    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
-    height = heights(arm, postures)[:, :-1]
+    height = heights(arm, arm.drawn(64))[:, :-1]
     return frozen((np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING))
 
 
@@ -231,17 +230,16 @@ def in_metres(places: Array) -> bool:
     return known.size > 0 and bool((known < METRES).all())
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     """Largest gravity torque (n,) [N m] over a grid of targets."""
     return frozen(np.abs(gravity_torque(arm, posture_grid(arm, per_edge).q)).max(axis=0))
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def largest_loads(arm: Arm) -> Array:
     """Largest gravity torque (n,) [N m] over all postures."""
-    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
-    return frozen(np.abs(gravity_torque(arm, postures)).max(axis=0))
+    return frozen(np.abs(gravity_torque(arm, arm.drawn(4096))).max(axis=0))
 
 
 def posture_grid(arm: Arm, per_edge: int) -> Solution:
@@ -249,27 +247,27 @@ def posture_grid(arm: Arm, per_edge: int) -> Solution:
     return solve_position(arm, arm.targets.grid(per_edge), arm.rest)
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def unloaded_joints(arm: Arm) -> Mask:
     """Joints (n,) without weight at any target."""
     load = heaviest_load(arm)
     return frozen(load < UNLOADED * load.max())
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def moves_tool(arm: Arm) -> Mask:
     """Joints (n,) that move the TCP at targets."""
     lever = levers(arm, posture_grid(arm, 2).q).max(axis=0)
     return frozen(lever > LEAST_LEVER * reach(arm))
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def torque_size(arm: Arm) -> float:
     """Largest load over that of a myCobot 280."""
     return float(heaviest_load(arm).max() / heaviest_load(mycobot280()).max())
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def length_size(arm: Arm) -> float:
     """Reach over that of a myCobot 280."""
     return reach(arm) / reach(mycobot280())

@@ -12,7 +12,17 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.linalg import norm
 
-from rejoint.arms import Arm, Array, Displacement, Mask, clip_norm, dls, frames, position_kinematics, tcp_position
+from rejoint.arms import (
+    Arm,
+    Array,
+    Displacement,
+    Mask,
+    clip_norm,
+    dls,
+    frames,
+    jacobian,
+    tcp_position,
+)
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
@@ -233,7 +243,6 @@ class Apparent:
 
     def _turn(self, position: Array, way: Array) -> Array:
         """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
-        jacobian = position_kinematics(self.arm, position)[1]
-        turning = frames(self.arm, position).axis.mT
-        both = np.vstack([jacobian, DAMPING * turning])
+        both = jacobian(self.arm, position)
+        both[3:] *= DAMPING
         return dls(both, np.append(way, np.zeros(3)), 0.1 * DAMPING + float(norm(way)))

@@ -137,7 +137,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     return max(min(max(slowly, stuck), brake), SLOWEST * room)
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def _roomy(arm: Arm) -> Array:
     """Distances (c,) [m] with enough room: `ROOM`, or the usual distance of near bodies."""
     return np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm))

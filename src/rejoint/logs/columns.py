@@ -97,8 +97,11 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
     for joint, name in zip(raw.T, arm.joint_names, strict=True):
         step = next((_normalised_step(one) for one in readings(joint[:, None], 4)), None)
         if step is None:
-            said = f"the readings of {name} do not show the steps of its encoder: its range is not known"
-            raise FileError(path, said, "give --calibration, or a recording in which it moves more")
+            raise FileError(
+                path,
+                f"the readings of {name} do not show the steps of its encoder: its range is not known",
+                "give --calibration, or a recording in which it moves more",
+            )
         counts.append(200.0 / step)
     return np.array(counts)
 
@@ -149,8 +152,9 @@ class RawMotion(FileMotion):
         time, times = np.asarray(self.time), np.asarray(sent.time)
         for what, clock, file in (("state", time, self.path), ("command", times, sent.path)):
             if len(clock) < FEWEST:
-                said = f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}"
-                raise FileError(file, said, "record it again")
+                raise FileError(
+                    file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", "record it again"
+                )
         late = ~(np.diff(times) >= 0)
         if late.any():
             where = f"command, {sent.place} {sent.number[1:][late][0]}"
@@ -338,8 +342,11 @@ class _GroupedColumns:
                 places = [i for i, column in self.columns.items() if column.name == given]
             names = (meaning.name,) * len(places)
         if not places:
-            said = f"--map {ours}={theirs}: no such column; found {self.motion.found}: {shown(titles)}"
-            raise FileError(self.motion.path, said, "name one of these")
+            raise FileError(
+                self.motion.path,
+                f"--map {ours}={theirs}: no such column; found {self.motion.found}: {shown(titles)}",
+                "name one of these",
+            )
         found = []
         for place, name in zip(places, names, strict=True):
             unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
@@ -356,8 +363,11 @@ class _GroupedColumns:
         kind = "angle" if column.group in MOTION else column.group
         option, declared = f"--{kind}-unit", getattr(self.options, f"{kind}_unit", None)
         if column.unit and declared and column.unit != declared:
-            said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
-            raise FileError(self.motion.path, said, f"leave {option} out or rename the column")
+            raise FileError(
+                self.motion.path,
+                f"column {column.title} is in {column.unit} by its name, but {option} says {declared}",
+                f"leave {option} out or rename the column",
+            )
         unit = column.unit or declared or self.implied.get(column.group)
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
@@ -394,8 +404,9 @@ class _GroupedColumns:
         names = [column.name for column in columns]
         if group in POINTS:
             if sorted(names) != [*AXES]:
-                said = f"columns of {group} are not x, y and z, once each"
-                raise FileError(self.motion.path, said, "name all three or none")
+                raise FileError(
+                    self.motion.path, f"columns of {group} are not x, y and z, once each", "name all three or none"
+                )
             return sorted(columns, key=lambda column: column.name)
         if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
             return columns * self.arm.joints
@@ -421,8 +432,11 @@ class _GroupedColumns:
             return raw * np.array([UNITS[group].get(unit, 1.0) for unit in units]), columns, units
         worst = float(np.nanmax(np.abs(raw), initial=0.0))
         if worst > NORMALISED_MOST:
-            said = f"{worst:g} is no normalised value, which lie in -100..100"
-            raise FileError(self.motion.path, said, "set another --angle-unit")
+            raise FileError(
+                self.motion.path,
+                f"{worst:g} is no normalised value, which lie in -100..100",
+                "set another --angle-unit",
+            )
         return raw * (half / 100.0), columns, units
 
     def half_ranges(self) -> Array | None:

@@ -199,12 +199,16 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
     fresh = np.concatenate([[True], steps > 0])[:rows]
     lost, steps = int((~fresh).sum()), steps[steps > 0]
     if rows - lost < FEWEST:
-        said = f"state: {rows - lost} sample(s), a log needs at least {FEWEST} with stamps of their own"
-        raise FileError(motion.path, said, _TIME_REMEDY)
+        raise FileError(
+            motion.path,
+            f"state: {rows - lost} sample(s), a log needs at least {FEWEST} with stamps of their own",
+            _TIME_REMEDY,
+        )
     period = float(np.median(steps))
     if not RATES[0] <= 1.0 / period <= RATES[1]:
-        said = f"state: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz"
-        raise FileError(motion.path, said, _TIME_REMEDY)
+        raise FileError(
+            motion.path, f"state: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz", _TIME_REMEDY
+        )
     if period * 0.99 * SLOWEST > 1.0:
         said = f"state: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
         found.append((f"{said}: too few to show friction or lag", "record faster"))

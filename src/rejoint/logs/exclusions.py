@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -145,7 +145,7 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
         answer = np.maximum(-np.diag(lowest), np.diag(highest))
         moved, asked = np.ptp(log.position, axis=0), np.ptp(log.command, axis=0)
         silent |= (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < UNRELATED))
-    return tuple(name for name, one in zip(log.joint_names, silent, strict=True) if one)
+    return tuple(compress(log.joint_names, silent))
 
 
 def answered(log: RunLog) -> RunLog:

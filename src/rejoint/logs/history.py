@@ -23,7 +23,7 @@ from rejoint.system.records import value_type
 from rejoint.system.shell import __version__
 
 _PASSING = re.compile(r"[?&](hours|ambient)=[^&]*")
-_HOURS = re.compile(r"[?&]hours=([\d.]+)")
+_HOURS = re.compile(r"[?&]hours=([^&]*)")
 _NOT_A_NAME = re.compile(r"[^\w.-]+")
 
 

@@ -49,7 +49,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     good = np.flatnonzero(~bad)
     steps = np.diff(motion.time[good])
     if not len(steps) or not (steps >= 0).all():
-        yield motion  # what `clean` will say
+        yield motion.take(good) if len(good) else motion  # what `clean` will say
         return
     period = float(np.median(steps))
     far, holes = steps > PAUSE_PERIODS * period, np.diff(good) > 1
@@ -232,8 +232,9 @@ def import_logs(
                         with refusing(name):
                             log, remarks = to_log(part, arm, options)
                             if name in logs:
-                                said = f"a second log with the name {name}"
-                                raise FileError(source, said, "import it into another folder")
+                                raise FileError(
+                                    source, f"a second log with the name {name}", "import it into another folder"
+                                )
                             logs[name] = log
                             for remark in dict.fromkeys(remarks):
                                 notes.setdefault(remark, []).append(name)

@@ -174,8 +174,9 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
         data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
         version, fps, frames = str(data["codebase_version"]), float(data["fps"]), int(data["total_frames"])
         if not version.startswith(("v2.", "v3.")):
-            said = f"dataset version {version}, expected v2 or v3"
-            raise FileError(path, said, "convert it with LeRobot's converter")
+            raise FileError(
+                path, f"dataset version {version}, expected v2 or v3", "convert it with LeRobot's converter"
+            )
         if not 0 < fps < np.inf:
             raise FileError(path, f"fps is {fps}", _REMEDY)
         names = {key: _names(data["features"][key], options, path, key) for key in _GROUPS}
@@ -389,8 +390,9 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
         return {state: "position"}
     command = command or COMMAND_TOPIC
     if command not in held or command == state:
-        said = f"no topic {command} beside that of the states; found {found}"
-        raise FileError(file, said, "name one with --command-topic")
+        raise FileError(
+            file, f"no topic {command} beside that of the states; found {found}", "name one with --command-topic"
+        )
     return {state: "position", command: "command"}
 
 

@@ -123,8 +123,11 @@ def read_info(path: Path) -> RunInfo:
     found = read_json(path, dict[str, Any])
     if (version := found.get("format", FORMAT)) != FORMAT:
         maker = found.get("version", "of some other version")
-        problem = f"a run folder of format {version}, made by rejoint {maker}; expected format {FORMAT}"
-        raise FileError(path, problem, "use that version of rejoint, or choose another folder")
+        raise FileError(
+            path,
+            f"a run folder of format {version}, made by rejoint {maker}; expected format {FORMAT}",
+            "use that version of rejoint, or choose another folder",
+        )
     return read_json(path, RunInfo)
 
 

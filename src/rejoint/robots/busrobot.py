@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import compress
 from pkgutil import resolve_name
 from typing import Any, TypeVar
 
@@ -46,7 +47,7 @@ def judge(position: Array, arm: Arm) -> None:
         raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
     unreadable = np.isnan(position)
     if unreadable.any():
-        names = ", ".join(name for name, bad in zip(arm.joint_names, unreadable, strict=True) if bad)
+        names = ", ".join(compress(arm.joint_names, unreadable))
         raise ImpossibleReplyError(f"the servos of {names} cannot be read")
     outside = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
     if outside.any():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import CATALOGUE, Arm, Array, Box, clearance, differing, load_arm
+from rejoint.arms import CATALOGUE, Arm, Array, Box, collides, differing, load_arm
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
@@ -345,6 +345,6 @@ def equipped(arm: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
     if not settings.keep_out:
         return arm
     found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
-    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
+    if collides(found, arm.rest) and not collides(arm, arm.rest):
         raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
     return found

@@ -61,13 +61,17 @@ def as_seconds(what: str, given: object) -> float:
 
 
 def as_place(
-    what: str, given: object, expected: str = "a point (3,) in metres", axes: tuple[int, ...] = (1,)
+    what: str,
+    given: object,
+    expected: str = "a point (3,) in metres",
+    axes: tuple[int, ...] = (1,),
+    most: float = _FARTHEST,
 ) -> NDArray[np.float64]:
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
     if place.ndim not in axes or place.shape[-1] != 3 or not np.isfinite(place).all():
         raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}")
-    if np.abs(place).max(initial=0.0) > _FARTHEST:
+    if np.abs(place).max(initial=0.0) > most:
         raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}; that looks like millimetres")
     return place
 

@@ -182,8 +182,9 @@ def read_columns(
         units = meanings[name] or COUNT
         unit = unit or ("" if exact else usual[name])
         if unit not in units or name in found:
-            said = f"column {title} has no unit or another one, or comes twice"
-            raise FileError(path, said, f"name it {titled[name]}")
+            raise FileError(
+                path, f"column {title} has no unit or another one, or comes twice", f"name it {titled[name]}"
+            )
         words = meanings[name] is None
         found[name] = sheet.words(index) if words else units[unit] * sheet.numbers([index])[:, 0]
         if name in filled and np.isnan(found[name]).any():

@@ -396,7 +396,7 @@ def lifting_torque(twin: TwinParameters) -> Array:
     return np.maximum(usable, 0.1 * twin.torque_limit)
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def nominal_parameters(arm: Arm) -> TwinParameters:
     """Twin of the prior medians."""
     return unpack(prior(arm).mean, arm.joints)

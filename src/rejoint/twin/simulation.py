@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, link_inertia, tcp_position
+from rejoint.arms.inertia import inertia_values
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
@@ -104,7 +105,7 @@ def chain_links(arm: Arm) -> Array:
         row[ROTATION:PLACE] = (before.T @ arm.offset[j, :3, :3] @ turn).ravel()
         row[PLACE:MASS] = place
         row[MASS], row[MOMENT:INERTIA] = arm.mass[j], arm.mass[j] * com
-        row[INERTIA:CARRIED] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        row[INERTIA:CARRIED] = inertia_values(inertia)
         row[CARRIED] = arm.mass[j:].sum()
         before = turn
     return links

@@ -17,6 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.inertia import inertia_values
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.twin.fit import influence
 from rejoint.twin.parameters import TIMESTEP, TwinParameters, back_emf, dry_friction, friction_terms
@@ -131,8 +132,7 @@ def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
         body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
         body.explicitinertial = True
         body.mass, body.ipos = arm.mass[i], arm.com[i]
-        inertia = arm.inertia[i]
-        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        body.fullinertia = inertia_values(arm.inertia[i])
         # A value above zero, so that MuJoCo reserves the friction constraints; the writer sets the real one.
         body.add_joint(name=name, axis=arm.axis[i], frictionloss=1.0, solimp_friction=FRICTION_IMPEDANCE)
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

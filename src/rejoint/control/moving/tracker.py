@@ -22,7 +22,7 @@ from rejoint.arms import (
     position_kinematics,
     tcp_position,
 )
-from rejoint.arms.kinematics import task
+from rejoint.arms.kinematics import levers, task
 from rejoint.arms.postures import body_of, find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, Pace, limit_position
@@ -38,13 +38,13 @@ _STEP = 0.3  # [rad] largest change of a joint in one of them
 _SOFT = 1e-8  # [m^2] keeps singular postures finite
 
 
-@lru_cache(maxsize=32)
+@lru_cache
 def joint_weights(arm: Arm) -> Array:
     """Weights (n,) from 1 to `SPARED`."""
-    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (2048, arm.joints))
+    postures = arm.drawn(2048)
     load = np.abs(gravity_torque(arm, postures)).max(axis=0)
     weights = np.where(load < _LIGHT * load.max(), SPARED, 1.0)
-    lever = np.linalg.norm(position_kinematics(arm, postures)[1], axis=-2).max(axis=0)
+    lever = levers(arm, postures).max(axis=0)
     weights[np.argsort(-lever, kind="stable")[:_KEEP]] = 1.0
     return weights
 

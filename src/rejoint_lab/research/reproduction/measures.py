@@ -73,7 +73,7 @@ def measure_kinematics(bench: Bench) -> Found:
     vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
     rows = PAPER_DH_TABLE.copy()
     rows[[0, 4], 0] = DH_TABLE[[0, 4], 0]
-    postures = np.random.default_rng(bench.seed).uniform(vendor.lower, vendor.upper, (POSTURES, vendor.joints))
+    postures = vendor.drawn(POSTURES, bench.seed)
     places = tcp_position(vendor, postures)
     apart, equal = (
         1e3 * np.linalg.norm(tcp_position(other, postures + PAPER_ANGLE_SHIFT) - places, axis=1).max()
