@@ -91,7 +91,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     structure = Structure(belief=unknown_prior(arm))
     frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
     mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0
-    problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1), structure.prior, frozen)
+    problem = Problem(Replay(arm, seen, windows, TIMESTEP), structure.prior, frozen)
     start = time.process_time()
     rough = np.where(problem.frozen, mean, rough_fit(problem))
     ours = unpack(fit(problem, rough, 8, SCALES).vector, arm.joints)

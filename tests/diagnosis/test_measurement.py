@@ -50,7 +50,7 @@ def simulated(top_speed):
         history.append(q)
     time, position, command = (np.array(column) for column in zip(*rows, strict=True))
     plain = RunLog.of(time + 5.0, command, position, arm=ARM, label=EXCITATION_LABEL)
-    return attach_segments(plain, excitation.segments)
+    return attach_segments(plain, excitation.segments, np.zeros((0, 2)))
 
 
 @pytest.fixture(scope="module")

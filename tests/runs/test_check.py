@@ -57,7 +57,7 @@ def test_measures_of_a_motion_made_by_hand():
     position = command.copy()
     position[:, 1] -= np.radians(2.0) + np.radians(np.where(moving != 0, 1.0, 0.5)) * np.array(at_rest)
     log = RunLog.of(time, command, position, arm=ARM)
-    found = measure_check(ARM, attach_segments(log, plan.segments), np.full(ARM.joints, 30.0))
+    found = measure_check(ARM, attach_segments(log, plan.segments, np.zeros((0, 2))), np.full(ARM.joints, 30.0))
     row = found.joints[1]
     lever = row.lever_mm
     assert row.hysteresis_mm == pytest.approx(np.radians(2.0) * lever, rel=1e-6)

@@ -14,13 +14,14 @@ from test_gains import found_by
 from madetwin import made_twin
 from rejoint.arms import gravity_torque, so101
 from rejoint.diagnosis.excitation import record
+from rejoint.logs.exclusions import velocity
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.twin.identify import EXCITATION_WINDOW, HOLD_OUT, identify
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.replay import Replay, cut, measured_velocity
+from rejoint.twin.replay import VELOCITY, Replay, cut
 
 LEAD = 40
 """Rows before a window, for references and commands on their way"""
@@ -30,12 +31,12 @@ def predicted(path, log, window):
     """Positions (rows, n) [rad] of a window by MuJoCo alone, from the measured state at its begin."""
     model = mujoco.MjModel.from_xml_path(str(path))
     data, n = mujoco.MjData(model), len(log.joint_names)
-    first, velocity, found = max(window.first - LEAD, 0), measured_velocity(log), []
+    first, speed, found = max(window.first - LEAD, 0), velocity(log.time, log.position, VELOCITY), []
     data.time, data.act[:n] = log.time[first], log.command[first]
     data.qpos[:], data.ctrl[:] = log.position[first], log.command[first]
     for row in range(first, window.last):
         if row == window.first:
-            data.qpos[:], data.qvel[:] = log.position[row], velocity[row]
+            data.qpos[:], data.qvel[:] = log.position[row], speed[row]
         while data.time < log.time[row] - 0.5 * model.opt.timestep:
             mujoco.mj_step(model, data)
         if row >= window.first:
@@ -52,7 +53,7 @@ def rms(paths, measured):
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     robot = open_robot(address, seed=0)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
-    twin = identify(arm, logs, iterations=8, threads=1)
+    twin = identify(arm, logs, iterations=8)
     run = Run.create(tmp_path / "run", address, arm, 0)
     twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")

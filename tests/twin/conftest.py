@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.control.servoreference import ServoReference
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import Draw, Simulation
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import so101
+from rejoint.control.servoreference import ServoReference
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import ChainBatch
 from rejoint.twin.table import TableBatch
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
-STEP, PERIOD = 0.005, 0.02
+STEP, PERIOD = 0.010, 0.02  # the first as in the fits, so that nothing but the encoders stands between the two
 TRUTH = TwinParameters(
     stiffness=[20.0, 17.0, 18.0, 15.0, 18.0],
     damping=[1.4, 1.0, 1.1, 0.9, 1.2],

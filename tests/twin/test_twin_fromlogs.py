@@ -8,6 +8,7 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, pressing, record, s
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
+from rejoint.twin import replay
 from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
 from rejoint.twin.motionfit import part, repeated
@@ -17,7 +18,7 @@ from rejoint.twin.structure import EARLIER, Structure, find_acceleration
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
-QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
+QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0)
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +29,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def found(logs):
-    # The truth's own time step, so that nothing but the encoders stands between the two.
-    return identify_logs(ARM, logs, replace(QUICK, timestep=STEP, hold_out=("motion3", "motion8", "press1")))
+    return identify_logs(ARM, logs, replace(QUICK, hold_out=("motion3", "motion8", "press1")))
 
 
 def test_held_out_motions_are_predicted(found):
@@ -93,8 +93,8 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
         windows = cut(logs, 8.0)
 
         def problem(structure, logs=logs, windows=windows):
-            replay = Replay(ARM, logs, windows, STEP, 1, acceleration=structure.acceleration)
-            return Problem(replay, structure.prior, structure.frozen)
+            shown = Replay(ARM, logs, windows, STEP, acceleration=structure.acceleration)
+            return Problem(shown, structure.prior, structure.frozen)
 
         for known, expected in found.items():
             simple = Structure(belief=unknown_prior(ARM), acceleration=known)
@@ -103,10 +103,12 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
             assert find_acceleration(problem, simple, start).acceleration == expected
 
 
-def test_threads_do_not_change_what_is_found(logs):
+def test_threads_do_not_change_what_is_found(logs, monkeypatch):
     few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
     chosen = [logs[i] for i in (0, 1, 10, 11)]
-    one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)) for threads in (1, 2))
+    two = identify_logs(ARM, chosen, few)
+    monkeypatch.setattr(replay, "THREADS", 1)
+    one = identify_logs(ARM, chosen, few)
     assert one.digest() == two.digest()
     assert one.table == two.table
 

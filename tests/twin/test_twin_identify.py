@@ -14,7 +14,7 @@ from rejoint.twin.uncertainty import limiting
 
 @pytest.fixture(scope="session")
 def twin(arm, log):
-    return identify(arm, [log], iterations=10, threads=1)
+    return identify(arm, [log], iterations=10)
 
 
 def test_fit_finds_the_truth(twin, truth):

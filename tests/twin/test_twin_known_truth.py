@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, record, wandering
+from motion_logs import ARM, PERIOD, TRUTH, centre_of, record, wandering
 
 from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, Motions, identify_logs, independent
 from rejoint.twin.parameters import pack, vector_names
@@ -20,7 +20,7 @@ from plant_logs import record_motions
 SEEDS = 2
 WRONG = 0.15
 """Of the logarithm of each link's mass: the fit assumes those of the data sheet"""
-SETTINGS = LogSettings(coarse_seconds=48.0, fit_seconds=200.0, threads=1, timestep=STEP)
+SETTINGS = LogSettings(coarse_seconds=48.0, fit_seconds=200.0)
 
 DISTURBANCE, MEMORY = np.radians(0.2), 0.4
 """[rad] and [s] of what no twin explains: a real low-cost arm's residuals are of this size"""
@@ -91,7 +91,7 @@ def test_the_intervals_are_not_merely_wide(distances):
 def test_a_plant_with_play_and_flex_is_predicted_on_motion_the_fit_has_not_seen():
     """The plant is richer than any twin, so its parameters have no truth here: prediction decides."""
     logs = record_motions([load_wear("so101", ARM)], 6, 18.0, seed=3)[0]
-    settings = LogSettings(coarse_seconds=48.0, fit_seconds=80.0, threads=1)
+    settings = LogSettings(coarse_seconds=48.0, fit_seconds=80.0)
     found = identify_logs(ARM, logs, replace(settings, hold_out=("motion1", "motion4")))
     mean = found.judgement.mean
     assert mean[FITTED].free.tcp < 0.25 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from rejoint.twin.reference import Latency
+from rejoint.control.servoreference import Latency
 
 
 def test_commands_are_in_force_after_their_delay():

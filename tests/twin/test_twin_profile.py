@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.twin.reference import ServoReference, move
+from rejoint.control.servoreference import ServoReference, move
 
 NO_DELAY = np.array([0.0])
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.twin.reference import ServoReference
+from rejoint.control.servoreference import ServoReference
 
 
 def commands(seed):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.control.servoreference import ServoReference
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import SUBSTEPS, Draw, Simulation
 
 ARM = mycobot280()

@@ -55,7 +55,6 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
         coarse_seconds=80.0,
         fit_seconds=160.0,
         contact_seconds=40.0,
-        threads=1,
     )
     found = identify_logs(ARM, logs, settings)
     assert sorted(found.fitted) == sorted(FITTED_TO)

@@ -15,7 +15,10 @@ def linear(seed=0, clusters=7, parameters=3):
     answers = [
         x @ np.arange(1.0, 1.0 + parameters) + rng.normal(0.0, 1.0) + rng.normal(0.0, 0.3, len(x)) for x in slopes
     ]
-    prior = Prior(mean=np.zeros(parameters), sigma=np.full(parameters, 1e4), lower=-np.ones(3), upper=np.ones(3))
+    one = np.eye(parameters)
+    prior = Prior(
+        mean=0.0 * one[0], sigma=np.full(parameters, 1e4), lower=-np.ones(3), upper=np.ones(3), correlation=one
+    )
     return prior, slopes, answers
 
 
@@ -35,6 +38,7 @@ def test_one_newton_step_leaves_a_cluster_out_of_a_linear_fit_exactly():
 
 
 def test_what_no_cluster_tells_keeps_its_prior():
-    prior = Prior(mean=np.zeros(3), sigma=np.array([0.5, 2.0, 1.0]), lower=-np.ones(3), upper=np.ones(3))
+    one, sigma = np.ones(3), np.array([0.5, 2.0, 1.0])
+    prior = Prior(mean=0.0 * one, sigma=sigma, lower=-one, upper=one, correlation=np.eye(3))
     covariance = jackknife(prior, np.zeros((5, 3, 3)), np.zeros((5, 3)))
     np.testing.assert_allclose(covariance, np.diag(prior.sigma**2), atol=1e-12)

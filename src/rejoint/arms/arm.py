@@ -107,10 +107,6 @@ class Arm(Readable):
             raise InputError(
                 "keep_out: a box has numbers that are not finite; give its lower and upper corner in metres"
             )
-        if np.isnan([(box.lower, box.upper) for box in self.keep_out]).any():
-            raise InputError(
-                "keep_out: a box has numbers that are not finite; give its lower and upper corner in metres"
-            )
         if (self.lower >= self.upper).any():
             raise InputError(f"arm {self.name}: every lower joint limit must be below the upper one")
         if ((self.rest < self.lower) | (self.rest > self.upper)).any():

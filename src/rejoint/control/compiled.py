@@ -59,11 +59,11 @@ def _follow(track, now, position, command, load):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True)
-def _push(low, high, balance, reach):  # noqa: ANN001, ANN202
+def push(low, high, balance, reach):  # noqa: ANN001, ANN201
     """Least push [rad] away from ``balance`` of leads from ``low`` to ``high``."""
-    least = min(max(low, -reach), reach) - balance
-    most = min(max(high, -reach), reach) - balance
-    return max(least, 0.0) + min(most, 0.0)
+    least = np.minimum(np.maximum(low, -reach), reach) - balance
+    most = np.minimum(np.maximum(high, -reach), reach) - balance
+    return np.maximum(least, 0.0) + np.minimum(most, 0.0)
 
 
 @njit(cache=True)
@@ -114,7 +114,7 @@ def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN2
             verdict[i, j] = UNKNOWN if stands and not pushes else FINE
             if unsettled:
                 continue
-            track.push = _push(low, high, balance[i, j], track.reach)
+            track.push = push(low, high, balance[i, j], track.reach)
             if _overdue(track, now[i] - last[i]):
                 verdict[i, j] = OVERDUE
 

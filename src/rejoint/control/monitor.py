@@ -119,8 +119,6 @@ class Following:
         self._last = state.time.copy()
         if goal is not None:
             self._fall(state.position, sent, goal)
-        if self._verdict.max() < compiled.UNKNOWN and not self.falling.any():
-            return self.falling
         bad: Mask = (self._verdict == compiled.OVERDUE) | self.falling
         travelled, more = self._travelled(state.position, sent)
         bad = bad | (travelled & aimed[:, None])
@@ -185,7 +183,7 @@ class Following:
 
     def describe(self, b: int, joints: Mask) -> str:
         """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
-        return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
+        return "; ".join(self._describe(b, j) for j in np.flatnonzero(joints).tolist())
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
         """Joints (B, n) without a known band whose commands are far from a constant reading."""
@@ -295,18 +293,15 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], balances: Sequence[Array]) -> t
     """Reach and width (n,) [rad] of the narrowest bands."""
     leads = [np.array(commands_in_force(log)) - log.position for log in logs]
     held = [
-        [_held(log, _push(lead, balance, reach)) for log, lead, balance in zip(logs, leads, balances, strict=True)]
+        [
+            _held(log, compiled.push.py_func(*lead, balance, reach))
+            for log, lead, balance in zip(logs, leads, balances, strict=True)
+        ]
         for reach in REACHES
     ]
     width = np.maximum(np.max(held, axis=1), max(arm.encoder_step, REACHES[-1]))
     best = np.argmax(REACHES[:, None] / width, axis=0)
     return REACHES[best], width[best, np.arange(arm.joints)]
-
-
-def _push(lead: Array, balance: Array, reach: float) -> Array:
-    """Least pushes (T, n) [rad] away from the ``balance`` (T, n) of a lowest and highest ``lead`` (2, T, n)."""
-    least, most = np.clip(lead, -reach, reach) - balance
-    return np.maximum(least, 0.0) + np.minimum(most, 0.0)
 
 
 def _held(log: RunLog, push: Array) -> Array:

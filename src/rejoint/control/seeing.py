@@ -19,9 +19,9 @@ from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled, rms
-from rejoint.control.moving.reference import interpolated
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
 
 NOISE = 0.3e-3

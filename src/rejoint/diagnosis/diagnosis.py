@@ -166,10 +166,8 @@ def diagnose_logs(
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")
     on_progress(0.0, "contacts and stops")
-    height = None if bare else table_height(arm, logs)
-    nowhere = [np.zeros(len(log), dtype=bool) for log in logs]
-    bare_logs = [Exclusions(contact=rows, stop=rows, stale=rows) for rows in nowhere]
-    excluded = bare_logs if bare else find_exclusions(arm, logs, height)
+    height = table_height(arm, logs)
+    excluded = find_exclusions(arm, logs, height)
     evidence = _evidence(arm, logs, excluded, height)
     data = join_logs(arm, logs, excluded)
     if not data.of_kind(FREE):
@@ -286,7 +284,7 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
         of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [float(error.mean())] if len(logs) >= MANY else of_place.tolist()
+        means += [error.mean()] if len(logs) >= MANY else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 
@@ -335,7 +333,7 @@ def _farthest(arm: Arm, rest: Postures) -> str:
     position, command = rest
     off = np.abs(command - position)
     at_tool = (levers(arm, position) * off).mean(axis=0)
-    joint, degrees = int(at_tool.argmax()), np.degrees(off.mean(axis=0))
+    joint, degrees = at_tool.argmax(), np.degrees(off.mean(axis=0))
     if not at_tool[joint] > 0.0:
         return ""
     return (

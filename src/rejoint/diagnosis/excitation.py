@@ -36,6 +36,7 @@ from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.diagnosis.segments import TARGETS_LABEL, Segment, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import interpolated
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.records import entity, value_type
 
@@ -43,11 +44,11 @@ from rejoint.system.records import entity, value_type
 class Excitation:
     """A joint trajectory in named segments, from a posture (n,) [rad] at time 0."""
 
-    def __init__(self, arm: Arm, start: Array) -> None:
+    def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self.time: Array = np.zeros(1)
         """(K,) [s] of the knots"""
-        self.position: Array = np.array(start, dtype=float)[None]
+        self.position: Array = arm.rest[None]
         """(K, n) [rad] of the knots, linear between"""
         self.segments: list[Segment] = []
 
@@ -58,8 +59,7 @@ class Excitation:
 
     def command(self, time: float | Array) -> Array:
         """Joint positions (..., n) [rad] at ``time`` (...) [s]; held before and after."""
-        t = np.asarray(time, dtype=float)
-        return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
+        return interpolated(time, self.time, self.position)
 
     @contextmanager
     def segment(self, name: str, kind: str, joints: tuple[int, ...] = ()) -> Iterator[None]:
@@ -74,7 +74,7 @@ class Excitation:
 
     def travel(self, goal: Array, speed: float) -> None:
         """Go straight to ``goal`` (n,) [rad], the farthest joint at ``speed`` [rad/s]."""
-        self._add(float(np.abs(goal - self.position[-1]).max()) / speed, goal)
+        self._add(np.abs(goal - self.position[-1]).max() / speed, goal)
 
     def sweep(self, plan: Plan, travel: float) -> None:
         """Sweep all joints about rest, as planned; ``travel`` [rad/s] in between."""
@@ -177,9 +177,8 @@ def plan_excitation(arm: Arm, *, seed: int) -> Excitation:
     """
 
     def build(plan: Plan) -> Excitation:
-        rng, path = np.random.default_rng(seed), Excitation(arm, arm.rest)
+        rng, path = np.random.default_rng(seed), Excitation(arm)
         with path.segment("approach", "approach"):
-            path.travel(arm.rest, plan.travel_speed / 2)
             path.wait(0.5)
         with path.segment("still", "still"):
             path.wait(plan.still)
@@ -268,16 +267,16 @@ def _hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
         spread *= _SMALLER
     torque = gravity_torque(arm, q)
     torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))
-    chosen = [int(np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1)))]
+    chosen = [np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1))]
     distance = np.full(len(q), np.inf)
     while len(chosen) < plan.postures:
         distance = np.minimum(distance, np.linalg.norm(torque - torque[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(distance)))
+        chosen.append(np.argmax(distance))
     return q[chosen]
 
 
 def _slowed(plan: Plan, arm: Arm) -> Plan:
-    limit = float(arm.max_speed.min())
+    limit = arm.max_speed.min()
     most = {"step_speed": 0.8, "multisine_speed": 0.6, "travel_speed": 0.4, "hold_speed": 0.2}
     return replace(
         plan,
@@ -288,11 +287,10 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
 
 
 def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
-    arm, time, position = excitation.arm, excitation.time, excitation.position
+    arm, time = excitation.arm, excitation.time
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = excitation.command(fine)
-    approach = fine <= time[np.argmax((position == arm.rest).all(axis=1))]  # where the arm came from is not ours
-    good = is_safe(arm, q) | approach
+    good = is_safe(arm, q)
     if good.all():
         return None
     first = np.argmin(good)

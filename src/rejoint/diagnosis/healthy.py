@@ -114,7 +114,7 @@ def as_set(
     rows = []
     for joint, of in enumerate(map(_nearest, p)):
         rows.append(_stiffer(_measured(arm, of).joints[joint], p[joint] / of * share[joint]))
-    typical = float(np.exp(np.log(p).mean()))
+    typical = np.exp(np.log(p).mean())
     of = _nearest(typical)
     whole = _measured(arm, of)
     setting = f" with P = {', '.join(map(str, dict.fromkeys(gains['p'])))}"
@@ -123,7 +123,7 @@ def as_set(
     return replace(
         whole,
         joints=tuple(rows),
-        error_mm=whole.error_mm and scaled(whole.error_mm, of / typical / float(share.mean())),
+        error_mm=whole.error_mm and scaled(whole.error_mm, of / typical / share.mean()),
         source=f"{whole.source},{setting}",
         setting=setting,
     )
@@ -134,7 +134,7 @@ def _new(arm: Arm) -> str | None:
 
 
 def _nearest(p: float) -> int:
-    return min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
+    return min(MEASURED, key=lambda one: abs(np.log(p / one)))
 
 
 def _measured(arm: Arm, p: int) -> HealthyReference:
@@ -219,7 +219,7 @@ def _range(found: Sequence[Estimate], allowed: float | None = None) -> Estimate:
         value, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
         low, high = value - half, value + half
     if allowed is None:
-        margin = float(np.log1p(TOLERANCE))
+        margin = np.log1p(TOLERANCE)
         return Estimate(np.exp(value), np.exp(low - margin), np.exp(high + margin))
     margin = TOLERANCE * abs(value) + allowed
     return Estimate(value, low - margin, high + margin)

@@ -190,7 +190,7 @@ def _stiffness(
 ) -> list[tuple[Estimate | None, Estimate | None]]:
     links = link_inertia(arm, arm.rest)
     by_sag = _by_sag(arm, laws, SURE_WITHIN)
-    found = [_loaded(k, ratio, float(link)) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
+    found = [_loaded(k, ratio, link) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
     known = {joint: motor for joint, (_, motor) in enumerate(found) if motor is not None}
     if motors is not None and any(motor is not None for motor in motors):
         known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
@@ -199,7 +199,7 @@ def _stiffness(
             continue
         near = min(known, key=lambda other: abs(other - joint))
         motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
-        total = shifted(motor, float(links[joint]))
+        total = shifted(motor, links[joint])
         if total is not None:
             found[joint] = product(total, reciprocal(ratio)), None
     return found
@@ -208,7 +208,7 @@ def _stiffness(
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
     """Sag per gravity torque (n,) [rad/(N m)], and logarithm and sigma (n,) of stiffness; infinite if unknown."""
     laws = [fit_law(data, joint) for joint in range(data.arm.joints)]
-    softness = np.array([np.inf if law is None else float(law.coefficients[SOFTNESS]) for law in laws])
+    softness = np.array([np.inf if law is None else law.coefficients[SOFTNESS] for law in laws])
     ends = [(k.low, k.high) if k and k.low and k.high else (0.0, np.inf) for k in _known(data, laws)]
     low, high = np.log(np.maximum(ends, 1e-300)).T
     known = np.isfinite(high)
@@ -267,16 +267,16 @@ def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Es
 
 def _inertia_ratio(law: Law) -> Estimate | None:
     """J/k [s^2], widened by the delay's error; None unless it is positive."""
-    ratio, lag = law.estimate(INERTIA), float(law.coefficients[LAG])
+    ratio, lag = law.estimate(INERTIA), law.coefficients[LAG]
     if ratio.value <= 0:
         return None
-    half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
+    half = np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag)
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
 
 
 def _damping_ratio(law: Law) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
-    ratio = float(law.coefficients[INERTIA])
+    ratio = law.coefficients[INERTIA]
     return None if ratio <= 0 else scaled(law.estimate(LAG), 0.5 / ratio**0.5)
 
 

@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import uniform_filter1d
+from scipy import ndimage
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
 from rejoint.system.shell import Late
 from rejoint.system.statistics import Estimate
@@ -83,7 +84,7 @@ class Averages(NamedTuple):
         """Whether a law can be fitted."""
         forward = self.direction > 0.0
         ways = [len(np.unique(self.cluster[way])) for way in (forward, ~forward)]
-        return min(ways) >= _FEWEST and bool(_BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS)
+        return min(ways) >= _FEWEST and _BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS
 
 
 def window_averages(
@@ -93,10 +94,8 @@ def window_averages(
 
     Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
-    nothing = np.zeros(0)
-    empty: dict[str, Any] = dict.fromkeys(Averages._fields, nothing)
-    empty |= {"error": np.zeros((len(delays), 0)), "cluster": nothing.astype(np.intp)}
-    parts = [Averages(**empty)]
+    nothing = Averages(*np.zeros((len(Averages._fields), 0)))
+    parts = [nothing._replace(error=np.zeros((len(delays), 0)), cluster=np.zeros(0, dtype=np.intp))]
     for index, segment in enumerate(segments):
         time = np.arange(segment.start + cut, segment.stop, _GRID)
         if len(time) * _GRID > length:
@@ -119,7 +118,7 @@ def _averages(
     def average(signal: Array, weight: Array) -> Array:
         return sliding_window_view(signal, count, axis=-1)[..., ::hop, :] @ weight / window.sum()
 
-    smooth = uniform_filter1d(np.gradient(position, _GRID), 41, mode="nearest")
+    smooth = ndimage.uniform_filter1d(np.gradient(position, _GRID), 41, mode="nearest")
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
@@ -127,7 +126,7 @@ def _averages(
     before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(apart) - 1)
     near = apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart)))
     return Averages(
-        error=average(data.commanded(joint, time - delays[:, None]) - position, window),
+        error=average(data.references[joint].sample(time, delays)[..., 0] - position, window),
         command_speed=-average(at(log.command), first),
         speed=speed,
         acceleration=average(position, second),
@@ -249,14 +248,14 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
     follows, moments = (1.0, None) if known else _shared(data, motion, joint)
-    return Law(**vars(fit), torque_range=float(np.ptp(motion.gravity)), follows=follows, moments=moments)
+    return Law(**vars(fit), torque_range=np.ptp(motion.gravity), follows=follows, moments=moments)
 
 
 def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
     """Share of the sag by any masses that the arm's own explain, and `Law.moments`."""
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
-    position = np.stack([np.interp(motion.time, log.time, column) for column in log.position.T], axis=1)
+    position = interpolated(motion.time, log.time, log.position)
     columns = gravity_terms(data.arm, position)[:, joint]
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
@@ -265,8 +264,8 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
         return values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0]
 
     rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
-    kept = rest <= 5 * 1.48 * float(np.median(rest))
-    without, own, any_masses = (float((left(design, kept)[kept] ** 2).sum()) for design in (base, model, free))
+    kept = rest <= 5 * 1.48 * np.median(rest)
+    without, own, any_masses = ((left(design, kept)[kept] ** 2).sum() for design in (base, model, free))
     moments = np.linalg.qr(left(base, kept, np.column_stack([columns, error]))[kept], mode="r")
     observations = len(np.unique(motion.cluster[kept]))
     return (without - own) / max(without - any_masses, 1e-300), moments * (
@@ -323,7 +322,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
     rests = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD, joint)]
-    return max([0.0, *(abs(float(error[rows].mean())) - float(width) for rows in rests if len(rows))])
+    return float(max([0.0, *(abs(error[rows].mean()) - width for rows in rests if len(rows))]))
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
@@ -331,9 +330,9 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
     shares = []
     for segment in data.of_kind(STEP, joint):
         position, final = (data.log.position[data.rows(segment, last=last), joint] for last in (np.inf, SETTLED_LAST))
-        moved = float(final.mean() - position[0]) if len(final) else 0.0
+        moved = final.mean() - position[0] if len(final) else 0.0
         if abs(moved) > _MIN_STEP:
-            shares.append(max(float((np.sign(moved) * (position - final.mean())).max() / abs(moved)), 0.0))
+            shares.append(max((np.sign(moved) * (position - final.mean())).max() / abs(moved), 0.0))
     return mean_of(np.array(shares)) if shares else Estimate(0.0, 0.0, None)
 
 
@@ -346,9 +345,9 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     rest = [signal.detrend(data.log.position[rows, joint]) for rows in spans if len(rows) >= 4]
     if len(rest) < 4:
         return None
-    worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
+    worst = np.sort([np.sqrt((r**2).mean()) for r in rest])[-(len(rest) // 4) :]
     motion = worst * _repeating_share(rest) ** 0.5
-    return Estimate(float(motion.mean()), float(motion[0]), float(motion[-1]))
+    return Estimate(motion.mean(), motion[0], motion[-1])
 
 
 def _repeating_share(pieces: list[Array]) -> float:
@@ -367,7 +366,7 @@ def _repeating_share(pieces: list[Array]) -> float:
 
 def _correlation(pieces: list[Array], shift: int) -> float:
     early, late = (np.concatenate([p[rows].ravel() for p in pieces]) for rows in (slice(-shift), slice(shift, None)))
-    return float(early @ late / max(np.linalg.norm(early) * np.linalg.norm(late), 1e-300))
+    return early @ late / max(np.linalg.norm(early) * np.linalg.norm(late), 1e-300)
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
@@ -376,7 +375,7 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     if sum(map(len, rows)) < 12:
         return None
     steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
-    power = mean_of(np.array([float((block**2).mean()) / 2 for block in np.array_split(steps, 6)]))
+    power = mean_of(np.array([(block**2).mean() / 2 for block in np.array_split(steps, 6)]))
     return Estimate(*((one or 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
 
 
@@ -428,11 +427,11 @@ def arm_delay(data: ExcitationLog) -> float:
 
 def _lowest(cost: Array) -> float:
     """Delay [s] at the minimum of a parabola through the lowest cost (D,)."""
-    i = int(np.argmin(cost))
+    i = np.argmin(cost)
     before, here, after = np.pad(cost, 1, constant_values=np.inf)[i : i + 3]
     bend = before - 2 * here + after  # infinite at either end
     aside = 0.5 * (before - after) / bend if np.isfinite(bend) and bend > 0.0 else 0.0
-    return float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside)
+    return DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside
 
 
 def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
@@ -443,7 +442,8 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
     time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
     before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
     start = log.position[before, joint]
-    drive = data.commanded(joint, time - DELAYS[:, None, None]) - log.command[before, joint][:, None]  # (D, S, K)
+    sent = data.references[joint].sample(time.ravel(), DELAYS).reshape(-1, *time.shape)
+    drive = sent - log.command[before, joint][:, None]  # (D, S, K)
     lag, half_width, ratio = np.maximum(fits.T[:3, :, None], np.array([0.0, 0.0, _MIN_RATIO])[:, None, None])
     way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
     cost = np.zeros(len(DELAYS))
@@ -479,9 +479,9 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     excess = np.abs(demand) - np.abs(given)
     behind = (excess > np.abs(given)) & (demand * given > 0) & (np.abs(found.speed) < _STANDING)
     behind &= excess > margin + _EXCESS * torque_size(data.arm)
-    seen, share = float(np.quantile(np.abs(given), 0.995)), float(behind.mean())
-    groups = [np.abs(given[behind & (found.cluster == c)]) for c in np.unique(found.cluster[behind])]
-    limit = mean_of(np.array([float(np.median(group)) for group in groups])) if share >= _MIN_SHARE else None
+    seen, share = np.quantile(np.abs(given), 0.995), float(behind.mean())
+    of, size = found.cluster[behind], np.abs(given[behind])
+    limit = mean_of(ndimage.median(size, of, np.unique(of))) if share >= _MIN_SHARE else None
     if limit is None or limit.value < 0.5 * seen:  # it could give more, and something else held it back
         return {}
     return {"torque_limit_nm": limit, "saturated_share": share}

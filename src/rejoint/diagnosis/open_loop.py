@@ -73,7 +73,7 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
         return 1e3 * np.array([np.linalg.norm(one[part] - other[part], axis=1).mean() for part in rows])
 
     errors, truth = apart(log.target, tcp), apart(log.target, log.true_tcp)
-    known = bool(np.isfinite(truth).all())
+    known = np.isfinite(truth).all()
     found = [
         TargetError(
             target_mm=tuple((1e3 * log.target[part[0]]).tolist()),
@@ -120,5 +120,5 @@ def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) 
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
     rows = np.flatnonzero(quiet & usable)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int))] if len(rows) else rows
+    rows = rows[np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int)]
     return np.array([log.position[rows], log.command[rows]])

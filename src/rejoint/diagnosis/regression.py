@@ -29,8 +29,8 @@ class LinearFit:
 
     def estimate(self, index: int) -> Estimate:
         """Coefficient ``index`` with its interval."""
-        half = student95(self.freedom) * float(np.sqrt(self.covariance[index, index]))
-        value = float(self.coefficients[index])
+        half = student95(self.freedom) * np.sqrt(self.covariance[index, index])
+        value = self.coefficients[index]
         return Estimate(value, value - half, value + half)
 
 
@@ -68,17 +68,17 @@ def fit_trimmed(design: Array, response: Array, cluster: Index, first: Mask | No
         root = np.sqrt(weight)
         beta = np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0]
         residual = np.abs(response - design @ beta)
-        weight = (weight > 0.0) / np.maximum(residual, max(0.01 * float(residual.mean()), 1e-9))
+        weight = (weight > 0.0) / np.maximum(residual, max(0.01 * residual.mean(), 1e-9))
     kept = residual <= 5 * max(1.48 * float(np.median(residual[weight > 0.0])), 1e-5)
     return fit_clustered(design[kept], response[kept], cluster[kept])
 
 
 def mean_of(values: Array) -> Estimate:
     """Mean of independent values (N,), none below zero, with Student's interval."""
-    value = float(values.mean())
+    value = values.mean()
     if len(values) < 2:
         return Estimate(value, None, None)
-    half = student95(len(values) - 1) * float(values.std(ddof=1)) / len(values) ** 0.5
+    half = student95(len(values) - 1) * values.std(ddof=1) / len(values) ** 0.5
     return Estimate(value, max(value - half, 0.0), value + half)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.kinematics import frames
+from rejoint.control.servoreference import ServoReference
 from rejoint.logs.exclusions import Exclusions, free_runs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -40,12 +41,12 @@ class Segment:
     """that it judges"""
 
 
-def attach_segments(log: RunLog, segments: Sequence[Segment], waits: Array | None = None) -> RunLog:
+def attach_segments(log: RunLog, segments: Sequence[Segment], waits: Array) -> RunLog:
     """Log with its excitation's segments, which waited ``waits`` (k, 2) [s]."""
-    begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
+    begin = float(log.time[0])
 
     def on_clock(time: float) -> float:
-        return begin + time + float(waited[waited[:, 0] <= time, 1].sum())
+        return begin + time + float(waits[waits[:, 0] <= time, 1].sum())
 
     shifted = [dataclasses.replace(s, start=on_clock(s.start), stop=on_clock(s.stop)) for s in segments]
     return dataclasses.replace(log, extra={**log.extra, _KEY: msgspec.json.encode(shifted).decode()})
@@ -98,21 +99,10 @@ class ExcitationLog:
         return gravity_torque(self.arm, self.log.position)
 
     @cached_property
-    def reference(self) -> Array:
-        """(T, n) [rad] of a servo that ramps to each command, just before the next one takes effect."""
-        log, reference = self.log, self.log.command.copy()
-        way = np.diff(log.time)[:, None] * self.arm.max_speed
-        for k in range(len(log) - 1):
-            reference[k + 1] = reference[k] + np.clip(log.command[k] - reference[k], -way[k], way[k])
-        return reference
-
-    def commanded(self, joint: int, time: Array) -> Array:
-        """Joint's reference [rad] at ``time`` (...) [s]: ramps at top speed."""
-        log, speed = self.log, float(self.arm.max_speed[joint])
-        row = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 1)
-        start, goal = self.reference[row, joint], log.command[row, joint]
-        way = speed * np.maximum(time - log.time[row], 0.0)
-        return start + np.clip(goal - start, -way, way)
+    def references(self) -> list[ServoReference]:
+        """Of each joint, which ramps to each command at top speed."""
+        log, speed = self.log, self.arm.max_speed
+        return [ServoReference(log.time, log.command[:, [j]], speed[[j]]) for j in range(self.arm.joints)]
 
     @cached_property
     def load(self) -> Array:

@@ -101,7 +101,7 @@ class _Case:
     @property
     def lever(self) -> float:
         """[m/rad] mean."""
-        return float(self.levers.mean())
+        return self.levers.mean()
 
     @property
     def moves(self) -> bool:
@@ -173,7 +173,7 @@ def find(
 
 
 def _finding(case: _Case, kind: str, told: tuple[float, str], bad_mm: float) -> Finding:
-    quantity, tcp = RULES[kind][0], 1e3 * told[0]
+    quantity, tcp = RULES[kind][0], 1e3 * float(told[0])
     cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
     return Finding(
         joint=case.row.joint,
@@ -189,13 +189,13 @@ def _finding(case: _Case, kind: str, told: tuple[float, str], bad_mm: float) -> 
 
 def stuck(case: _Case) -> Found:
     """Report a joint that does not move when commanded, or is beyond measurement."""
-    gain, far = case.row.sweep_gain, float(case.errors.max())
+    gain, far = case.row.sweep_gain, case.errors.max()
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
     follows = gain is not None and FOLLOWS < gain < 1.0 / FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
     if follows or far < STUCK_ERROR:
         return None
-    return float((case.levers * case.errors).mean()), (
+    return (case.levers * case.errors).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
         "no power, is blocked or too weak to lift the arm, or its reading is another joint's, turned round, or has "
         "another zero or scale; at its targets this costs"
@@ -206,8 +206,8 @@ def weak_gain(case: _Case) -> Found:
     """Report a servo with too little torque per following error."""
     if not case.below("stiffness_nm_per_rad") or not case.moves:
         return None
-    k, weight = case.value("stiffness_nm_per_rad"), float((case.levers * case.loads).mean())
-    held = case.lever * float(np.nan_to_num(case.value("coulomb_nm")))
+    k, weight = case.value("stiffness_nm_per_rad"), (case.levers * case.loads).mean()
+    held = case.lever * np.nan_to_num(case.value("coulomb_nm"))
     sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k):.1f} deg low"
     return (weight + held) / k, f"is soft and {sags if weight > held else 'stops short of where it is sent'},"
 
@@ -251,7 +251,7 @@ def torque_limit(case: _Case) -> Found:
     explained = case.loads / case.value("stiffness_nm_per_rad") + max(case.value("hysteresis_rad"), 0.0) / 2
     off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
     far = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
-    return float((case.levers * np.maximum(case.errors - explained, 0.0)).mean()), (
+    return (case.levers * np.maximum(case.errors - explained, 0.0)).mean(), (
         f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{far}; "
         "at its targets this costs"
     )
@@ -287,7 +287,7 @@ def lag(case: _Case) -> Found:
 
 def offset(case: _Case) -> Found:
     """Report the same offset everywhere, with or without load."""
-    k, weight = case.row.stiffness_nm_per_rad, float(case.loads.mean())
+    k, weight = case.row.stiffness_nm_per_rad, case.loads.mean()
     if not case.moves or (k is None and weight > UNLOADED):
         return None
     doubt = 0.0 if k is None else GRAVITY_DOUBT * weight / k.value

@@ -16,6 +16,7 @@ from rejoint.logs.exclusions import correlations
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import TWO_TURNS, RunLog
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.numbers import interpolated
 
 PLAUSIBLE = (0.0, 0.3)
 """[s] (a low-cost arm: 0.06 to 0.16 s)"""
@@ -70,7 +71,7 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
     step = float(np.clip(period, *_GRID))
     even = np.arange(time[0], time[-1], step)[:_ROWS_MOST]
     held = command[np.searchsorted(time, even, side="right") - 1]
-    moved = np.stack([np.interp(even, time, one) for one in position.T], axis=1)
+    moved = interpolated(even, time, position)
     return _of_steps(moved, held, step) or _of_velocities(moved, held, step, period)
 
 

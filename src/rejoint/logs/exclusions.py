@@ -201,6 +201,11 @@ def _recovering(time: Array, rows: Mask) -> Mask:
 
 def joint_speed(time: Array, q: Array) -> Array:
     """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows."""
+    return np.abs(velocity(time, q, 4)).max(axis=1)
+
+
+def velocity(time: Array, q: Array, reach: int) -> Array:
+    """(T, n) [rad/s] by central differences over ``reach`` rows to either side."""
     rows = np.arange(len(time))
-    before, after = np.maximum(rows - 4, 0), np.minimum(rows + 4, len(time) - 1)
-    return np.abs((q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]).max(axis=1)
+    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(time) - 1)
+    return (q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]

@@ -86,3 +86,10 @@ def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np
     except (TypeError, ValueError):
         found = "rows of different length, or no numbers"
     raise InputError(f"{what}: expected {expected}, found {found}")
+
+
+def interpolated(
+    time: NDArray[np.float64] | float, at: NDArray[np.float64], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Linear interpolation (..., n) of ``places`` (K, n) at ``at`` (K,) for ``time`` (...)."""
+    return np.stack([np.interp(time, at, column) for column in places.T], axis=-1)

@@ -122,37 +122,31 @@ class Problem:
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights.precision).sum(axis=1)
-        alone = data + self._by_joint(moved * (pull[0] + 0.5 * np.diag(precision) * moved))
+        own = (moved * (pull[0] + 0.5 * np.diag(precision) * moved))[:, self.owner >= 0]
+        alone = data + own.reshape(len(own), -1, self.joints).sum(axis=1)
         return alone, data.sum(axis=1) + 0.5 * (pull * away).sum(axis=1)
-
-    def _by_joint(self, values: Array) -> Array:
-        """Sum (m, n) of values (m, k) over each joint's parameters."""
-        return values[:, : self.layout.of_arm.start].reshape(len(values), -1, self.joints).sum(axis=1)
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
 
         Instead of the stiffness, torques and inertia move.
         """
-        moved = np.tile(vector, (len(PARAMETERS), 1))
         steps = signs * self.steps
         own = self.layout.kind == np.arange(len(PARAMETERS))[:, None]
-        moved += np.where(own, steps, 0.0)
+        moved = vector + np.where(own, steps, 0.0)
         for row in self._scaled():
             moved[STIFFNESS, own[row]] += steps[own[STIFFNESS]]
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
         """Vectors (f, k) with torques and inertia scaled by ``factors``."""
-        at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
+        at, factor = self.layout.at, np.array(factors)[:, None]
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
-        for row, factor in zip(scaled, factors, strict=True):
-            for name in (p.name for p in PARAMETERS if p.scaled):
-                row[at(name)] += np.log(factor)
-            motor = factor * (self.link_inertia + armature) - self.link_inertia
-            row[at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))
-            held = (1.0 - vector[at("compensation")]) * self.gravity
-            row[at("offset")] += held / stiffness * (1.0 / factor - 1.0)
+        scaled = vector + np.log(factor) * self.layout.has("scaled")
+        motor = factor * (self.link_inertia + armature) - self.link_inertia
+        scaled[:, at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))
+        held = (1.0 - vector[at("compensation")]) * self.gravity
+        scaled[:, at("offset")] += held / stiffness * (1.0 / factor - 1.0)
         return np.clip(np.where(self.frozen, vector, scaled), self.prior.lower, self.prior.upper)
 
     @cached_property
@@ -239,7 +233,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
     for i in range(rounds):
         tried = problem.residuals(candidates[len(known) :])
         residuals = np.concatenate([known, tried])
-        best = int(np.argmin(loss(residuals).sum(axis=(1, 2))))
+        best = np.argmin(loss(residuals).sum(axis=(1, 2)))
         weights = problem.weights(residuals[best])
         x, _, _ = line_up(problem, candidates, residuals, weights)
         count, layout = len(starts) - 1, problem.layout
@@ -286,8 +280,8 @@ def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weig
     candidates = np.vstack([candidates, mixed])
     residuals = np.concatenate([residuals, problem.residuals(mixed[None])])
     total = problem.costs(candidates, residuals, weights)[1]
-    best = int(np.argmin(total))
-    return candidates[best], float(total[0] - total[best]), residuals[best]
+    best = np.argmin(total)
+    return candidates[best], total[0] - total[best], residuals[best]
 
 
 def loss(residual: Array) -> Array:

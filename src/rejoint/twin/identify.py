@@ -15,7 +15,7 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, gravity_torque
-from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -31,7 +31,6 @@ from rejoint.twin.motionfit import (
     repeated,
     thin,
 )
-from rejoint.twin.parameters import TIMESTEP as FINE
 from rejoint.twin.parameters import (
     Prior,
     healthy_parameters,
@@ -43,12 +42,12 @@ from rejoint.twin.parameters import (
 )
 from rejoint.twin.replay import (
     GAIN,
+    VELOCITY,
     Replay,
     Window,
     at_gain,
     cut,
     durations,
-    measured_velocity,
     powered,
     recorded_gain,
 )
@@ -123,8 +122,6 @@ class LogSettings:
     """[s] of the fastest motion, which shows a limited acceleration"""
     contact_seconds: float = 240.0
     """[s] of contact for the table; measured: 80 s are a fifth worse"""
-    timestep: float = TIMESTEP
-    threads: int = 2
 
 
 def identify(
@@ -133,7 +130,6 @@ def identify(
     on_progress: Progress = no_progress,
     *,
     iterations: int = ITERATIONS,
-    threads: int = 2,
 ) -> Twin:
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
@@ -150,11 +146,11 @@ def identify(
     rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
-    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP, threads), belief, UNSEEN)
+    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP), belief, UNSEEN)
     x = fit(coarse, rough_fit(coarse), iterations).vector
     x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
-    fine = Problem(Replay(arm, logs, seen, FINE, threads), belief, UNSEEN)
+    fine = Problem(Replay(arm, logs, seen), belief, UNSEEN)
     found = fit(fine, x, iterations)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
@@ -206,7 +202,7 @@ def fitted_twin(
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
     """(n,) [N m] largest gravity torque held, less friction."""
-    speed = np.concatenate([measured_velocity(log) for log in logs])
+    speed = np.concatenate([velocity(log.time, log.position, VELOCITY) for log in logs])
     load = np.abs(gravity_torque(arm, np.concatenate([log.position for log in logs]))) - coulomb
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
@@ -261,7 +257,7 @@ def identify_logs(
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
-    paths = predict_logs(arm, [own, *healthy, *beside], unseen, settings.timestep, settings.threads)
+    paths = predict_logs(arm, [own, *healthy, *beside], unseen)
     judgement = judge(arm, paths, unseen, table=motions.height)
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
@@ -314,13 +310,12 @@ class Motions:
 
     def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
         """Make the problem of some windows."""
-        settings = self.settings
-        replay = Replay(self.arm, self.logs, windows, settings.timestep, settings.threads, structure.acceleration)
+        replay = Replay(self.arm, self.logs, windows, TIMESTEP, structure.acceleration)
         return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
     def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:
         """Find a twin's structure, and its optimum (k,) on few windows; InputError for too little motion."""
-        seconds = float(durations(self.windows, self.logs).sum())
+        seconds = durations(self.windows, self.logs).sum()
         if seconds < SHORTEST:
             raise InputError(
                 f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
@@ -360,7 +355,7 @@ def independent(problem: Problem) -> Index:
 
 def _hard_to_follow(problem: Problem, found: Fit) -> list[str]:
     logs, motion = problem.replay.logs, problem.replay.motion
-    weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
+    weight = {logs[i].label: found.weights.share[motion == i].mean(axis=0).min() for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}
     if not low:
         return []

@@ -25,7 +25,6 @@ from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.system.records import value_type
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window, at_gain, in_force
-from rejoint.twin.step import GROUP
 from rejoint.twin.twin import (
     NO_TWIN,
     Errors,
@@ -71,9 +70,7 @@ class Candidate:
         )
 
 
-def predict_logs(
-    arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
-) -> dict[str, list[Array]]:
+def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog]) -> dict[str, list[Array]]:
     """Predicted positions (T, n) [rad] in each log, no twin first.
 
     InputError for equal names or another arm.
@@ -83,10 +80,8 @@ def predict_logs(
         raise InputError(
             f"replay: twins called {', '.join(names[1:])}; give each a name of its own, other than {NO_TWIN!r}"
         )
-    for log in logs:
-        log.require(arm)
     return {NO_TWIN: [in_force(log) for log in logs]} | {
-        c.name: _paths(arm, c, logs, timestep, threads) for c in candidates
+        c.name: [_path(arm, c, log) for log in at_gain(logs, c.gain)] for c in candidates
     }
 
 
@@ -110,19 +105,10 @@ def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, ta
     )
 
 
-def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
-    logs = at_gain(logs, candidate.gain)
+def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
-    paths: dict[int, Array] = {}
-    # Motions of similar length together: a batch takes as long as its longest.
-    order = sorted(range(len(logs)), key=lambda i: logs[i].duration)
-    for start in range(0, len(order), GROUP * threads):
-        part = order[start : start + GROUP * threads]
-        windows = [Window(log=i, first=0, last=len(logs[i])) for i in part]
-        replay = Replay(arm, logs, windows, timestep, threads, candidate.acceleration)
-        found = replay.predict(candidate.parameters.repeat(1), tables, resting=True)
-        paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
-    return [paths[i] for i in range(len(logs))]
+    replay = Replay(arm, [log], [Window(log=0, first=0, last=len(log))], TIMESTEP, candidate.acceleration)
+    return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0][0]
 
 
 def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
@@ -158,7 +144,7 @@ def _mean(errors: Sequence[Errors]) -> Errors:
 
 
 def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> Trace:
-    shown = np.unique(np.linspace(0, len(log) - 1, min(TRACE_ROWS, len(log))).astype(int))
+    shown = np.linspace(0, len(log) - 1, min(TRACE_ROWS, len(log))).astype(int)
     measured = tcp_position(arm, log.position[shown])
     gaps = {n: np.linalg.norm(tcp_position(arm, path[shown]) - measured, axis=1) for n, path in paths.items()}
     first = list(paths)[1]
@@ -179,10 +165,10 @@ COARSEST = 0.1
 
 def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
     found = []
-    travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
+    travel = max(np.ptp(log.position, axis=0).max() for log in logs)
     if travel < MOVED:
         return [f"no joint moved by more than {np.degrees(travel):.2g} deg, expected at least {np.degrees(MOVED):g}"]
-    period = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
+    period = np.median(np.concatenate([np.diff(log.time) for log in logs]))
     if period > COARSEST:
         found.append(f"readings are {period:.2g} s apart, expected at most {COARSEST:g} s")
     lags = [one for log in logs if (one := find_lag(log.time, log.position, log.command))]
@@ -192,13 +178,13 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
         found.append(
             f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
         )
-    usable = [k for k, own in enumerate(rows) if own.free.any()]
-    late = [prediction_error(arm, _delayed(logs[k], lag)[rows[k].free], logs[k].position[rows[k].free]) for k in usable]
-    errors = {
-        name: np.array([own.tcp for k in usable if (own := motions[k].errors[name].free)]) for name in motions[0].errors
-    }
-    command, *twins = errors.values()
-    delayed = np.array([error.tcp for error in late])
+    late = [_motion(arm, log, own, {"": _delayed(log, lag)}) for log, own in zip(logs, rows, strict=True)]
+
+    def errors(found: Sequence[MotionErrors], name: str) -> Array:
+        return np.array([own.tcp for motion in found if (own := motion.errors[name].free)])
+
+    command, *twins = (errors(motions, name) for name in motions[0].errors)
+    delayed = errors(late, "")
     for name, without in (("the command", command), (f"the command {lag:.2f} s later", delayed)):
         if not any(smaller(twin, without) for twin in twins):
             found.append(f"no twin predicts measurably better than {name} does")

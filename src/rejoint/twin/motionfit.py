@@ -9,11 +9,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
 
-from rejoint.arms import Arm, Array, Index, Mask
+from rejoint.arms import Arm, Array, Mask
 from rejoint.logs.consistency import refuse_copies
 from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import interpolated
 from rejoint.twin.judge import MOVED
 from rejoint.twin.replay import Window, durations
 
@@ -44,7 +45,7 @@ def _windows(
             early = int(np.searchsorted(log.time, log.time[first] - lead))
             while not rows.readable[early:first].all():
                 early += 1
-            count = max(1, int(np.ceil(float(log.time[last - 1] - log.time[early]) / length - 0.05)))
+            count = max(1, int(np.ceil((log.time[last - 1] - log.time[early]) / length - 0.05)))
             windows += Window(log=index, first=early, last=last).split(count)
     return windows
 
@@ -52,7 +53,7 @@ def _windows(
 def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows, evenly spread."""
     lengths = durations(windows, logs)
-    total = float(lengths.sum())
+    total = lengths.sum()
     if total <= seconds:
         return list(windows)
     # Taken whenever the time passed reaches the next multiple: long motions give more than short ones.
@@ -69,7 +70,7 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
         changing = speed != 0.0
         lasting = changing[:-2] & changing[1:-1] & changing[2:]
         change = (speed[2:] - speed[:-2]) / (time[2:-1] - time[:-3])[:, None]
-        return float(np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2)))
+        return np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2))
 
     order = np.argsort([-acceleration(w) for w in windows], kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])
@@ -116,8 +117,7 @@ def part(
     elif len(ordered) < FEW_MOTIONS:
         return _ends(ordered)
     else:
-        fold = folds(arm, ordered, FOLDS, seed)
-        drawn = {name for name, number in zip(names, fold, strict=True) if number == 0}
+        drawn = _drawn(arm, ordered, seed)
         again = repeated(ordered, [log for log in ordered if log.label in drawn])
         kept = drawn | {name for name, same in zip(names, again, strict=True) if same.mean() > MOSTLY}
         kept = kept if len(kept) < len(names) else drawn
@@ -156,18 +156,18 @@ def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[Mask]:
 def _stretches(log: RunLog) -> tuple[Array, Array]:
     """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of all stretches of a log; after its end it rests."""
     time = np.arange(log.time[0], log.time[-1] + GRID, GRID)
-    path = np.stack([np.interp(time, log.time, column) for column in log.command.T], axis=1)
+    path = interpolated(time, log.time, log.command)
     path = np.pad(path, ((0, STEPS - 1), (0, 0)), mode="edge")
     return time, sliding_window_view(path, STEPS, axis=0).reshape(len(time), -1)
 
 
-def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> Index:
-    """(K,) fold of each log, with motions of every kind."""
+def _drawn(arm: Arm, logs: Sequence[RunLog], seed: int) -> set[str]:
+    """Labels of one of `FOLDS` motions, of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
-    speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]
-    order = sorted(range(len(logs)), key=lambda i: (bool(touching[i]), round(speed[i], 6), logs[i].label))
-    rng, found = np.random.default_rng(seed), np.zeros(len(logs), dtype=int)
-    for start in range(0, len(order), count):
-        alike = order[start : start + count]
-        found[alike] = rng.permutation(count)[: len(alike)]
-    return found
+    speed = [np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2)) for log in logs]
+    order = sorted(range(len(logs)), key=lambda i: (touching[i], round(speed[i], 6), logs[i].label))
+    rng, drawn = np.random.default_rng(seed), set[str]()
+    for start in range(0, len(order), FOLDS):
+        place = start + int(np.argmin(rng.permutation(FOLDS)))
+        drawn |= {logs[i].label for i in order[place : place + 1]}
+    return drawn

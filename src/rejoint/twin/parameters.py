@@ -180,7 +180,7 @@ REFERENCE_LOAD = 0.838
 REFERENCE_REACH = 0.5216700000000001
 """[m] its summed link lengths"""
 
-REFERENCE_SPEED = float(np.radians(150.0))
+REFERENCE_SPEED = np.radians(150.0)
 """[rad/s] its joint speed"""
 
 LEAST_FED = 0.05
@@ -231,7 +231,7 @@ class Layout:
 
     def normal(self, rng: np.random.Generator, count: int) -> Array:
         """Draw standard normal values (count, k) of the fitted elements, else 0."""
-        return self.fitted(rng.standard_normal((count, int(self.is_fitted.sum()))))
+        return self.fitted(rng.standard_normal((count, self.is_fitted.sum())))
 
     @property
     def size(self) -> int:
@@ -241,12 +241,7 @@ class Layout:
     def at(self, name: str) -> slice:
         """Slice of one parameter."""
         first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
-        return slice(int(first), int(last))
-
-    @property
-    def of_arm(self) -> slice:
-        """Slice of the arm's parameters."""
-        return slice(len(JOINT_PARAMETERS) * self.joints, self.size)
+        return slice(first, last)
 
 
 def number(name: str) -> int:
@@ -298,7 +293,7 @@ class Prior:
     lower: Array
     """(k,) physical bounds"""
     upper: Array
-    correlation: Array | None = None
+    correlation: Array
     """(k, k); None: uncorrelated"""
     told: Array | None = None
     """(k,) sigma before the logs told a stiffness; None: ``sigma``"""
@@ -311,15 +306,14 @@ class Prior:
     @cached_property
     def precision(self) -> Array:
         """(k, k) inverse covariance."""
-        correlation = np.eye(len(self.mean)) if self.correlation is None else self.correlation
-        return np.linalg.inv(correlation) / np.outer(self.sigma, self.sigma)
+        return np.linalg.inv(self.correlation) / np.outer(self.sigma, self.sigma)
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     """Prior by a table, the arm's largest gravity torque, reach, speed and link inertias."""
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
-    speed = float(arm.max_speed.min()) / REFERENCE_SPEED
+    speed = arm.max_speed.min() / REFERENCE_SPEED
     wrist = _wrist(arm)
     rows = []
     for p in table:
@@ -332,15 +326,13 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
 
 
-def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
+def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
     """Correlation (k, k) of joints with equal servos; None without any."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
-    if not same.any() or not any(p.alike for p in table):
-        return None
     correlation = np.eye(layout.size)
     for p in table:
-        if p.per_joint and p.alike is not None:
+        if p.alike is not None:
             correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
     return correlation
 
@@ -415,7 +407,7 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
 
 def largest_gravity_torque(arm: Arm) -> float:
     """[N m] about any joint, over all postures."""
-    return max(float(largest_loads(arm).max()), 1e-3)
+    return max(largest_loads(arm).max(), 1e-3)
 
 
 def _wrist(arm: Arm) -> Mask:

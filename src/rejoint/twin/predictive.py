@@ -119,7 +119,7 @@ TIMESTEP, HORIZON = 0.008, 0.28
 """[s] of the rollouts, and beyond the delay; chosen"""
 BEND = 0.12
 """[s] from first to last command; chosen"""
-SPREAD_FLOOR, SPREAD_SLOPE = float(np.radians(0.15)), 0.25
+SPREAD_FLOOR, SPREAD_SLOPE = np.radians(0.15), 0.25
 """[rad] of random candidates, and their growth with the largest joint error; chosen"""
 TEMPERATURE = 0.1
 """Relative to the spread of the costs; chosen"""
@@ -127,7 +127,7 @@ NEAR = 0.003
 """[m] distance of half the cost; chosen"""
 EFFORT = 0.3
 """[1/rad] cost of a change of command; chosen"""
-LEAD, MOST_OFFSET = float(np.radians(20.0)), float(np.radians(30.0))
+LEAD, MOST_OFFSET = np.radians(20.0), np.radians(30.0)
 """[rad] largest following error, and offset of the commands; chosen"""
 
 
@@ -138,13 +138,12 @@ class Planner:
         """Take the twins of B arms, or one for all."""
         self._arm, self._given = arm, twins
         self._pace = Pace()
-        self._count = 0
         self._offset: Array = np.zeros((0, arm.joints))
         self._rng = np.random.default_rng(seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
-        if self._count != len(inputs.sent):
+        if len(self._offset) != len(inputs.sent):
             self._begin(inputs)
         self._take_goals(inputs, where)
         self._plan[where] = (self._holding - self._offset)[where, None]
@@ -188,19 +187,18 @@ class Planner:
         return missed
 
     def _begin(self, inputs: ControlInput) -> None:
-        self._count, n = inputs.sent.shape
-        given = self._given
-        arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
+        count, n = inputs.sent.shape
+        arms = self._given.rows(np.arange(count) % len(self._given.period))
         self._twin, start = arms.twin, inputs.state.position
-        self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
+        self.shadow = Simulation(self._arm, count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = ChainBatch(self._arm, self._count * SAMPLES, timestep=TIMESTEP)
-        samples = arms.rows(np.repeat(np.arange(self._count), SAMPLES))
+        self._rollouts = ChainBatch(self._arm, count * SAMPLES, timestep=TIMESTEP)
+        samples = arms.rows(np.repeat(np.arange(count), SAMPLES))
         self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
-        self._jacobian = np.zeros((self._count, 3, n))
-        self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
-        self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
+        self._jacobian = np.zeros((count, 3, n))
+        self._goal, self._holding, self._offset = np.zeros((3, count, n))
+        self._plan = np.zeros((count, 2, n))  # first command, and the one after `bend`
 
     def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
@@ -220,7 +218,7 @@ class Planner:
         """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
         delay = self._twin.delay
         count, n = inputs.sent.shape
-        steps = int(np.ceil((float(delay.max()) + HORIZON) / TIMESTEP))
+        steps = int(np.ceil((delay.max() + HORIZON) / TIMESTEP))
         ahead = np.linspace(0.0, (steps - 1) * TIMESTEP, steps)
         sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
-from rejoint.logs.exclusions import answered
+from rejoint.control.servoreference import ServoReference
+from rejoint.logs.exclusions import answered, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import interpolated
 from rejoint.twin.parameters import TIMESTEP, TwinParameters, held_stiction
-from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import ChainBatch
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ RESTED, FLICKER = 1.0, 1.5
 
 PARTS = 6
 """Instants of a step whose mean reference counts; chosen: a delay is then exact to a twelfth of a step"""
+VELOCITY = 2
+"""Rows on each side of a velocity; chosen"""
+THREADS = 2
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -79,7 +83,6 @@ class Replay:
     logs: Sequence[RunLog]
     windows: Sequence[Window]
     timestep: float = TIMESTEP
-    threads: int = 1
     acceleration: float = np.inf
 
     def __post_init__(self) -> None:
@@ -130,9 +133,11 @@ class Replay:
     @cached_property
     def _start(self) -> Array:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
-        of_logs = {i: (log.position, measured_velocity(log), gains(log)) for i, log in self._shown.items()}
-        starts = [(w.first, *of_logs[w.log]) for w in self.windows]
-        return np.stack([(position[k], velocity[k], gain) for k, position, velocity, gain in starts], axis=1)
+        of_logs = {
+            i: np.stack(np.broadcast_arrays(log.position, velocity(log.time, log.position, VELOCITY), gains(log)))
+            for i, log in self._shown.items()
+        }
+        return np.stack([of_logs[w.log][:, w.first] for w in self.windows], axis=1)
 
     @cached_property
     def _resting(self) -> Mask:
@@ -146,14 +151,6 @@ class Replay:
         """Times (steps,) [s] of the simulation steps."""
         longest = durations(self.windows, self.logs).max()
         return np.asarray(np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep, dtype=np.float64)
-
-    @cached_property
-    def _batches(self) -> dict[int, ChainBatch]:
-        return {}
-
-    @cached_property
-    def _known(self) -> dict[bytes, dict[int, ServoReference]]:
-        return {}
 
     def predict(
         self, parameters: TwinParameters, tables: Sequence[TablePlane] = (), *, resting: bool = False
@@ -176,11 +173,9 @@ class Replay:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
 
             touched = [tables[i] for i in which]
-            twins = TableBatch(self.arm, arms, touched, self.timestep, self.threads)
+            twins = TableBatch(self.arm, arms, touched, self.timestep, THREADS)
         else:
-            if m * count not in self._batches:
-                self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
-            twins = self._batches[m * count]
+            twins = ChainBatch(self.arm, m * count, self.timestep, THREADS)
             twins.write(arms)
         twins.restart(start, velocity)
         passed = twins.rollout(control)
@@ -217,8 +212,7 @@ class Replay:
     def _gravity(self, window: Window) -> Array:
         """Gravity torques (steps, n) [N m] at the commands of a window."""
         log = self.logs[window.log]
-        time, columns = log.time[window.first] + self._grid, log.command.T
-        return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
+        return gravity_torque(self.arm, interpolated(log.time[window.first] + self._grid, log.time, log.command))
 
     def _speed(self, parameters: TwinParameters) -> Array:
         """(m,) [rad/s] of references, of no effect if acceleration is limited."""
@@ -226,20 +220,7 @@ class Replay:
 
     def _references(self, speed: Array) -> dict[int, ServoReference]:
         """Return references by log for speeds (u,) or, of all twins, (1,) [rad/s]."""
-        key = speed.tobytes()
-        if key not in self._known:
-            self._known.clear()
-            self._known[key] = {
-                i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()
-            }
-        return self._known[key]
-
-
-def measured_velocity(log: RunLog) -> Array:
-    """(T, n) [rad/s] by central differences over two rows to either side."""
-    rows = np.arange(len(log))
-    before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
-    return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
+        return {i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()}
 
 
 def _interpolate(path: Array, timestep: float, time: Array) -> Array:

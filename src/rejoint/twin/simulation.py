@@ -1,6 +1,7 @@
 """The simulation behind training, tuning and predictive control, and many free twins in lockstep below it.
 
-It adds late and limited commands (`rejoint.twin.reference`), backlash and delayed readings. Each arm has its own clock.
+It adds late and limited commands (`rejoint.control.servoreference`), backlash and delayed readings.
+Each arm has its own clock.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from rejoint.arms.inertia import inertia_values
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
+from rejoint.control.servoreference import Latency, LiveReference
 from rejoint.system.records import entity
 from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
-from rejoint.twin.reference import Latency, LiveReference
 from rejoint.twin.step import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION, advance, workspace
 
 ALL = slice(None)

@@ -251,9 +251,7 @@ def step_block(lanes, links, timestep, servo, dry, reference, state, work):
     kept, inertia, inverse, reach, column, free, next_speed, scratch, sine, cosine = work
     joints = len(links)
     for j in range(joints):
-        for l in range(lanes):
-            scratch[l] = position[j, l]
-        turn(lanes, scratch, sine, cosine)
+        turn(lanes, position[j], sine, cosine)
         forward(lanes, links[j], kept[j], kept[j + 1], speed[j], sine, cosine)
     for j in range(joints - 1, -1, -1):
         coupling(lanes, links[j, CARRIED], j, kept, reach, inertia)
@@ -276,13 +274,12 @@ def step_block(lanes, links, timestep, servo, dry, reference, state, work):
             servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], scratch[l])
     invert(lanes, joints, inertia, inverse, column, scratch)
     for i in range(joints):
+        row = next_speed[i]
         for l in range(lanes):
-            scratch[l] = speed[i, l]
+            row[l] = speed[i, l]
         for k in range(joints):
             for l in range(lanes):
-                scratch[l] += inverse[i, k, l] * free[k, l]
-        for l in range(lanes):
-            next_speed[i, l] = scratch[l]
+                row[l] += inverse[i, k, l] * free[k, l]
     _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch)
     for j in range(joints):
         for l in range(lanes):

@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask
 from rejoint.diagnosis.measurement import sags
+from rejoint.diagnosis.regression import fit_believed
 from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
@@ -88,34 +89,24 @@ class Structure:
         )
 
 
-def given(belief: Prior, row: Array, value: float, error: float) -> Prior:
-    """Prior given a ``value`` with an ``error`` (sigma) of ``row`` (k,) times the parameters."""
-    covariance = np.linalg.inv(belief.precision)
-    reach = covariance @ row
-    share = reach / (row @ reach + error**2)
-    covariance -= np.outer(share, reach)
-    sigma = np.sqrt(np.diag(covariance))
-    mean = np.clip(belief.mean + share * (value - row @ belief.mean), belief.lower, belief.upper)
-    return replace(belief, mean=mean, sigma=sigma, correlation=covariance / np.outer(sigma, sigma))
-
-
 def decide_compensation(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
     """Prior of an arm known by its model, with the stiffness that torque or sag tells, but for hobby servos.
 
     It tells of equal servos too. Gravity that does not show in the sag is fed forward, or the model is too heavy.
     """
-    belief = known = unknown_prior(arm)
+    belief = unknown_prior(arm)
     if is_hobby(arm):
         return belief
     data, layout = join_logs(arm, logs, excluded), belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
-    for joint in range(arm.joints):
-        known = given(known, np.eye(layout.size)[stiffness][joint], value[joint], error[joint])
-    mean, sigma = known.mean.copy(), known.sigma.copy()
+    told = np.eye(layout.size)[stiffness] / error[:, None]
+    moved, covariance = fit_believed(told, (value - belief.mean[stiffness]) / error, belief.precision)
+    mean, sigma = np.clip(belief.mean + moved, belief.lower, belief.upper), np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma)
     mean[fed] = np.clip(1.0 - softness * np.exp(mean[stiffness]), np.where(np.isinf(error), LEAST_FED, -1.0), 1.0)
     sigma[fed] = sigma[stiffness]
-    return replace(known, mean=mean, sigma=sigma, told=belief.sigma)
+    return replace(belief, mean=mean, sigma=sigma, correlation=correlation, told=belief.sigma)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -135,7 +126,7 @@ def explored(problem: Problem, x: Array, joints: Mask | None = None) -> Array:
 
     By default from those of all joints and the arm, as many descents as are cheap: with few joints.
     """
-    count = int(EFFORT / (problem.measured.size * problem.joints)) if joints is None else DESCENTS * bool(joints.any())
+    count = int(EFFORT / (problem.measured.size * problem.joints)) if joints is None else DESCENTS * int(joints.any())
     if count == 0:
         return x
     rng, moved = np.random.default_rng(0), np.ones(problem.joints, dtype=bool) if joints is None else joints
@@ -236,4 +227,4 @@ def _losses(problem: Problem, x: Array) -> Array:
 
 def _ratio(losses: Array, reference: Array) -> float:
     least = np.finfo(float).tiny  # a joint that stands still is predicted without any loss
-    return float(np.exp(np.mean(np.log(np.maximum(losses, least) / np.maximum(reference, least)))))
+    return np.exp(np.mean(np.log(np.maximum(losses, least) / np.maximum(reference, least))))

@@ -19,6 +19,7 @@ from mujoco.batch import Batch
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import inertia_values
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import quaternion_of
 from rejoint.twin.fit import influence
 from rejoint.twin.parameters import TIMESTEP, TwinParameters, back_emf, dry_friction, friction_terms
 from rejoint.twin.replay import Replay
@@ -129,7 +130,7 @@ def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
             option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
     body = spec.worldbody
     for i, name in enumerate(arm.joint_names):
-        body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
+        body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=quaternion_of(arm.offset[i, :3, :3]))
         body.explicitinertial = True
         body.mass, body.ipos = arm.mass[i], arm.com[i]
         body.fullinertia = inertia_values(arm.inertia[i])
@@ -140,14 +141,8 @@ def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
         servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
     if table:
         _add_table(spec, body, arm.tip[:3, 3])
-    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=_quaternion(arm.tip[:3, :3]))
+    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=quaternion_of(arm.tip[:3, :3]))
     return spec
-
-
-def _quaternion(rotation: Array) -> Array:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return quaternion
 
 
 def _add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
@@ -213,6 +208,5 @@ def fit_table(replay: Replay, parameters: TwinParameters, height: float) -> Tabl
 
 
 def _plane(vector: Array) -> TablePlane:
-    height, slope_x, slope_y = (float(value) for value in vector[:3])
-    stiffness, friction = (float(value) for value in np.exp(vector[3:]))
-    return TablePlane(height=height, slope_x=slope_x, slope_y=slope_y, stiffness=stiffness, friction=friction)
+    values = [*vector[:3].tolist(), *np.exp(vector[3:]).tolist()]
+    return TablePlane(**dict(zip(TablePlane.__dataclass_fields__, values, strict=True)))

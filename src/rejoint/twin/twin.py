@@ -180,7 +180,7 @@ class Twin(Readable):
     notes: tuple[str, ...] = field(default=())
     """for the user"""
     acceleration: float = np.inf
-    """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
+    """[rad/s^2] of references while commands change (`rejoint.control.servoreference`)"""
     gain: Array | None = None
     """(n,) P gain of the servos at which they have this stiffness, where logs record it"""
     table: TablePlane | None = None

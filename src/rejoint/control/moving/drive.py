@@ -27,11 +27,12 @@ from rejoint.control.correction import (
     true_error,
 )
 from rejoint.control.guard import Reason, Reasons, reason_names
-from rejoint.control.moving.reference import Guide, Path, Route, Stream, interpolated
+from rejoint.control.moving.reference import Guide, Path, Route, Stream
 from rejoint.control.moving.tracker import PathPostures
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import Poses, in_words
 from rejoint.logs.runlog import RunLog
+from rejoint.system.numbers import interpolated
 from rejoint.system.records import Readable, entity, value_type
 
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)

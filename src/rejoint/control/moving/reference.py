@@ -39,7 +39,7 @@ from rejoint.control.targets import (
     unit_hint,
 )
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.numbers import as_floats, as_place
+from rejoint.system.numbers import as_floats, as_place, interpolated
 
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
@@ -314,11 +314,6 @@ def _waves(highest: float, time: Array, seed: int) -> Array:
     frequency = highest * rng.uniform(0.25, 1.0, (3, _SINES))
     start, size = rng.uniform(0.0, 2.0 * np.pi, (3, _SINES)), rng.uniform(0.5, 1.0, (3, _SINES))
     return (size * np.sin(2.0 * np.pi * frequency * time[:, None, None] + start)).sum(axis=-1)
-
-
-def interpolated(time: Array, at: Array, places: Array) -> Array:
-    """Linear interpolation (T, 3) of ``places`` (K, 3) at ``at`` (K,) for ``time`` (T,)."""
-    return np.stack([np.interp(time, at, column) for column in places.T], axis=-1)
 
 
 LAG = 0.08

@@ -75,13 +75,13 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     for t in range(FEWEST, count):
         usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], base, scatter, per_degree)
         changes[t] = value[t] - usual - slope
-        step = float(np.clip(changes[t] / deviation, -CUT, CUT))
+        step = np.clip(changes[t] / deviation, -CUT, CUT)
         base += base == t < MOST and abs(step) < CUT  # what is odd, and what follows, is no part of it
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         sums = np.maximum(sums + sides * step - SLACK, 0.0)
         began = np.where(sums > 0.0, began, t)
-        larger = int(sums.argmax())
-        cusum[t], since = sides[larger] * sums[larger], int(began[larger])
+        larger = sums.argmax()
+        cusum[t], since = sides[larger] * sums[larger], began[larger]
     state: State = "steady"
     if count <= FEWEST:
         state = "learning"
@@ -107,7 +107,7 @@ def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: flo
         slope, doubt = _slope(value, warm, variance, per_degree)
         steps = np.diff(value[:count] - slope * warm[:count])
         variance = (PRIOR_CHECKS * scatter**2 + 0.5 * float(steps @ steps)) / (PRIOR_CHECKS + count - 1)
-    away = float(warm[-1] - known)
+    away = warm[-1] - known
     return middle, slope * away, (variance * (1.0 + 1.0 / count) + away**2 * doubt) ** 0.5
 
 
@@ -118,7 +118,7 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
     design = np.stack([np.ones(len(value)), order - order.mean(), warm - warm.mean()], axis=1)
     sigma = variance**0.5
     best, spread = fit_believed(design / sigma, value / sigma, np.diag([0.0, 0.0, per_degree**-2]))
-    return float(best[2]), float(spread[2, 2])
+    return best[2], spread[2, 2]
 
 
 SURE = 5.0
@@ -153,13 +153,13 @@ def remaining(
     use, error, warm = use[-_POINTS:], error[-_POINTS:], warm[-_POINTS:]
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:
         return None
-    span = float(use[-1] - use[0])
+    span = use[-1] - use[0]
     x = (use - use[-1]) / span  # in spans, and 0 now: the line's height there is the present error
     warmer = np.nan_to_num(warm - np.nanmean(warm)) if np.isfinite(warm).any() else np.zeros(len(x))
     design = np.stack([np.ones(len(x)), x, warmer], axis=1)
     believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
     common = np.minimum.outer(-x, -x)  # covariance of a Brownian motion, backwards from now
-    size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
+    size = max(np.abs(np.polyfit(x, error, 1)[0]), scatter)
     diffusion = _UNEVEN * size
     root = np.linalg.cholesky(diffusion**2 * common + scatter**2 * np.eye(len(x)))
     white: Array = np.asarray(np.linalg.solve(root, np.column_stack([design, error])), dtype=float)
@@ -167,7 +167,7 @@ def remaining(
     rng = np.random.default_rng(0)
     drawn = rng.multivariate_normal(best, spread, DRAWS)
     way, drift = tolerance - drawn[:, 0], drawn[:, 1]
-    if float((drift > 0.0).mean()) < _SEEN:
+    if (drift > 0.0).mean() < _SEEN:
         return None
     # Against the drift a motion still passes with a chance of exp(2 drift way / diffusion^2), then as with it.
     chance = np.exp(np.minimum(2.0 * drift * way / diffusion**2, 0.0))
@@ -362,13 +362,13 @@ def _moved_zero(visits: Sequence[PastCheck], j: int) -> MovedZero | None:
     deviation, *others = [one for one in values if np.isfinite(one).all()]
     scatter, per_degree = _scatter("deviation", deviation), ZERO_PER_DEGREE * row.lever_mm
     for at in range(len(visits) - 1, 0, -1):
-        way, warmer = float(deviation[at] - deviation[at - 1]), float(warm[at] - warm[at - 1])
+        way, warmer = deviation[at] - deviation[at - 1], warm[at] - warm[at - 1]
         doubt = per_degree * (abs(warmer) if np.isfinite(warmer) else UNTOLD)
-        if abs(way) < SURE * float(np.hypot(2.0**0.5 * scatter, doubt)):
+        if abs(way) < SURE * np.hypot(2.0**0.5 * scatter, doubt):
             continue
-        alone = all(abs(float(one[at] - one[at - 1])) < SHARE * abs(way) for one in others)
-        was = float(np.median(deviation[max(at - BEFORE, 0) : at]))
-        if alone and (float(deviation[-1]) - was) / way >= STAYED:
+        alone = all(abs(one[at] - one[at - 1]) < SHARE * abs(way) for one in others)
+        was = np.median(deviation[max(at - BEFORE, 0) : at])
+        if alone and (deviation[-1] - was) / way >= STAYED:
             degrees, (after, before) = float(np.degrees(way / row.lever_mm)), visits[at - 1 : at + 1]
             return MovedZero(joint=row.joint, degrees=degrees, after=after.time, before=before.time)
     return None

@@ -43,7 +43,7 @@ def plan_check(arm: Arm) -> Excitation:
     """Plan the check of an arm at rest, within its space; InputError without space."""
 
     def build(plan: Plan) -> Excitation:
-        path = Excitation(arm, arm.rest)
+        path = Excitation(arm)
         path.wait(0.5)
         path.sweep(plan, plan.travel_speed)
         postures = solve_position(arm, iso_poses(arm, plan.region), arm.rest).q
@@ -176,8 +176,8 @@ def require_followed(arm: Arm, log: RunLog) -> None:
     """Raise RobotError for a reading that froze during motion."""
     for j, name in enumerate(arm.joint_names):
         away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
-        since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
-        stood, way = float(log.time[-1] - log.time[since]), float(np.ptp(log.command[since:, j]))
+        since = np.flatnonzero(away)[-1] + 1 if away.any() else 0
+        stood, way = log.time[-1] - log.time[since], np.ptp(log.command[since:, j])
         if stood > DEAD_TIME and way > DEAD_WAY:
             raise RobotError(
                 f"{name} did not follow: in the last {stood:.0f} s its commands moved by {np.degrees(way):.0f} deg and "
@@ -215,7 +215,7 @@ def _hysteresis(data: ExcitationLog, joint: int) -> float:
         rows = data.rows(replace(segment, start=segment.start + cut, stop=segment.stop - cut))
         command = data.log.command[rows, joint]
         if len(rows) > 1:
-            sides[int(command[-1] < command[0])].append(float((command - data.log.position[rows, joint]).mean()))
+            sides[int(command[-1] < command[0])].append((command - data.log.position[rows, joint]).mean())
     data.require(bool(sides[0] and sides[1]), "sweeps", joint)
     return float(np.mean(sides[0]) - np.mean(sides[1]))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, solve_position, tcp_pose
 from rejoint.arms.rotations import Orientation, difference, moved, tool_axis
+from rejoint.system.numbers import interpolated
 
 FULL_SPEED = radians(120.0)
 """[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
@@ -44,7 +45,7 @@ class TimedPath(NamedTuple):
 
     def at(self, time: float) -> Array:
         """Posture (n,) at ``time`` [s]."""
-        return np.array([np.interp(time, self.time, column) for column in self.points.T])
+        return interpolated(time, self.time, self.points)
 
     @property
     def duration(self) -> float:

@@ -161,7 +161,6 @@ def _motions(run: Run) -> list[RunLog]:
 TWIN = "twin"
 """Name among the predictions"""
 
-THREADS = 2
 """of the simulation; no effect on results"""
 
 
@@ -227,7 +226,7 @@ def replay(
     motions = as_logs(logs)
     require_commands(motions, "replay")
     page = None
-    paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
+    paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions)
     judgement = judge(chosen, paths, motions)
     if out is not None:
         from rejoint.pages.report.page import write_replay

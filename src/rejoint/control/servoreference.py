@@ -55,10 +55,7 @@ class ServoReference:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
         which, limits = np.resize(self._which, len(late)), (self._speeds, self._acceleration)
-        return _sample(late, self._rows(late), which, self._time, self._command, self._position, self._velocity, limits)
-
-    def _rows(self, late: Array) -> Index:
-        return np.clip(np.searchsorted(self._time, late, side="right") - 1, 0, len(self._time) - 1)
+        return _sample(late, which, self._time, self._command, self._position, self._velocity, limits)
 
 
 @njit(cache=True, nogil=True)
@@ -86,13 +83,13 @@ def _states(time, command, speed, acceleration):
 
 
 @njit(cache=True, nogil=True)
-def _sample(late, row, which, time, command, position, velocity, limits):
+def _sample(late, which, time, command, position, velocity, limits):
     speeds, acceleration = limits
     twins, instants = late.shape
     path = np.empty((twins, instants, command.shape[1]))
     for i in range(twins):
         for s in range(instants):
-            k, u = row[i, s], which[i]
+            k, u = max(np.searchsorted(time, late[i, s], side="right") - 1, 0), which[i]
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
                 now, v = position[k, u, j], velocity[k, u, j]
@@ -115,9 +112,7 @@ class LiveReference:
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
         """Follow the commands in force at ``starts`` (N, s) [s], ``step`` (N,) [s] each: (N, s, n) [rad]."""
-        goals, limited = latency.in_force(starts), (self._acceleration < np.inf).any()
-        again = latency.sent_again(starts) if limited else np.zeros(goals.shape, dtype=bool)
-        reach = self._speed * step
+        goals, again, reach = latency.in_force(starts), latency.sent_again(starts), self._speed * step
         path, self.velocity = follow(self.position, self.velocity, goals, again, reach, self._acceleration, step)
         self.position = path[:, -1].copy()
         return path
