@@ -5,9 +5,9 @@ import time
 import numpy as np
 
 from rejoint.arms import mycobot280
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput, JointState
 
 STEPS, WARM_UP = 5000, 100
@@ -17,7 +17,7 @@ def main() -> None:
     arm = mycobot280()
     policy, limits = shelf_controller(arm), GuardLimits.of(arm)
     target = arm.targets.sample(np.random.default_rng(0), (1,))
-    goal = nearest_postures(arm, target, arm.rest[None])
+    goal = find_postures(arm, target, arm.rest[None], None)
     sent, speed = arm.rest[None], np.zeros((1, arm.joints))
     times = []
     for step in range(STEPS):

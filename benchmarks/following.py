@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, Mask, mycobot280
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.catalogue import SHELF, make_controller
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, standing_bands
-from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure
@@ -215,7 +215,7 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Bands, faul
             state=state, target=goals[np.arange(count), index], goal=posture, sent=sent, since_target=state.time - begun
         )
         if renewed.any():
-            posture[renewed] = nearest_postures(ARM, goals[renewed, index[renewed]], sent[renewed])
+            posture[renewed] = find_postures(ARM, goals[renewed, index[renewed]], sent[renewed], None)
             controller.reset(inputs, renewed)
         sent, _, speed = guard(LIMITS, controller.command(inputs), sent, speed, state, period)
         if faults is not None:

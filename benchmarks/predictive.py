@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.catalogue import make_controller, shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.reference import nearest_postures
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
@@ -45,7 +45,7 @@ def step_times(twin: Twin) -> np.ndarray:
     target = ARM.targets.upper[None]
     rest = ARM.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
-    goal = nearest_postures(ARM, target, rest)
+    goal = find_postures(ARM, target, rest, None)
     still = ControlInput(state=state, target=target, goal=goal, sent=rest, since_target=np.zeros(1))
     controller.reset(still, np.ones(1, dtype=bool))
     times = []

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, position_kinematics, tcp_position
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers import classical
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.classical import IntegratorController, dls_step, null_space
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.loop import Schedule, run
-from rejoint.control.reference import nearest_postures
 from standin import SaggingArms, inputs_of, state_of
 
 ARM = mycobot280()
@@ -22,7 +22,7 @@ ALL = np.ones(3, dtype=bool)
 def inputs(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
     position = np.array(position, dtype=float)
     state = state_of(position, time)
-    return inputs_of(state, target, nearest_postures(ARM, target, REST), position if sent is None else sent, time)
+    return inputs_of(state, target, find_postures(ARM, target, REST, None), position if sent is None else sent, time)
 
 
 REST = np.tile(ARM.rest, (3, 1))

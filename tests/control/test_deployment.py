@@ -124,6 +124,6 @@ def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, m
 
 def test_targets_out_of_reach_are_refused_before_anything_moves():
     robot = open_robot("emulated:worn")
-    with pytest.raises(InputError, match=r"target 2 \(900, 0, 200\) mm: out of reach by \d+.* mm; the nearest"):
+    with pytest.raises(InputError, match=r"number 2: \(900, 0, 200\) mm out of reach by \d+.* mm; the nearest"):
         rejoint.deploy(robot, [[0.17, 0.0, 0.2], [0.9, 0.0, 0.2]], settings=rejoint.Settings(controller="integrator"))
     assert robot.read().time == 0.0

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
+from rejoint.arms.postures import find_postures
 from rejoint.arms.workspace import heaviest_load
 from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import look
-from rejoint.control.reference import nearest_postures
 from rejoint.system.errors import InputError
 from standin import inputs_of, state_of
 
@@ -22,7 +22,7 @@ MOVES = np.array([1, 1, 1, 1, 1, 0])  # the last joint only turns the tool, and 
 
 def inputs(position, target, time=0.0):
     state = state_of(position, time)
-    goal = nearest_postures(ARM, target, position)
+    goal = find_postures(ARM, target, position, None)
     return inputs_of(state, target, goal, position)
 
 

@@ -14,7 +14,7 @@ import rejoint
 from hearing import Hears
 from madetwin import made_calibration, made_twin
 from rejoint.arms import Array, Box, Displacement, clearances, mycobot280, plan, tcp_position
-from rejoint.control.controllers.posture import PlannedWay, UnloadedWay, Unloading
+from rejoint.control.controllers.posture import PlannedWay, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference
@@ -271,7 +271,7 @@ def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() ->
         def advance(self, now: ControlInput) -> ControlInput:
             return replace(now, goal=ARM.rest[None])
 
-    way = UnloadedWay(Stays(), Unloading(ARM))
+    way = Unloading(ARM, way=Stays())
     for now in np.arange(0.0, 6.0, 0.05):
         wanted = way.advance(now_at(ARM.rest + (0.2 if now > 2.0 else 0.0), now))
         np.testing.assert_array_equal(wanted.goal[0], ARM.rest)

@@ -19,8 +19,8 @@ from rejoint.arms import (
 )
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.feedforward import FeedforwardController
-from rejoint.control.reference import nearest_postures
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.robots import open_robot, place_of
 from rejoint.runs.run import Run
@@ -90,7 +90,7 @@ def test_an_untold_load_is_noticed_and_a_told_one_is_not(run):
 def test_a_told_load_raises_commands_by_what_a_servo_gives_way():
     state = state_of(ARM.rest)
     target = np.array(TARGETS[:1])
-    inputs = inputs_of(state, target, nearest_postures(ARM, target, ARM.rest[None]), ARM.rest[None])
+    inputs = inputs_of(state, target, find_postures(ARM, target, ARM.rest[None], None), ARM.rest[None])
     commands = []
     for arm in (ARM, loaded(ARM, 0.1)):
         controller = FeedforwardController(arm, 7.0)

@@ -184,44 +184,32 @@ class Guarded(NamedTuple):
 
 
 def guard(
-    limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
-) -> Guarded:
-    """Limit a ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
-
-    ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
-    the limits if ``sent`` is.
-    """
-    asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
-    times, out = np.stack(np.broadcast_arrays(state.age, period), dtype=float), np.empty((2, *command.shape))
-    reasons = servo_trips(limits, state)
-    compiled.guard(chain_of(limits.arm), limits.shape, limits.rules, asked, times, reasons, out)
-    return Guarded(out[0], reasons, out[1])
-
-
-def guard_along(
     limits: GuardLimits,
-    goal: Array,
-    moving: Mask,
     command: Array,
     sent: Array,
     speed: Array,
     state: JointState,
     period: float | Array,
+    way: tuple[Array, Mask] | None = None,
 ) -> Guarded:
-    """`guard` a ``command`` (B, n) [rad] whose ``goal`` (B, n) [rad] is ``moving`` (B,) along a clear way.
+    """Limit a ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
-    In a contact, only the clear part of its difference from the goal remains.
+    ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
+    the limits if ``sent`` is. ``way``: goals (B, n) [rad] on a clear way, and where (B,) they move; in a contact, only
+    the clear part of the command's difference from them remains.
     """
-    guarded = guard(limits, command, sent, speed, state, period)
-    touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
-    cut = moving & (touched != 0)
-    if not cut.any():
-        return guarded
-    clear, nearer = clear_by(limits, command), command.copy()
-    for b in np.flatnonzero(cut):
-        compiled.shorten(chain_of(limits.arm), limits.shape, limits.rules, goal[b], clear[b], nearer[b])
-    again = guard(limits, nearer, sent, speed, state, period)
-    return again._replace(reasons=again.reasons | touched)
+    asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
+    times, out = np.stack(np.broadcast_arrays(state.age, period), dtype=float), np.empty((2, *command.shape))
+    reasons, about = servo_trips(limits, state), (chain_of(limits.arm), limits.shape, limits.rules)
+    compiled.guard(*about, asked, times, reasons, out)
+    touched = reasons & np.uint16(Reason.COLLISION.value)
+    if way is not None and (cut := way[1] & (touched != 0)).any():
+        clear, nearer = clear_by(limits, command), command.copy()
+        for b in np.flatnonzero(cut):
+            compiled.shorten(*about, way[0][b], clear[b], nearer[b])
+        again = guard(limits, nearer, sent, speed, state, period)
+        return again._replace(reasons=again.reasons | touched)
+    return Guarded(out[0], reasons, out[1])
 
 
 def warm_up(limits: GuardLimits) -> None:

@@ -24,7 +24,6 @@ from rejoint.control.guard import (
     Reason,
     Reasons,
     guard,
-    guard_along,
     reason_names,
     servo_trips,
     warm_up,
@@ -358,7 +357,7 @@ class RunState:
         ease = np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
         last, period = self.speed / ease[:, None], ease * self.period
         moving = (inputs.since_target == 0.0) & self.reference.planned
-        guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
+        guarded = guard(self.limits, wanted, self.sent, last, self.state, period, (inputs.goal, moving))
         held = ((wanted != asked) & (guarded.command == wanted)).any(axis=-1)
         lost = self.unbelieved.any(axis=-1)
         reasons = guarded.reasons + self.gap * np.uint16(Reason.GAP)

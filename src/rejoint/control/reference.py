@@ -143,20 +143,6 @@ def _roomy(arm: Arm) -> Array:
     return np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm))
 
 
-def nearest_postures(
-    arm: Arm, target: Array, start: Array, turn: Orientation | None = None, *, rest_gain: float = REST_GAIN
-) -> Array:
-    """Postures (B, n) [rad] of targets (B, 3) [m], found from ``start`` (B, n) [rad].
-
-    An arm with a target of NaN keeps ``start``. ``rest_gain`` as in `find_postures`.
-    """
-    posture = start.copy()
-    aimed = np.isfinite(target).all(axis=-1)
-    if aimed.any():
-        posture[aimed] = find_postures(arm, target[aimed], start[aimed], turn and turn[aimed], rest_gain=rest_gain)
-    return posture
-
-
 class Reference(ABC):
     """Where B arms are to be. The loop counts its time, without waits."""
 
@@ -268,10 +254,11 @@ class TargetSequence(Reference):
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
         """Aim arms in ``where`` (B,) at ``aim`` (B, 3) [m], with postures found from ``near`` (B, n) [rad]."""
         self._aim = np.where(where[:, None], aim, self._aim)
-        turn = self._turn and self._turn[where]
-        self._goal = self._goal.copy()
-        rest_gain = 0.0 if self.planned else REST_GAIN  # a planned posture is kept
-        self._goal[where] = nearest_postures(self._arm, self._aim[where], near[where], turn, rest_gain=rest_gain)
+        self._goal = np.where(where[:, None], near, self._goal)
+        aimed = where & np.isfinite(aim).all(axis=-1)
+        if aimed.any():
+            turn, rest_gain = self._turn and self._turn[aimed], 0.0 if self.planned else REST_GAIN  # a plan is kept
+            self._goal[aimed] = find_postures(self._arm, aim[aimed], near[aimed], turn, rest_gain=rest_gain)
 
     def again(self, inputs: ControlInput) -> Mask | None:
         """See `Reference`."""

@@ -16,7 +16,7 @@ from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
-from rejoint.control.robot import ControlInput, JointState, Robot
+from rejoint.control.robot import JointState, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.records import entity
 from rejoint.system.stopping import pause
@@ -87,42 +87,39 @@ def begin(
 ) -> Recording:
     """Look, move slowly to rest, and compare with ``stance``; NotReadyError if unsafe."""
     check_ready(robot)
-    motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_FirstWay(robot, on_cycle))
+    motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_first_way(robot, on_cycle))
     if stance is not None:
         stance.check(robot.arm, robot.read(), motion.command[-1])
     return motion
 
 
-class _FirstWay:
-    """Raises NotReadyError when a joint leaves its first motion: reversed or exchanged joints."""
+def _first_way(robot: Robot, on_cycle: OnCycle | None) -> OnCycle:
+    """Return what raises NotReadyError when a joint leaves its first motion: reversed or exchanged joints."""
+    arm, strikes = robot.arm, 0
+    low = high = robot.read().position  # [rad] so far
 
-    def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
-        self._arm, self._address, self._on_cycle = robot.arm, robot.address, on_cycle
-        self._range = np.stack([robot.read().position] * 2)  # [rad] lowest and highest so far
-        self._strikes = 0
-
-    def __call__(self, cycle: Cycle) -> None:
-        if self._on_cycle is not None:
-            self._on_cycle(cycle)
+    def see(cycle: Cycle) -> None:
+        nonlocal low, high, strikes
+        if on_cycle is not None:
+            on_cycle(cycle)
         gap = ((cycle.reasons & Reason.GAP) != 0)[:, None]  # others may have moved it
-        low, high = self._range = np.where(gap, cycle.position, self._range)
-        weight = gravity_torque(self._arm, cycle.position)
+        low, high = np.where(gap, cycle.position, (low, high))
+        weight = gravity_torque(arm, cycle.position)
         below, above = (np.where(pull > LIGHT, FALL, ASTRAY) for pull in (weight, -weight))
         beyond = np.maximum(low - cycle.position - below, cycle.position - high - above)
         astray = np.where(cycle.active[:, None], beyond, -np.inf)
-        self._strikes = self._strikes + 1 if astray.max() > 0.0 else 0
-        if self._strikes >= STRIKES:
-            raise NotReadyError(self._describe(cycle.position, astray))
-        self._range = np.stack([np.minimum(low, cycle.command), np.maximum(high, cycle.command)])
+        strikes = strikes + 1 if astray.max() > 0.0 else 0
+        if strikes >= STRIKES:
+            b, j = np.unravel_index(np.argmax(astray), astray.shape)
+            least, found, most = np.degrees([low[b, j], cycle.position[b, j], high[b, j]])
+            raise NotReadyError(
+                f"{robot.address}: {arm.joint_names[j]} was sent no farther than {least:.0f} to {most:.0f} deg, and "
+                f"reads {found:.0f} deg: it turns the other way than it reads, its reading is another joint's, it is "
+                "pushed, or it cannot carry its load. Compare directions and cables with the arm's description"
+            )
+        low, high = np.minimum(low, cycle.command), np.maximum(high, cycle.command)
 
-    def _describe(self, position: Array, astray: Array) -> str:
-        b, j = np.unravel_index(np.argmax(astray), astray.shape)
-        low, found, high = np.degrees([self._range[0, b, j], position[b, j], self._range[1, b, j]])
-        return (
-            f"{self._address}: {self._arm.joint_names[j]} was sent no farther than {low:.0f} to {high:.0f} deg, and "
-            f"reads {found:.0f} deg: it turns the other way than it reads, its reading is another joint's, it is "
-            "pushed, or it cannot carry its load. Compare directions and cables with the arm's description"
-        )
+    return see
 
 
 def check_ready(robot: Robot) -> None:
@@ -206,13 +203,12 @@ def play(
     trajectory: Callable[[Array], Array],
     duration: float,
     *,
-    sent: Array | None = None,
     limits: GuardLimits | None = None,
-    give_up: Callable[[ControlInput], bool] | None = None,
     on_cycle: OnCycle | None = None,
+    **plan: Any,  # noqa: ANN401 - further fields of `Schedule`
 ) -> Recording:
     """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded; ``sent`` as in `Schedule`."""
-    reference, schedule = JointMotion(trajectory), Schedule(dwell=duration, sent=sent, give_up=give_up)
+    reference, schedule = JointMotion(trajectory), Schedule(dwell=duration, **plan)
     return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
 
 

@@ -218,15 +218,6 @@ def read_targets(path: Path, arm: Arm) -> Poses:
     return targets, turns
 
 
-def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
-    """Raise InputError for targets (S, K, 3) [m] out of reach."""
-    sets, count, _ = targets.shape
-    names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
-    problem = refused(arm, names, targets.reshape(-1, 3), turns and turns.flat)
-    if problem:
-        raise InputError(f"targets: {problem}")
-
-
 def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None = None) -> str:
     """Why ``points`` (K, 3) [m] are impossible, or empty."""
     goals = choose_postures(arm, points, arm.rest, turn=turns)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -272,55 +272,6 @@ class ArmMotion(Future[Any]):
     def give_up(self, _: ControlInput) -> bool:
         """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
         return self.ended.is_set()
-
-
-@dataclass(eq=False)
-class GoalCheck:
-    """Tells the loop whether the encoders stay at the goal for `CALM`."""
-
-    motion: ArmMotion
-    arm: Arm
-    within: float
-    """[m] of the tool"""
-    within_turn: float
-    """[rad] of the tool, or of each of the ``joints``"""
-    joints: Array | None = None
-    """(n,) [rad] to be reached instead of a tool's place"""
-
-    def __post_init__(self) -> None:
-        self._since, self._now = np.inf, -np.inf  # [s] close since then, and at the last look
-        self._left = self._joint = ""
-
-    @property
-    def reached(self) -> bool:
-        """Whether it was close for long enough at the last look."""
-        return self._now - self._since >= CALM
-
-    def __call__(self, inputs: ControlInput) -> bool:
-        """See `rejoint.control.loop.Schedule`."""
-        self._now, position = float(inputs.state.time[0]), inputs.state.position[0]
-        away = np.abs(position - (inputs.sent[0] if self.joints is None else self.joints))
-        worst = away.argmax()
-        self._joint = f"{self.arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
-        if self.joints is None:
-            aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
-            error = np.linalg.norm(aim[0] - tcp_position(self.arm, position))
-            turned = turned_off(self.arm, inputs)[0]
-            near = inputs.arrived[0] and error < self.within and not turned > self.within_turn
-            self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
-        else:
-            near = away[worst] < self.within_turn
-            self._left = f"{np.degrees(away[worst]):.1f} deg at {self.arm.joint_names[worst]}"
-        self._since = min(self._since, self._now) if near else np.inf
-        return self.motion.give_up(inputs) or self.reached
-
-    def require(self, wanted: str) -> None:
-        """Raise NotReachedError unless it arrived or was asked to end."""
-        if not (self.reached or self.motion.ended.is_set()):
-            raise NotReachedError(
-                f"the arm did not come within {wanted} of {self.motion.goal}, still {self._left} off; it holds. "
-                f"{self._joint}. Give it more time or room, or look whether something is in its way"
-            )
 
 
 class GoalStream(Reference):
@@ -600,6 +551,48 @@ class ArmDriver:
         return self._seen_through(
             lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), *recorded
         )
+
+    def arrive(
+        self,
+        motion: ArmMotion,
+        controller: Controller,
+        reference: Reference,
+        timeout: float,
+        wanted: str,
+        within: tuple[float, float],
+        joints: Array | None = None,
+    ) -> None:
+        """Drive until the encoders stay at the goal for `CALM`; NotReachedError after ``timeout`` [s].
+
+        ``within`` [m] and [rad] of the tool, or the latter of each of the ``joints`` (n,) [rad]; in words ``wanted``.
+        """
+        arm, since, reached, left, lags = self.arm, np.inf, False, "", ""  # [s] close since then
+
+        def look(inputs: ControlInput) -> bool:
+            nonlocal since, reached, left, lags
+            now, position = float(inputs.state.time[0]), inputs.state.position[0]
+            away = np.abs(position - (inputs.sent[0] if joints is None else joints))
+            worst = away.argmax()
+            lags = f"{arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
+            if joints is None:
+                aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
+                error = np.linalg.norm(aim[0] - tcp_position(arm, position))
+                turned = turned_off(arm, inputs)[0]
+                near = inputs.arrived[0] and error < within[0] and not turned > within[1]
+                left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
+            else:
+                near = away[worst] < within[1]
+                left = f"{np.degrees(away[worst]):.1f} deg at {arm.joint_names[worst]}"
+            since = min(since, now) if near else np.inf
+            reached = now - since >= CALM
+            return motion.give_up(inputs) or reached
+
+        self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
+        if not (reached or motion.ended.is_set()):
+            raise NotReachedError(
+                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. "
+                f"{lags}. Give it more time or room, or look whether something is in its way"
+            )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool] | None = None) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms import CATALOGUE, Arm, Array, Box, collides, differing, load_arm
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
-from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
+from rejoint.control.targets import Pose, draw_targets, placed, read_targets, refused
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, describe
@@ -184,9 +184,7 @@ def arm_of_twin(twin: TwinLike) -> Arm:
     return arm_named(as_twin(twin).arm, "the twin is")
 
 
-def as_targets(
-    given: Targets | None, arm: Arm, *, sets: int, seed: int, reachable: bool = True
-) -> tuple[Array, Orientation | None]:
+def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:
     """Return targets (S, K, 3) [m], given, read or drawn, and orientations (S, K) or None.
 
     InputError or FileError for those out of reach, if ``reachable``.
@@ -205,8 +203,10 @@ def as_targets(
     else:
         points = as_place("targets", given, "points (targets, 3) or (sets, targets, 3) in metres", (2, 3))
     points, turns = points[None] if points.ndim == 2 else points, turns and turns[None]
-    if reachable:
-        require_reachable(arm, points, turns)
+    sets, count, _ = points.shape
+    names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
+    if problem := refused(arm, names, points.reshape(-1, 3), turns and turns.flat):
+        raise InputError(f"targets: {problem}")
     return points, turns
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -12,7 +12,7 @@ from typing import TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Displacement, JointTrajectory
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.loop import Schedule
 from rejoint.control.moving.drive import (
@@ -21,11 +21,11 @@ from rejoint.control.moving.drive import (
     Deployment,
     Followed,
     Pass,
-    Repetition,
     corrected,
     judge,
     judge_targets,
     missed,
+    next_aim,
 )
 from rejoint.control.moving.reference import (
     LEAD_IN,
@@ -110,7 +110,7 @@ def deploy(
 def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object], Deployed]:
     """Return what drives to ``targets``; InputError if impossible, before anything moves."""
     arm, settings = session.arm, session.settings
-    points, turned = as_targets(targets, arm, sets=1, seed=session.seed, reachable=False)
+    points, turned = as_targets(targets, arm, sets=1, seed=session.seed)
     if len(points) != 1:
         raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
     if turned is not None and settings.eye is not None:
@@ -122,55 +122,51 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
     within = REACHED if settings.within is None else settings.within
     job = Deployment(controller=name, targets=points[0], dwell=settings.dwell, within=within, turns=turns)
 
+    def watch(cycle: Cycle) -> None:
+        target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
+        session.progress((target + min(share, 1.0)) / len(points[0]), f"target {target + 1} of {len(points[0])}")
+
+    def drive(eye: Eye | None) -> Deployed:
+        correction, seen, driver = session.correction, None, controller
+        session.begin("deploy", name, controller)
+        if eye is not None:
+            seen = Seen(arm, Displacement.none(arm) if correction is None else correction.displacement, eye=eye)
+            driver, correction = Finishing(arm, controller, seen), seen
+        reference = TargetSequence(arm, points, ways=[ways], turns=turned, correction=correction)
+
+        def judged(recording: Recording, *, ended: bool) -> Deployed:
+            sightings, far = ((), None) if seen is None else (seen.visits, seen.shifted())
+            if far is not None:
+                LOGGER.warning(
+                    "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets "
+                    "alike: were camera or board moved? Then calibrate with the camera again; "
+                    "the arm went where it says",
+                    1e3 * far,
+                )
+            return judge_targets(arm, recording, job, session.calibration, sightings=sightings, ended=ended)
+
+        try:
+            recording = session.drive(driver, Schedule(dwell=job.dwell), reference, watch)
+        except BaseException as error:
+            so_far = recording_of(error)
+            if so_far is not None and np.isfinite(so_far.target).any():
+                session.observer.partial(judged(so_far, ended=True))
+            raise
+        found = judged(recording, ended=False)
+        asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if turns else None
+        found = replace(found, log=recording.log(0, f"deploy/{name}", asked))
+        with saving(found):
+            session.recorder.end(extra=asked)
+        session.progress(1.0, "done")
+        return found
+
     def work(_: object) -> Deployed:
         with opened_eye(settings.eye, session.robot, session.run, session.seed) as eye:
-            done = _deployed(session, job, controller, ways, eye)
+            done = drive(eye)
         session.say_noticed(done.log)
         return done
 
     return work
-
-
-def _deployed(
-    session: ArmSession, job: Deployment, controller: Controller, ways: Sequence[JointTrajectory], eye: Eye | None
-) -> Deployed:
-    """Drive; a run keeps what is recorded also after ``kill -9``."""
-    arm, total, correction, seen = session.arm, len(job.targets), session.correction, None
-    session.begin("deploy", job.controller, controller)
-    if eye is not None:
-        seen = Seen(arm, Displacement.none(arm) if correction is None else correction.displacement, eye=eye)
-        controller, correction = Finishing(arm, controller, seen), seen
-    turns = job.turns and job.turns[None]
-    reference = TargetSequence(arm, job.targets[None], ways=[ways], turns=turns, correction=correction)
-
-    def watch(cycle: Cycle) -> None:
-        target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
-        session.progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
-
-    def judged(recording: Recording, *, ended: bool) -> Deployed:
-        sightings, far = ((), None) if seen is None else (seen.visits, seen.shifted())
-        if far is not None:
-            LOGGER.warning(
-                "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: "
-                "were camera or board moved? Then calibrate with the camera again, the arm went where it says",
-                1e3 * far,
-            )
-        return judge_targets(arm, recording, job, session.calibration, sightings=sightings, ended=ended)
-
-    try:
-        recording = session.drive(controller, Schedule(dwell=job.dwell), reference, watch)
-    except BaseException as error:
-        so_far = recording_of(error)
-        if so_far is not None and np.isfinite(so_far.target).any():
-            session.observer.partial(judged(so_far, ended=True))
-        raise
-    found = judged(recording, ended=False)
-    asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if job.turns else None
-    found = replace(found, log=recording.log(0, f"deploy/{job.controller}", asked))
-    with saving(found):
-        session.recorder.end(extra=asked)
-    session.progress(1.0, "done")
-    return found
 
 
 @contextmanager
@@ -262,90 +258,79 @@ def follow(
         return cast(Followed, session.follow(path, repeat=repeat))
 
 
-class PathDrive:
-    """A path or stream to be followed by a session."""
+def along(
+    session: ArmSession, path: PathLike | Stream, *, repeat: int, duration: float | None, within: float | None
+) -> Callable[[ArmMotion], Followed | None]:
+    """Return what follows a path or stream, None where it is asked to end; InputError before anything moves.
 
-    def __init__(
-        self,
-        session: ArmSession,
-        path: PathLike | Stream,
-        *,
-        repeat: int,
-        duration: float | None,
-        within: float | None,
-    ) -> None:
-        """Check the request before anything moves; InputError if impossible.
+    ``duration`` [s] is of a stream. ``within`` [m] is the accepted rms.
+    """
+    arm, settings = session.arm, session.settings
+    accepted = as_within("follow", (settings.within or WITHIN) if within is None else within)
+    if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
+        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    told = guide_of(path, arm, session.seed, duration)
+    told.home(arm, session.motors)
+    posed = told.ahead(0.0, np.zeros(1))[1] is not None
+    controller = settings.controller or TRACKER
+    if settings.controller is None and session.twin is None:
+        controller = session.driver(posed=posed)[0]
 
-        ``duration`` [s] is of a stream. ``within`` [m] is the accepted rms.
-        """
-        arm, settings = session.arm, session.settings
-        self.session, self.repeat = session, repeat
-        self.within = as_within("follow", (settings.within or WITHIN) if within is None else within)
-        if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
-            raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
-        self.guide = guide_of(path, arm, session.seed, duration)
-        self.guide.home(arm, session.motors)
-        self.posed = self.guide.ahead(0.0, np.zeros(1))[1] is not None
-        self.controller = settings.controller or TRACKER
-        if settings.controller is None and session.twin is None:
-            self.controller = session.driver(posed=self.posed)[0]
-        self._follower(session.twin)
-        self.duration = duration or 0.0
-        if isinstance(known := self.guide, Path):
-            self.duration = LEAD_IN + known.duration
-            correction_of(session.calibration, arm, known.at(known.time[:: max(1, len(known.time) // LOOKED_AT)]))
-
-    def _follower(self, twin: Twin | None) -> tuple[str, Callable[[], Controller]]:
+    def follower(twin: Twin | None) -> tuple[str, Callable[[], Controller]]:
         """Return the name of what follows, and what makes it for each pass."""
-        session, arm = self.session, self.session.arm
-        if self.controller != TRACKER:
-            name, make = session.maker(self.controller, twin, posed=self.posed)
+        if controller != TRACKER:
+            name, make = session.maker(controller, twin, posed=posed)
             return name, partial(make, arm)
         if twin is None:
             raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
         servos = twin.parameters.repeat(1)
         return TRACKER, lambda: Tracker(arm, servos, period=session.usual)
 
-    def work(self, motion: ArmMotion) -> Followed | None:
-        """Drive; None where the motion is asked to end."""
-        session, arm, guide = self.session, self.session.arm, self.guide
+    follower(session.twin)
+    lasts = duration or 0.0
+    if isinstance(told, Path):
+        lasts = LEAD_IN + told.duration
+        correction_of(session.calibration, arm, told.at(told.time[:: max(1, len(told.time) // LOOKED_AT)]))
+
+    def show(number: int, cycle: Cycle) -> None:
+        share = min(float(cycle.since_target[0]) / lasts, 1.0)
+        session.progress((number + share) / repeat, f"time {number + 1} of {repeat}" if repeat > 1 else "")
+
+    def work(motion: ArmMotion) -> Followed | None:
         session.take_up(None)
-        name, make = self._follower(session.twin_now)
+        (name, make), guide = follower(session.twin_now), told
         home = guide.home(arm, session.motors)
-        if session.settings.controller is not None or name == TRACKER:
-            session.announce(name, "for paths, by the twin" if session.settings.controller is None else "as asked for")
+        if settings.controller is not None or name == TRACKER:
+            session.announce(name, "for paths, by the twin" if settings.controller is None else "as asked for")
         label = f"follow/{name}/{guide.name}"
         session.begin("follow", f"{name}/{guide.name}")
         if session.correction is not None:
             guide = corrected(arm, guide, session.correction, home)
-        aimed, passes, lesson = guide, list[Pass](), None
-        for number in range(self.repeat):
+        aimed, passes, lesson = guide, list[Pass](), list[Array]()
+        for number in range(repeat):
             start = PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home).last[0]
             session.go(start, motion.give_up)
             away = np.abs(session.robot.read().position[0] - start)
             if away.max() > STUCK[0] and not motion.ended.is_set():
                 far = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg from the start of its path"
                 raise NotReachedError(f"{far}, and the arm holds; clear its way, or send it to a point first")
-            if self.repeat > 1:
+            if repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
-            schedule = Schedule(dwell=self.duration, give_up=motion.give_up)
+            schedule = Schedule(dwell=lasts, give_up=motion.give_up)
             reference = PathReference(arm, [aimed], home, motors=session.motors, message=session.observer.message)
-            last = session.drive(make(), schedule, reference, partial(self._show, number))
+            last = session.drive(make(), schedule, reference, partial(show, number))
             if motion.ended.is_set():
                 return None
             passes.append(replace(judge(arm, last, guide, model=session.calibration), log=last.log(0, label)))
             if isinstance(guide, Path) and isinstance(aimed, Path):
-                lesson = lesson or Repetition(guide.aimed)
-                aimed = replace(guide, aim=lesson.learn(aimed.aimed, *missed(arm, last, guide)))
+                aimed = replace(guide, aim=next_aim(guide.aimed, lesson, aimed.aimed, *missed(arm, last, guide)))
         session.followed = Followed(
-            path=guide.name, controller=name, within=self.within, passes=tuple(passes), **last.timing()
+            path=guide.name, controller=name, within=accepted, passes=tuple(passes), **last.timing()
         )
         session.say_noticed(passes[-1].log)
         return session.followed
 
-    def _show(self, number: int, cycle: Cycle) -> None:
-        share, total = min(float(cycle.since_target[0]) / self.duration, 1.0), self.repeat
-        self.session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
+    return work
 
 
 def guide_of(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Guide:

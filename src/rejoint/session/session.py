@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, UnloadedWay, Unloading
+from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, Unloading
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, brake
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
@@ -24,7 +24,7 @@ from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
 from rejoint.session.context import believed_motors
-from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream, RunRecorder
+from rejoint.session.driver import ArmDriver, ArmMotion, GoalStream, RunRecorder
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
@@ -167,9 +167,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin("move", name, controller)
-            arrival = GoalCheck(motion, self.arm, within, within_rad)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival), reference)
-            arrival.require(wanted)
+            self.arrive(motion, controller, reference, timeout, wanted, (within, within_rad))
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
@@ -212,18 +210,17 @@ class ArmSession(ArmDriver):
         way = plan(self.arm, self.state.joints_rad, goal, motors=self.motors)
 
         def work(motion: ArmMotion) -> None:
-            self.begin("joints", PostureController.name, rest=False)
             controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
-            arrival = GoalCheck(motion, self.arm, np.inf, within, goal)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival), unloaded)
-            arrival.require(f"{np.degrees(within):g} deg")
+            wanted = f"{np.degrees(within):g} deg"
+            self.arrive(motion, controller, unloaded, timeout, wanted, (np.inf, within), goal)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
-    def _joint_drive(self, way: Reference, off: float = OFF) -> tuple[PostureController, UnloadedWay]:
+    def _joint_drive(self, way: Reference, off: float = OFF) -> tuple[PostureController, Unloading]:
         """Return what brings every joint where a way says, over other postures where one stays ``off`` [rad]."""
-        unloading = Unloading(self.arm, self.motors, off, self.observer.message)
-        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading)
+        self.begin("joints", PostureController.name, rest=False)
+        unloading = Unloading(self.arm, self.motors, off, self.observer.message, way)
+        return self.posture_controller(EVERY_JOINT), unloading
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream; return what the limits and contacts leave of them (n,).
@@ -260,7 +257,6 @@ class ArmSession(ArmDriver):
         goals = GoalStream(self.apparent, self.robot.read().position[0].copy())
 
         def work(motion: ArmMotion) -> None:
-            self.begin("joints", PostureController.name, rest=False)
             controller, unloaded = self._joint_drive(goals)
             while not motion.ended.is_set():
                 self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
@@ -304,12 +300,12 @@ class ArmSession(ArmDriver):
         A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`, or away from the start.
         InputError for a path out of reach or too fast, or without a twin.
         """
-        from rejoint.session.motions import PathDrive
+        from rejoint.session.motions import along
 
         self._require_free()
-        drive = PathDrive(self, path, repeat=repeat, duration=duration_s, within=within_m)
+        work = along(self, path, repeat=repeat, duration=duration_s, within=within_m)
         self.followed = None
-        self._start(ArmMotion("the end of its path", drive.work), wait=wait)
+        self._start(ArmMotion("the end of its path", work), wait=wait)
         if wait and self.followed is None:
             raise NotReachedError("the path was ended before its end; the arm holds")
         return self.followed if wait else None

@@ -8,7 +8,7 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280, so101
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.moving.drive import Repetition, along, judge
+from rejoint.control.moving.drive import along, judge, next_aim
 from rejoint.control.moving.reference import PathReference, standard_path
 from rejoint.control.moving.tracker import PathPostures, PushObserver, Tracker, command_for
 from rejoint.control.robot import Servos
@@ -113,9 +113,9 @@ def test_what_repeats_is_learned_and_a_lag_is_found():
     path = standard_path("circle-8s", ARM)
     time = np.arange(0.0, path.duration, 0.025)
     bias = 0.003 * np.stack([np.sin(time), np.cos(time), np.ones_like(time)], axis=-1)
-    aim, repetition = path, Repetition(path)
+    aim, seen = path, []
     for _ in range(8):  # an arm that misses every aim by the same
-        aim = repetition.learn(aim, time, path.at(time) - (aim.at(time) - bias))
+        aim = next_aim(path, seen, aim, time, path.at(time) - (aim.at(time) - bias))
     left = path.at(time) - (aim.at(time) - bias)
     assert np.abs(left[20:-20]).max() < 1e-4
     found = along(time, path.at(time - 0.06), time, path.at(time))
@@ -127,9 +127,11 @@ def test_what_differs_from_time_to_time_is_not_aimed_at():
     path, rng = standard_path("circle-20s", ARM), np.random.default_rng(0)
     time = np.arange(0.0, path.duration, 0.02)
     bias = 0.002 * np.sin(0.6 * time)[:, None] * np.ones(3)
-    aim, repetition, noise = path, Repetition(path), 0.8e-3
+    aim, seen, noise = path, [], 0.8e-3
     for _ in range(10):
-        aim = repetition.learn(aim, time, path.at(time) - (aim.at(time) - bias) + noise * rng.normal(size=bias.shape))
+        aim = next_aim(
+            path, seen, aim, time, path.at(time) - (aim.at(time) - bias) + noise * rng.normal(size=bias.shape)
+        )
     shift = aim.at(time) - path.at(time)
     wrong = np.sqrt(((shift - bias) ** 2).mean())
     assert wrong < 0.08 * noise, "the mean of ten times alone, below 3 Hz, is wrong by 0.11 of it"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, solve_position
-from rejoint.control.reference import nearest_postures
+from rejoint.arms.postures import find_postures
 from rejoint_lab.research.rivals import PidController
 from standin import inputs_of, state_of
 
@@ -15,7 +15,9 @@ REST = np.tile(ARM.rest, (3, 1))
 
 
 def inputs(position):
-    return inputs_of(state_of(position, 0.0), TARGETS[:, 0], nearest_postures(ARM, TARGETS[:, 0], REST), position, 0.0)
+    return inputs_of(
+        state_of(position, 0.0), TARGETS[:, 0], find_postures(ARM, TARGETS[:, 0], REST, None), position, 0.0
+    )
 
 
 @pytest.mark.parametrize("literal", [False, True])

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position
+from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
-from rejoint.control.reference import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
 from rejoint_lab.research.rivals import AdaptiveController, Gain, Rival, ScheduledController, make_rival, tune
@@ -32,7 +32,7 @@ PLAIN = {
 
 def inputs(position, sent, time=0.0):
     state = state_of(position, time)
-    goal = nearest_postures(ARM, TARGET, np.tile(ARM.rest, (2, 1)))
+    goal = find_postures(ARM, TARGET, np.tile(ARM.rest, (2, 1)), None)
     return inputs_of(state, TARGET, goal, sent, time)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.linalg import norm
@@ -36,17 +37,20 @@ STANDS_FOR = 3.0
 
 
 def schedule(
-    kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
+    kind: Kind,
+    protocol: Protocol,
+    *,
+    wait: bool = True,
+    **start: Any,  # noqa: ANN401 - fields of `Schedule`
 ) -> Schedule:
     """Schedule after the last commands ``sent`` (B, n) [rad]."""
     if kind == "hold":
-        return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
+        return Schedule(dwell=protocol.hold, **start)
     return Schedule(
         dwell=protocol.dwell,
         stop_below=protocol.threshold,
         stands_for=None if wait else STANDS_FOR,
-        keep_going=keep_going,
-        sent=sent,
+        **start,
     )
 
 
@@ -159,7 +163,7 @@ def settled(since: Array, signal: Array, window: float) -> float:
 def oscillation(since: Array, tcp: Array, window: float) -> float:
     """Rms distance [m] of ``tcp`` (T, 3) from its mean over the last ``window`` [s]."""
     last = tcp[since >= since[-1] - window]
-    return float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=-1).mean()))
+    return float(np.sqrt(last.var(axis=0).sum()))
 
 
 def measure(
@@ -177,13 +181,12 @@ def measure(
     ``both``: a hold also gives the crossing.
     """
     kinds = KINDS if both and key.kind == "hold" else (key.kind,)
-    counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason))) for reason in Reason}
     return Driven(
         key=key,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),
         cycles=int(recording.active.sum()),
         ended=tuple(", ".join(reason_names(int(flags))) for flags in recording.tripped if flags),
-        reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
+        reasons={reason_names(r)[0]: count for r in Reason if (count := int(np.count_nonzero(recording.reasons & r)))},
     )
 
 

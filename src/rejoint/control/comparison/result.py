@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -287,8 +287,20 @@ class Comparison(Readable):
         return self.controllers.index(controller)
 
 
-def summarise(controller: str, found: Columns, labels: Labels, protocol: Protocol) -> ControllerRow:
-    """Statistics of results (S, R, K) with 95 % intervals over the clusters ``labels``, flat."""
+def row_of(
+    controller: str,
+    found: Columns,
+    protocol: Protocol,
+    driven: Sequence[Driven] = (),
+    *,
+    labels: Labels | None = None,
+    out: str = "",
+) -> ControllerRow:
+    """Statistics of results (S, R, K), and what the guard did while they were ``driven``.
+
+    95 % intervals are over the clusters ``labels``, flat; None: of the shape.
+    """
+    labels = cluster(found["crossed"].shape)[1] if labels is None else labels
     crossed, held = found["crossed"].ravel(), found["held"].ravel() == 1.0
     stays = []
     for within, name in zip(protocol.within, protocol.stay_names, strict=True) if held.any() else ():
@@ -299,24 +311,33 @@ def summarise(controller: str, found: Columns, labels: Labels, protocol: Protoco
         stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
     names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
     spreads: dict[str, Any] = {name: spread(found[name].ravel(), labels) for name in names}
+    for whose in ("", "_true"):
+        away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
+        places = away.swapaxes(1, 2)  # (S, K, R, 3)
+        off = np.linalg.norm(places.mean(axis=2), axis=-1).ravel()
+        each = np.arange(len(off))
+        spreads[f"accuracy{whose}"] = spread(off, each)
+        spreads[f"repeatability{whose}"] = spread(position_repeatability(places).ravel(), each)
+    cycles = sum(one.cycles for one in driven)
+    reasons = sum((Counter(one.reasons) for one in driven), Counter[str]())
     modelled = mean_modelled(np.array([found[name] for name in MODELLED]))
+    tried = np.isfinite(found["crossed"])
+    times = np.where(tried, found["crossing_time"], 0.0).sum(axis=-1)
+    times = tried.shape[-1] * times / np.where(tried.any(axis=-1), tried.sum(axis=-1), np.nan)  # (S, R) [s] of all
     sets = labels.reshape(found["crossed"].shape)[..., 0].ravel()
     return ControllerRow(
         controller=controller,
         success=clustered_share(crossed, labels) if np.isfinite(crossed).any() else None,
         **spreads,
-        cycle_time=spread(cycle_times(found).ravel(), sets),
+        cycle_time=spread(times.ravel(), sets),
         settled_modelled=None if modelled.value is None else modelled,
         stays=tuple(stays),
         held=int(np.isfinite(found["settled"]).sum()),
+        guard={name: count / cycles for name, count in reasons.most_common()},
+        ended=tuple(end for one in driven for end in one.ended),
+        out=out,
+        source=next((one.source for one in driven if one.source), ""),
     )
-
-
-def cycle_times(found: Columns) -> Array:
-    """Time (S, R) [s] for all targets, extrapolated from those driven; NaN where a trip ended the trial."""
-    driven = np.isfinite(found["crossed"])
-    time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
-    return driven.shape[-1] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan)
 
 
 def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Protocol) -> Columns:
@@ -328,30 +349,6 @@ def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Pro
             for (s, r), row in zip(one.key.places, values, strict=True):
                 columns.setdefault(name, np.full(shape, np.nan))[s, r, part] = row
     return columns
-
-
-def row_of(
-    controller: str, found: Columns, protocol: Protocol, driven: Sequence[Driven] = (), *, out: str = ""
-) -> ControllerRow:
-    """Statistics of results (S, R, K), and what the guard did while they were ``driven``."""
-    cycles = sum(one.cycles for one in driven)
-    reasons = sum((Counter(one.reasons) for one in driven), Counter[str]())
-    poses: dict[str, Any] = {}
-    for whose in ("", "_true"):
-        away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
-        places = away.swapaxes(1, 2)  # (S, K, R, 3)
-        off = np.linalg.norm(places.mean(axis=2), axis=-1).ravel()
-        each = np.arange(len(off))
-        poses[f"accuracy{whose}"] = spread(off, each)
-        poses[f"repeatability{whose}"] = spread(position_repeatability(places).ravel(), each)
-    return replace(
-        summarise(controller, found, cluster(found["crossed"].shape)[1], protocol),
-        **poses,
-        guard={name: count / cycles for name, count in reasons.most_common()},
-        ended=tuple(end for one in driven for end in one.ended),
-        out=out,
-        source=next((one.source for one in driven if one.source), ""),
-    )
 
 
 def position_repeatability(places: Array) -> Array:

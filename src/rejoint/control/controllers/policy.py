@@ -107,13 +107,6 @@ def law_digests(arm: Arm) -> dict[str, str]:
     return {name: hashlib.sha256(array.astype("<f8").tobytes()).hexdigest()[:16] for name, array in rounded.items()}
 
 
-def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
-    """Fields of `law_digests` in this law."""
-    if law.anchor == "goal":
-        return ("offset", "axis", "tip", "mass", "com", "rest", "targets")
-    return ("offset", "axis", "tip", *(["rest"] if layout != "residual" else []))
-
-
 def encode_contract(contract: PolicyContract) -> str:
     """JSON text."""
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
@@ -149,7 +142,8 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
     for what, (found, wanted) in expected.items():
         if found != wanted:
             raise ContractError(f"the policy's {what} is {shown(found)}, expected {shown(wanted)}; {remedy}")
-    own, read = law_digests(arm), fields_read(contract.law, contract.layout)
+    own, read = law_digests(arm), ["offset", "axis", "tip", *["rest"] * (contract.layout != "residual")]
+    read = [*own] if contract.law.anchor == "goal" else read
     other = [name for name in read if contract.arm_digests.get(name) != own[name]]
     if other:
         raise ContractError(f"the policy was trained for a {arm.name} with another {', '.join(other)}; {remedy}")
@@ -348,8 +342,29 @@ class Policy(Readable):
     @cached_property
     def _session(self) -> Any:  # noqa: ANN401
         """Network that gives the contract's probe answers."""
-        session = _open(self.source, self.content)
-        _check_network(self.source, self.contract, session)
+        options, source, contract = ort.SessionOptions(), self.source, self.contract
+        # The network is tiny: a second thread costs more than it brings.
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            session = ort.InferenceSession(self.content, options, ["CPUExecutionProvider"], enable_fallback=0)
+        except Exception as error:  # ONNX Runtime has many of its own and names none of them
+            raise FileError(source, _DAMAGED, "train the policy again") from error
+        n, size = len(contract.joint_names), contract.observation_size
+        found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
+        if found != [(INPUT, [size]), (OUTPUT, [n])]:
+            raise ContractError(
+                f"{source}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
+                "train it again"
+            )
+        try:
+            answer = _act(session, probe_observations(size).astype(np.float32))
+            recorded = np.array(contract.probe)
+        except Exception as error:  # shapes inside that do not go together, or ragged answers in the contract
+            why = "its network or the answers recorded in it make no sense"
+            raise FileError(source, why, "train it again") from error
+        if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
+            raise FileError(source, "the network no longer gives the answers recorded in it", "train the policy again")
         return session
 
 
@@ -360,31 +375,3 @@ def load_policy(path: Path, arm: Arm) -> PolicyController:
 
 def _act(session: Any, observation: Observation) -> Array:  # noqa: ANN401
     return session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
-
-
-def _open(source: str, data: bytes) -> Any:  # noqa: ANN401
-    options = ort.SessionOptions()
-    # The network is tiny: a second thread costs more than it brings.
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
-    except Exception as error:  # ONNX Runtime has many of its own and names none of them
-        raise FileError(source, _DAMAGED, "train the policy again") from error
-
-
-def _check_network(source: str, contract: PolicyContract, session: Any) -> None:  # noqa: ANN401
-    n, size = len(contract.joint_names), contract.observation_size
-    found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
-    if found != [(INPUT, [size]), (OUTPUT, [n])]:
-        raise ContractError(
-            f"{source}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
-            "train it again"
-        )
-    rows = probe_observations(size).astype(np.float32)
-    try:
-        answer, recorded = _act(session, rows), np.array(contract.probe)
-    except Exception as error:  # shapes inside that do not go together, or ragged answers in the contract
-        raise FileError(source, "its network or the answers recorded in it make no sense", "train it again") from error
-    if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
-        raise FileError(source, "the network no longer gives the answers recorded in it", "train the policy again")

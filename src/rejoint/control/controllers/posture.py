@@ -173,18 +173,7 @@ class PlannedWay(Reference):
         return replace(now, goal=self._way.at(self._since)[None], arrived=arrived)
 
 
-class UnloadedWay(Reference):
-    """Any way of one arm, with `Unloading`."""
-
-    def __init__(self, way: Reference, unloading: Unloading) -> None:
-        self._way, self._unloading = way, unloading
-
-    def advance(self, now: ControlInput) -> ControlInput:
-        """See `Reference`."""
-        return self._unloading.advance(self._way.advance(now))
-
-
-class Unloading:
+class Unloading(Reference):
     """Brings stuck joints of one arm to their goals."""
 
     def __init__(
@@ -193,6 +182,7 @@ class Unloading:
         motors: Motors | None = None,
         off: float = OFF,
         say: Callable[[str], object] = lambda _: None,
+        way: Reference | None = None,
     ) -> None:
         """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal; ``say`` receives one that stays."""
         self._arm, self._least, self._say = arm, max(off, STILL), say
@@ -200,7 +190,7 @@ class Unloading:
         self._goal = np.full(arm.joints, np.nan)
         self._tries, self._said = 0, False
         self._legs: deque[PlannedWay] = deque()
-        self._still, self._arrived = Stillness(STILL), 0.0
+        self._still, self._arrived, self._way = Stillness(STILL), 0.0, way
 
     @property
     def given_up(self) -> bool:
@@ -220,6 +210,7 @@ class Unloading:
 
     def advance(self, wanted: ControlInput) -> ControlInput:
         """``wanted``, or with another goal, not arrived, from which a joint starts."""
+        wanted = wanted if self._way is None else self._way.advance(wanted)
         state, goal = wanted.state, wanted.goal[0]
         now, position = state.time[0], state.position[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):

@@ -169,35 +169,27 @@ MOST = 0.02
 _WIDTH = 0.3  # [Hz] over which shares are alike (chosen: six turns of the slowest standard path)
 
 
-class Repetition:
-    """Learns one path by repetition."""
+def next_aim(path: Path, spectra: list[Array], aim: Path, time: Array, error: Array) -> Path:
+    """Aim of the next pass of ``path`` after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s].
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._time = path.grid
-        self._spectra: list[Array] = []  # (K, 3) cosine transforms of where to aim, less the path, for each time
-
-    def learn(self, aim: Path, time: Array, error: Array) -> Path:
-        """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
-        place, turn = self._path.poses(self._time)
-        self._spectra.append(dct(aim.at(self._time) - place + interpolated(self._time, time, error), axis=0))
-        shift = self._shift()
-        size = norm(shift, axis=-1, keepdims=True)
-        place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
-        return Path(time=self._time, place=place, turn=turn, name=self._path.name)
-
-    def _shift(self) -> Array:
-        """Shift (K, 3) [m] of the path."""
-        step, count = self._time[1] - self._time[0], 2 * len(self._time)
-        found, times = np.stack(self._spectra), len(self._spectra)
-        mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)[:-1]
-        width = _WIDTH / frequency[1]
-        believed = 1.5 * DIFFERENT**2 * count / step  # of all three axes, as a power of this spectrum
-        differs = _smooth(((found - mean) ** 2).sum(axis=(0, 2)), width)
-        differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
-        power = np.maximum(_smooth((mean**2).sum(axis=-1), width), np.finfo(float).tiny)
-        share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
-        return idct(mean * share[:, None], axis=0)
+    ``spectra`` receives the cosine transform (K, 3) of where to aim, less the path.
+    """
+    grid = path.grid
+    place, turn = path.poses(grid)
+    spectra.append(dct(aim.at(grid) - place + interpolated(grid, time, error), axis=0))
+    step, count = grid[1] - grid[0], 2 * len(grid)
+    found, times = np.stack(spectra), len(spectra)
+    mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)[:-1]
+    width = _WIDTH / frequency[1]
+    believed = 1.5 * DIFFERENT**2 * count / step  # of all three axes, as a power of this spectrum
+    differs = _smooth(((found - mean) ** 2).sum(axis=(0, 2)), width)
+    differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
+    power = np.maximum(_smooth((mean**2).sum(axis=-1), width), np.finfo(float).tiny)
+    share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
+    shift = idct(mean * share[:, None], axis=0)
+    size = norm(shift, axis=-1, keepdims=True)
+    place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
+    return Path(time=grid, place=place, turn=turn, name=path.name)
 
 
 def _smooth(values: Array, width: float) -> Array:

@@ -116,8 +116,18 @@ class PushObserver:
         self._servos = servos
         self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
         """(B, n) [kg m^2]"""
-        noise = max(arm.encoder_step**2 / 12.0, 1e-8)
-        self._gain = _filter_gain(self.mass, servos, noise, period)
+        noise, step, mass = max(arm.encoder_step**2 / 12.0, 1e-8), period / _PARTS, self.mass
+        brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
+        one = np.zeros((*mass.shape, 3, 3)) + np.eye(3)
+        one[..., 1, 0], one[..., 1, 1], one[..., 1, 2] = -brake * pull, brake, brake * pull
+        one[..., 0, :] = step * one[..., 1, :]
+        one[..., 0, 0] += 1.0
+        cycle = np.linalg.matrix_power(one, _PARTS)
+        unknown, seen = np.diag([1e-9, SHOCKS * period, DRIFT * period]), np.eye(3, 1)
+        self._gain = np.zeros((*mass.shape, 3))  # stationary
+        for index in np.ndindex(mass.shape):
+            covariance = solve_discrete_are(cycle[index].T, seen, unknown, [[noise]])
+            self._gain[index] = covariance[:, 0] / (covariance[0, 0] + noise)
         self.away, self.speed, self.push = np.zeros((3, *servos.stiffness.shape))
         """(B, n): deviation [rad], its speed [rad/s], disturbance [rad]"""
         self._sent: list[tuple[Array, Array]] = []
@@ -150,24 +160,6 @@ class PushObserver:
             speed = brake * (speed + pull * (beyond + self.push - away))
             away = away + step * speed
         return away, speed
-
-
-def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Array:
-    """Stationary gains (B, n, 3) of the filter."""
-    step = period / _PARTS
-    brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
-    one = np.zeros((*mass.shape, 3, 3)) + np.eye(3)
-    one[..., 1, 0], one[..., 1, 1], one[..., 1, 2] = -brake * pull, brake, brake * pull
-    one[..., 0, :] = step * one[..., 1, :]
-    one[..., 0, 0] += 1.0
-    cycle = np.linalg.matrix_power(one, _PARTS)
-    unknown = np.diag([1e-9, SHOCKS * period, DRIFT * period])
-    seen = np.eye(3, 1)
-    gain = np.zeros((*mass.shape, 3))
-    for index in np.ndindex(mass.shape):
-        covariance = solve_discrete_are(cycle[index].T, seen, unknown, [[noise]])
-        gain[index] = covariance[:, 0] / (covariance[0, 0] + noise)
-    return gain
 
 
 _LEAST_DELAY = 0.02

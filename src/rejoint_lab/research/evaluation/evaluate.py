@@ -19,7 +19,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Ledger
-from rejoint.control.comparison.result import MODELLED, Columns, Comparison, ControllerRow, comparison_of, summarise
+from rejoint.control.comparison.result import MODELLED, Columns, Comparison, ControllerRow, comparison_of, row_of
 from rejoint.control.controllers.catalogue import (
     BASELINES,
     PREDICTIVE,
@@ -35,7 +35,7 @@ from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.correction import NOT_KNOWN
 from rejoint.control.loop import Schedule, run
-from rejoint.control.moving.drive import Along, Repetition, judge, missed
+from rejoint.control.moving.drive import Along, judge, missed, next_aim
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Guide, PathReference, Stream, standard_path
 from rejoint.control.moving.reference import Path as MotionPath
 from rejoint.control.moving.tracker import PathPostures, Tracker, command_for
@@ -242,7 +242,7 @@ def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: Arm
         return np.stack([one.get(key, missing) for one in (*each, *[{}] * (seeds - len(each)))], axis=1)
 
     whole = {name: {key: stacked(each, key) for key in keys} for name, each in found.items()}
-    rows = tuple(summarise(name, columns, arms, protocol) for name, columns in whole.items())
+    rows = tuple(row_of(name, columns, protocol, labels=arms) for name, columns in whole.items())
     return comparison_of(whole, targets, seed=family.seed, batched=True, protocol=protocol, rows=rows)
 
 
@@ -462,11 +462,11 @@ def _follow(
     worn = "worn?seed={}"
     drive(HEALTHY, "healthy", paths, tracks=False)
     drive(SENT, worn, paths, tracks=False)
-    known, lessons = paths, [Repetition(path) for path in paths]
+    known, lessons = paths, [list[Array]() for _ in paths]
     for time in range(REPETITIONS):
         recording = drive(REPEATED if time else AHEAD, worn, known, noise=time)  # the last time counts
         known = [
-            replace(path, aim=lesson.learn(one.aimed, *missed(arm, recording, path, b)))
+            replace(path, aim=next_aim(path, lesson, one.aimed, *missed(arm, recording, path, b)))
             for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
         ]
     drive(STREAM, worn, [played(path, RATE) for path in paths])
