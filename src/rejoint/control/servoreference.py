@@ -145,8 +145,8 @@ def follow(position, velocity, goals, again, reach, acceleration, step):
     return path, speed
 
 
-DEPTH = 4
-"""Commands kept: 40 ms of delay at the shortest period of 18 ms"""
+DEPTH, READINGS = 12, 4
+"""Commands, and periods of readings, kept: delays of 200 and 70 ms at the shortest period of 18 ms"""
 
 
 class Latency:
@@ -159,8 +159,8 @@ class Latency:
         """(N,) [s]"""
         self._commands = np.zeros((count, DEPTH, joints))  # newest first
         self._sent = np.full((count, DEPTH), -np.inf)
-        self._positions = np.zeros((count, 2 * substeps + 1, joints))  # oldest first
-        self._times = np.zeros((count, 2 * substeps + 1))
+        self._positions = np.zeros((count, READINGS * substeps + 1, joints))  # oldest first
+        self._times = np.zeros((count, READINGS * substeps + 1))
 
     def clear(self, where: Mask | slice, command: Array, position: Array) -> None:
         """Restart at time 0 in ``where`` (N,) with constant ``command``, ``position`` (m, n)."""

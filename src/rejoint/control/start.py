@@ -61,13 +61,15 @@ class Stance:
     """(n,) [N m/rad]"""
     offset: Array
     """(n,) [rad] unloaded joint minus command"""
+    compensation: Array | float = 0.0
+    """(n,) share of gravity that the controller feeds forward"""
     off: Array | float = 0.0
     """(n,) [rad] distance in the diagnosis"""
 
     def away(self, arm: Arm, position: Array, command: Array) -> Array:
         """Distances (..., n) [rad] of ``position`` (..., n) under ``command``."""
-        expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
-        return np.abs(position - expected)
+        sag = (1.0 - self.compensation) * gravity_torque(arm, position) / self.stiffness
+        return np.abs(position - (command + self.offset - sag))
 
     def check(self, arm: Arm, state: JointState, command: Array) -> None:
         """Raise NotReadyError unless ``state`` matches under ``command`` (B, n) [rad]."""

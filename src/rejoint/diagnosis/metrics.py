@@ -311,7 +311,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
     """Share of its commands that a joint follows, by regression, preferably in sweeps; None without."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
     asked = data.log.command[rows, joint]
-    if not len(rows) or np.ptp(asked) <= MIN_SWEEP:
+    if not data.log.commanded or not len(rows) or np.ptp(asked) <= MIN_SWEEP:
         return None
     asked = asked - asked.mean()
     return float(asked @ data.log.position[rows, joint] / (asked @ asked))

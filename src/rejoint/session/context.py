@@ -158,7 +158,8 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
 
 
 def _expected(twin: Twin) -> Stance:
-    return Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+    own = twin.parameters
+    return Stance(stiffness=own.stiffness, offset=own.offset, compensation=own.compensation)
 
 
 def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) -> Twin:

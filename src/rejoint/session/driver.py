@@ -258,12 +258,13 @@ class ArmMotion(Future[Any]):
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
         super().__init__()
-        self._work, self.ended = work, threading.Event()
+        self._work, self.ended, self.thread = work, threading.Event(), 0
         self.goal = goal
         """where the arm is on its way to, in words"""
 
     def run(self) -> None:
         """Drive until the end."""
+        self.thread = threading.get_ident()
         try:
             self.set_result(self._work(self))
         except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
@@ -523,7 +524,7 @@ class ArmDriver:
     def begin(self, motion: str, by: str, controller: Controller | None = None, *, rest: bool = True) -> None:
         """Look at the arm, and bring it to rest the first time; record a ``motion`` of this name ``by`` a controller.
 
-        NotReadyError if it is unsafe to move the arm; ContractError if ``controller`` does not suit the period.
+        NotReadyError if it is unsafe to move the arm.
         """
         if not rest and self._sent is None:
             check_ready(self.robot)
@@ -534,8 +535,6 @@ class ArmDriver:
             stance = stance_of(self.twin_now, self.run)
             start = self._seen_through(lambda see: begin(self.robot, self.limits, stance, see))
             self.usual, self._rested = start.usual_period(), True
-        if controller is not None:
-            check_controller_period(controller, self.usual)
 
     def drive(
         self, controller: Controller, schedule: Schedule, reference: Reference, on_cycle: OnCycle | None = None
@@ -543,7 +542,9 @@ class ArmDriver:
         """Let ``controller`` drive from here where a ``reference`` says, by a ``schedule``.
 
         Every motion ends here, guarded and recorded; raises as `rejoint.control.loop.run`, with a note on the log.
+        ContractError if ``controller`` does not suit the period.
         """
+        check_controller_period(controller, self.usual)
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun
         plan = replace(schedule, sent=self._sent, watch_falls=True)

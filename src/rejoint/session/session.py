@@ -117,6 +117,7 @@ class ArmSession(ArmDriver):
             self._alone.enter_context(exclusive(self._named))
             for name in ("twin", "calibration", "correction"):
                 self.__dict__.pop(name, None)
+            self._sent, self._last, self._seen, self._rested = None, None, None, False  # the stage moved the arm
             self._chosen.clear()
             if self._base is not None:
                 self._limit(self.robot)
@@ -426,6 +427,8 @@ class ArmSession(ArmDriver):
         motion = self._motion
         if motion is not None:
             motion.ended.set()  # at once: who asks the arm may have to wait for its answer
+            if motion.thread == threading.get_ident() and not motion.done():
+                return  # an observer of the motion, which ends after this cycle
         with self._asking:
             motion, self._motion = self._motion, None
             if self._closed and motion is None:

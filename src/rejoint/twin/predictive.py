@@ -152,7 +152,8 @@ class Planner:
         goal = inputs.goal[where]
         self._goal[where] = goal
         self._jacobian[where] = position_kinematics(self._arm, goal)[1]
-        self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
+        sag = gravity_torque(self._arm, goal) / self._twin.stiffness[where]
+        self._holding[where] = goal + (1.0 - self._twin.compensation[where]) * sag
         self._holding[where] -= self._twin.offset[where]
 
     def command(self, inputs: ControlInput) -> Array:
@@ -227,6 +228,8 @@ class Planner:
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
         each, now = np.repeat(np.arange(count), SAMPLES), self.shadow.twins
         control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), TIMESTEP)
+        if self.shadow.feed.any():
+            control += self.shadow.feed[each, None] * gravity_torque(self._arm, control)
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, SAMPLES, steps, n)

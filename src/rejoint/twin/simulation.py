@@ -176,7 +176,8 @@ class Simulation:
         """(N,) [s]"""
         self.measured = np.zeros((count, n))
         """(N, n) [rad] newest readings, in encoder steps"""
-        self._feed = np.zeros((count, n))
+        self.feed = np.zeros((count, n))
+        """(N, n) [rad/(N m)] fed forward per torque of gravity"""
 
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | slice = ALL) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
@@ -189,7 +190,7 @@ class Simulation:
         self.latency.clear(where, command, position)
         self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
         self.twins.loosen(draw.backlash, draw.grease, where)
-        self._feed[where] = draw.twin.compensation / draw.twin.stiffness
+        self.feed[where] = draw.twin.compensation / draw.twin.stiffness
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
 
@@ -203,8 +204,8 @@ class Simulation:
         self.twins.timestep[:] = step
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
         references = self.reference.follow(self.latency, starts, step)
-        if self._feed.any():
-            references = references + self._feed[:, None] * gravity_torque(self.arm, references)
+        if self.feed.any():
+            references = references + self.feed[:, None] * gravity_torque(self.arm, references)
         passed = self.twins.rollout(references if offset is None else references + offset[:, None])
         self.latency.record(starts + step[:, None], passed)
         self.time = self.time + period

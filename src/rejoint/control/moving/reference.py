@@ -356,16 +356,15 @@ class Stream:
 
         InputError for another kind than the first, a turn over 120 degrees, or an earlier time.
         """
-        time = self._now if time is None else time
-        if not np.isfinite(time):
-            raise InputError(f"stream: a target came at {time} s, expected a finite time")
         pose = target if isinstance(target, Pose) else None
         row = as_place("stream", target if pose is None else pose.place_m)
         turn = None if pose is None else oriented(self.axis, [pose])
         if turn is not None:
             row = np.append(row, knots_of(turn)[0])
         with self._lock:
-            last = self.time[-1] if self.time else -np.inf
+            time, last = self._now if time is None else time, self.time[-1] if self.time else -np.inf
+            if not np.isfinite(time):
+                raise InputError(f"stream: a target came at {time} s, expected a finite time")
             if time < last:
                 raise InputError(f"stream: a target of {time:g} s came after one of {last:g} s")
             row = self._after_last(row)
@@ -396,7 +395,8 @@ class Stream:
 
     def route(self) -> Route:
         """See `Path`."""
-        rows, time = np.array(self.rows), np.array(self.time)
+        with self._lock:
+            rows, time = np.array(self.rows), np.array(self.time)
         back = rows[::-1]  # from the posture that the arm has now: each part begins near the last
         aims = np.concatenate([self._aims(back[k : k + _NEAR_ROWS])[0] for k in range(0, len(back), _NEAR_ROWS)])
         return Route(self.time[0], time - time[0], rows[:, :3], aims[::-1])
