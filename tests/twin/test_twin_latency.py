@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from rejoint.control.servoreference import Latency
 
@@ -14,14 +15,15 @@ def test_commands_are_in_force_after_their_delay():
     np.testing.assert_array_equal(forced, [[3.0, 3.0, 4.0], [2.0, 2.0, 3.0]])
 
 
-def test_the_longest_delay_fits_at_the_shortest_period():
+@pytest.mark.parametrize("delay", [0.040, 0.197])
+def test_the_longest_delay_fits_at_the_shortest_period(delay):
     latency = Latency(count=1, joints=1, substeps=6)
-    latency.command_delay[:] = 0.040
+    latency.command_delay[:] = delay
     latency.clear(np.array([True]), np.zeros((1, 1)), np.zeros((1, 1)))
     for k in range(20):
         latency.send(np.array([[float(k)]]), np.array([0.018 * k]))
         now = 0.018 * k + np.linspace(0.0, 0.0179, 6)[None]
-        newest = np.floor((now - 0.040) / 0.018 + 1e-9)  # number of the last command sent 40 ms ago or earlier
+        newest = np.floor((now - delay) / 0.018 + 1e-9)  # number of the last command that has arrived
         np.testing.assert_array_equal(latency.in_force(now)[..., 0], np.maximum(newest, 0.0))
 
 
