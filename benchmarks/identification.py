@@ -59,7 +59,7 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     for k in range(FOLDS):
         names = tuple(log.label for log, own in zip(logs, number, strict=True) if own == k)
         start = time.process_time()
-        found = identify_logs(arm, logs, LogSettings(threads=1, hold_out=names))
+        found = identify_logs(arm, logs, LogSettings(hold_out=names))
         seconds = time.process_time() - start
         print(f"\nfold {k}: {len(found.fitted)} motions fitted, the others judged in {seconds:.1f} s of one core")
         print(HEADER)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
 
-from rejoint.arms import Arm, Array, Mask
+from rejoint.arms import Arm, Array, Index, Mask
 from rejoint.logs.consistency import refuse_copies
 from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height
 from rejoint.logs.runlog import RunLog
@@ -117,7 +117,8 @@ def part(
     elif len(ordered) < FEW_MOTIONS:
         return _ends(ordered)
     else:
-        drawn = _drawn(arm, ordered, seed)
+        fold = folds(arm, ordered, FOLDS, seed)
+        drawn = {name for name, number in zip(names, fold, strict=True) if number == 0}
         again = repeated(ordered, [log for log in ordered if log.label in drawn])
         kept = drawn | {name for name, same in zip(names, again, strict=True) if same.mean() > MOSTLY}
         kept = kept if len(kept) < len(names) else drawn
@@ -161,13 +162,13 @@ def _stretches(log: RunLog) -> tuple[Array, Array]:
     return time, sliding_window_view(path, STEPS, axis=0).reshape(len(time), -1)
 
 
-def _drawn(arm: Arm, logs: Sequence[RunLog], seed: int) -> set[str]:
-    """Labels of one of `FOLDS` motions, of every kind."""
+def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> Index:
+    """(K,) fold of each log, with motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2)) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (touching[i], round(speed[i], 6), logs[i].label))
-    rng, drawn = np.random.default_rng(seed), set[str]()
-    for start in range(0, len(order), FOLDS):
-        place = start + int(np.argmin(rng.permutation(FOLDS)))
-        drawn |= {logs[i].label for i in order[place : place + 1]}
-    return drawn
+    rng, found = np.random.default_rng(seed), np.zeros(len(logs), dtype=int)
+    for start in range(0, len(order), count):
+        alike = order[start : start + count]
+        found[alike] = rng.permutation(count)[: len(alike)]
+    return found
