@@ -241,9 +241,8 @@ def identify_logs(
         log.require(arm)
     logs = powered(logs)
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
-    logs = at_gain(logs, gain)
-    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
-    motions = Motions(arm, seen, settings, table_height(arm, seen))
+    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)  # each twin replays these at its own gain
+    motions = Motions(arm, at_gain(seen, gain), settings, table_height(arm, seen))
     on_progress(0.0, "search")
     structure, start = motions.find_structure(on_progress)
     on_progress(0.5, "fit")
@@ -257,14 +256,15 @@ def identify_logs(
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
-    paths = predict_logs(arm, [own, *healthy, *beside], unseen)
+    judged = [replace(one, gain=gain) if one.gain is None else one for one in (own, *healthy, *beside)]
+    paths = predict_logs(arm, judged, unseen)
     judgement = judge(arm, paths, unseen, table=motions.height)
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
     if settings.hold_out != ():
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
         note, missing = REFITTED, [*judgement.doubts, *[REPEATED] * alike]
-        motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
+        motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
