@@ -23,7 +23,7 @@ from rejoint.robots.dynamixel import KIND
 from rejoint.robots.dynamixel.bus import MEASURED, DynamixelBus
 from rejoint_lab.emulator.dynamixel import FAST_SYNC_READ, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_WRITE, TURN, Packet
-from rejoint_lab.plant.plant import Truth, XPlant
+from rejoint_lab.plant.plant import XPlant
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import NEW
 
@@ -75,7 +75,7 @@ def wear(servo):
 def predicted(log, servos):
     """Angles (T, B) [rad] of B servos that are sent what a log was."""
     rows = log["entries"]
-    plant = XPlant(pendulum(log["mass"], log["length"]), [wear(one) for one in servos], seed=0, truth=Truth())
+    plant = XPlant(pendulum(log["mass"], log["length"]), [wear(one) for one in servos], seed=0)
     plant.settings["p"], plant.settings["voltage"], plant.settings["shutdown"] = log["kp"], log["vin"], 0
     for name in ("no_load", "divisor", "viscous"):
         plant.settings[name][:, 0, 0] = [one[name] for one in servos]

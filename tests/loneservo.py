@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 
 from rejoint.arms import Arm, load_arm
-from rejoint_lab.plant.plant import StsPlant, Truth
+from rejoint_lab.plant.plant import StsPlant
 from rejoint_lab.plant.sts3215 import GAIN_PER_P
 from rejoint_lab.plant.wear import Wear
 
 
 def lone_servo(count: int = 1, *, blocked: bool = False) -> StsPlant:
     """Servos as sold; a blocked shaft is one of endless inertia. External torques [N m]: the setting ``bias``."""
-    return StsPlant(_shaft(), [_wear(1e9 if blocked else 0.0261)] * count, seed=0, truth=Truth(gravity=np.zeros(3)))
+    return StsPlant(_shaft(), [_wear(1e9 if blocked else 0.0261)] * count, seed=0, gravity=np.zeros(3))
 
 
 @cache

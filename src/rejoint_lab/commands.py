@@ -39,7 +39,7 @@ def emulate(
     """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
     require("rejoint emulate", SIMULATOR)
     from rejoint_lab.emulator import dynamixel, feetech, firmware, servers
-    from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
+    from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults
     from rejoint_lab.emulator.servobus import BusSession
 
     chosen = load_arm(arm)
@@ -56,7 +56,7 @@ def emulate(
         session: servers.EmulatedConversation[Any]
         if on_bus:
             kind = dynamixel.XArm if chosen.name in dynamixel.FITTINGS else feetech.StsArm
-            session = BusSession(kind.build(chosen, wear, seed=seed, resistance=size_of(faults, "sag")), **known)
+            session = BusSession(kind.build(chosen, wear, seed=seed), **known)
         else:
             session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)

@@ -15,7 +15,7 @@ from rejoint.control.servogains import ServoGains
 from rejoint.robots import dynamixel, feetech
 from rejoint.robots.knobs import Gains, TunedServos, Values
 from rejoint.system.errors import InputError
-from rejoint_lab.plant.plant import ServoPlant, StsPlant, Truth, XPlant, plant_of
+from rejoint_lab.plant.plant import ServoPlant, StsPlant, XPlant, plant_of
 from rejoint_lab.plant.servo import Channel, Interval, stream_keys
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import ACCELERATION_UNIT, VELOCITY_UNIT
@@ -48,7 +48,7 @@ class EmulatedRobot(TunedServos):
     ) -> None:
         """Put the arms at ``start`` (B, n) or (n,) [rad], or rest.
 
-        ``options``: fields of `Truth`; ``threads``, ``first`` of `Plant`; ``command_latency``, ``readback_age`` [s];
+        ``options``: of `Plant`; ``command_latency``, ``readback_age`` [s];
         ``tells_load``.
         """
         self.arm, self.address, self.count = arm, address, len(wears)
@@ -56,9 +56,8 @@ class EmulatedRobot(TunedServos):
         idle = Channel()
         latency, age = options.pop("command_latency", idle.latency), options.pop("readback_age", idle.age)
         self._channel = Channel(latency, age, period)
-        truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
         first = options.get("first", 0)
-        self.plant = plant_of(arm)(arm, wears, seed=seed, truth=truth, **options)
+        self.plant = plant_of(arm)(arm, wears, seed=seed, **options)
         super().__init__(dynamixel.KIND if isinstance(self.plant, XPlant) else feetech.KIND, arm.joint_names, {})
         if gains:
             self._require_gains()
@@ -69,10 +68,10 @@ class EmulatedRobot(TunedServos):
         self._cycle = np.zeros(len(wears), np.int64)
         self.restart(arm.rest if start is None else start)
 
-    def restart(self, start: Array, where: Mask | None = None) -> None:
+    def restart(self, start: Array) -> None:
         """Put arms at rest at ``start`` (B, n) or (n,) [rad]."""
-        self.plant.reset(np.broadcast_to(start, (self.count, self.arm.joints)), where)
-        self._position = self._merge(self.plant.encoder(), where)
+        self.plant.reset(np.broadcast_to(start, (self.count, self.arm.joints)))
+        self._position = self.plant.encoder()
 
     def read(self) -> JointState:
         """Newest state; takes no virtual time."""
@@ -89,7 +88,8 @@ class EmulatedRobot(TunedServos):
         latency, age, period = self._channel.draw(self._keys, self._cycle)
         self.plant.command(command, latency, active)
         self.plant.advance(period, active)
-        self._position = self._merge(self.plant.encoder(age), active)
+        seen = self.plant.encoder(age)
+        self._position = seen if active is None else np.where(active[:, None], seen, self._position)
         self._cycle += 1 if active is None else active
         return self.read()
 
@@ -168,9 +168,6 @@ class EmulatedRobot(TunedServos):
             return self.plant.load
         status = self.plant.status
         return feetech.torque_share(self.gains, status["output"], status["goal"] - status["position"])
-
-    def _merge(self, position: Array, where: Mask | None) -> Array:
-        return position if where is None else np.where(where[:, None], position, self._position)
 
 
 RATE, LATE = 15.0, 0.1

@@ -28,7 +28,7 @@ from rejoint.system.errors import (
     PowerLostError,
     RobotError,
 )
-from rejoint_lab.emulator.faults import parse_faults, size_of
+from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.feetech import HOMING, StsArm
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
@@ -43,7 +43,7 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 @contextmanager
 def serving(fault="", *, pty=False, arm=None):
     faults = parse_faults(fault, 5)
-    arm = arm or StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
+    arm = arm or StsArm.build(ARM, "so101")
     with (TerminalServer if pty else on_port)(BusSession(arm, faults=faults)) as server:
         server.arm = arm
         yield server

@@ -14,7 +14,6 @@ from rejoint.arms import load_arm
 from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator import dynamixel, feetech
 from rejoint_lab.emulator.servobus import BusSession
-from rejoint_lab.plant.plant import Truth
 from rejoint_lab.plant.wear import load_wear
 
 NAMES = (*load_arm("so101").joint_names, "gripper")
@@ -55,8 +54,8 @@ def test_lerobot_connects_calibrates_moves_and_disconnects():
 
 
 def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
-    koch, floating = load_arm("koch"), Truth(gravity=np.zeros(3))  # limp for its calibration, it would fall
-    arm = dynamixel.XArm(koch, load_wear("new", koch), truth=floating)
+    koch, floating = load_arm("koch"), np.zeros(3)  # limp for its calibration, it would fall
+    arm = dynamixel.XArm(koch, load_wear("new", koch), gravity=floating)
     seen = judged(BusSession(arm))
     assert seen["models"] == [1060, 1200]
     assert [seen["held"][name][0] for name in NAMES] == list(dynamixel.FITTINGS["koch"].homing)

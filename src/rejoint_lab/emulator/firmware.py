@@ -106,7 +106,7 @@ class Firmware(EmulatedArm, Computer):
         held = wanted & ~self.enabled
         self.motion.place(held, self.angles[held])
         self.enabled = wanted.copy()
-        self.plant.set_power(np.array([bool(wanted.any())]))
+        self.plant.set_power(bool(wanted.any()))
         self.outbox.append(_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED))
 
     def calibrate(self, joint: int) -> None:

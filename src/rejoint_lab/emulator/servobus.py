@@ -16,9 +16,8 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.robots.registers import Register
 from rejoint.robots.wireserver import ByteStream, Format, await_data
-from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force
+from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force, size_of
 from rejoint_lab.emulator.servers import EmulatedConversation
-from rejoint_lab.plant.plant import Truth
 from rejoint_lab.plant.servo import STEP, ServoTable
 from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
 
@@ -176,13 +175,10 @@ class ServoArm(EmulatedArm, Generic[S]):
     rate: int | None = None
     """[1/s] at which the client speaks; None: that of all"""
 
-    def __init__(
-        self, arm: Arm, wear: Wear, *, seed: int = 0, resistance: float = 0.0, truth: Truth | None = None
-    ) -> None:
-        """Put the arm at rest; ``resistance`` [ohm] of the supply."""
-        super().__init__(self.kind(arm, [wear], seed=seed, truth=truth), arm)
+    def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0, **truth: Any) -> None:  # noqa: ANN401
+        """Put the arm at rest; ``truth`` as of `Plant`."""
+        super().__init__(self.kind(arm, [wear], seed=seed, **truth), arm)
         self.gripper = self._lone_gripper(wear, seed)
-        self.resistance = resistance
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
@@ -204,7 +200,7 @@ class ServoArm(EmulatedArm, Generic[S]):
             servos=(self.gripper_model(self.arm),),
         )
         worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
-        return self.kind(hinge, [worn], seed=seed, truth=Truth(gravity=np.zeros(3)))
+        return self.kind(hinge, [worn], seed=seed, gravity=np.zeros(3))
 
     @abstractmethod
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
@@ -216,7 +212,7 @@ class ServoArm(EmulatedArm, Generic[S]):
         steps = int(self._owed / STEP)
         self._owed -= steps * STEP
         self.clock += steps * STEP
-        drop = self.resistance * sum(abs(float(servo.status["current"])) for servo in self.servos)
+        drop = size_of(self.faults, "sag") * sum(abs(float(servo.status["current"])) for servo in self.servos)
         supply, warmth = self.voltage, self.temperature - self.plant.temperature[0]
         for servo, nominal in zip(self.servos, self._nominal, strict=True):
             volts = max(self._of_joint(servo, supply, SUPPLY_VOLTAGE) - drop, 0.0)
@@ -236,9 +232,9 @@ class ServoArm(EmulatedArm, Generic[S]):
                 self.restart(servo)
 
     @classmethod
-    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> Self:
+    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0) -> Self:
         """Arm at rest with the wear profile ``wear_name``."""
-        built = cls(arm, load_wear(wear_name, arm), seed=seed, resistance=resistance)
+        built = cls(arm, load_wear(wear_name, arm), seed=seed)
         built.advance(0.01)  # compiles the plant now instead of during the first request
         return built
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -66,17 +66,6 @@ ARMS_PER_THREAD = 24
 """(measured by processor time)"""
 
 
-class Truth(NamedTuple):
-    """Unknown deviations of the arms from their description."""
-
-    payload: Array | float = 0.0
-    """[kg] at the TCP, or (B,)"""
-    bodies: Sequence[Arm] | None = None
-    """(B,) true arms"""
-    gravity: Array = GRAVITY
-    """(3,) [m/s^2] in the base frame"""
-
-
 class _State:
     def __init__(self, name: str) -> None:
         self._name = name
@@ -99,13 +88,17 @@ class Plant:
         seed: int,
         threads: int = 1,
         first: int = 0,
-        truth: Truth | None = None,
+        payload: Array | float = 0.0,
+        bodies: Sequence[Arm] | None = None,
+        gravity: Array = GRAVITY,
     ) -> None:
-        """Put the arms at rest."""
-        self.arm, truth = arm, truth or Truth()
-        self.count = len(wears)
-        self._pull = np.asarray(truth.gravity, dtype=float)
-        self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
+        """Put the arms at rest.
+
+        The truth: ``payload`` (B,) [kg] at the TCP, ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame.
+        """
+        self.arm, self.count = arm, len(wears)
+        self._pull = np.asarray(gravity, dtype=float)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, float), self.count), bodies)
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -175,28 +168,27 @@ class Plant:
         steps = np.rint(np.broadcast_to(age, self.count) / servo.STEP).astype(np.int64)
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
-    def reset(self, position: Array, where: Mask | None = None) -> None:
+    def reset(self, position: Array) -> None:
         """Put the arms at rest at encoder ``position`` (B, n) [rad]."""
         position = self._checked(position)
-        angle, gear, load = self._balance(position)
-        ids = self._selected(where)
-        self.qpos[ids, 0::2], self.qpos[ids, 1::2] = angle[ids], gear[ids]
-        self.qvel[ids], self._applied[ids] = 0.0, 0.0
-        torque = np.clip(load, -self.joints["torque_limit"], self.joints["torque_limit"])
-        step = self.arm.encoder_step
+        self.qpos[:, 0::2], self.qpos[:, 1::2], load = self._balance(position)
+        self.qvel[:] = self._applied[:] = 0.0
+        limit, step = self.joints["torque_limit"], self.arm.encoder_step
+        torque = np.clip(load, -limit, limit)
         fresh = {
             "measured": np.rint(position / step) * step,
             "measured_speed": 0.0,
             "bristle": 0.0,
             "torque": torque,
-            "load": torque / self.joints["torque_limit"],
+            "load": torque / limit,
+            "powered": True,
+            "frozen": False,
+            "blind": False,
         }
         for name, value in fresh.items():
-            self.servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
-        self.servos["powered"][ids] = True
-        self.servos["frozen"][ids] = self.servos["blind"][ids] = False
-        self._history[ids] = self.servos["measured"][ids][:, None]
-        self._hold(ids, self._held(position, torque))
+            self.servos[name] = value
+        self._history[:] = self.servos["measured"][:, None]
+        self._hold(self._held(position, torque))
 
     def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
@@ -220,15 +212,15 @@ class Plant:
             self._run(np.flatnonzero(steps >= until), int(until) - done)
             done = int(until)
 
-    def set_power(self, on: Mask) -> None:
-        """Switch the servos of each arm (B,). Off: only friction. On: hold."""
-        rising = np.flatnonzero(on & ~self.servos["powered"].all(axis=1))
-        self.servos["powered"] = np.asarray(on)[:, None]
-        self._hold(rising, self.encoder())
+    def set_power(self, on: bool) -> None:
+        """Switch the servos. Off: only friction. On: hold."""
+        if on and not self.servos["powered"].all():
+            self._hold(self.encoder())
+        self.servos["powered"] = on
 
     def halt(self) -> None:
         """Stop the reference and drop pending commands."""
-        self._hold(np.arange(self.count), self.servos["reference"])
+        self._hold(self.servos["reference"])
 
     def freeze(self, joints: Mask) -> None:
         """Freeze the reported encoders of ``joints`` (B, n)."""
@@ -242,9 +234,9 @@ class Plant:
         """Limit the reference's speed [rad/s], above 0: (B, n) or a number."""
         self.servos["speed_limit"] = speed
 
-    def _hold(self, ids: Ids, position: Array) -> None:
-        self._due[ids] = servo.NEVER
-        self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
+    def _hold(self, position: Array) -> None:
+        self._due[:] = servo.NEVER
+        self.servos["goal"] = self.servos["reference"] = position
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -329,23 +321,22 @@ class ServoPlant(Plant, ABC):
     def halt(self) -> None:
         """Stop the reference and drop pending commands."""
         reference = self.status["reference"].reshape(self.count, self.arm.joints, -1)[..., 0]
-        self._hold(np.arange(self.count), reference * self.arm.encoder_step)
+        self._hold(reference * self.arm.encoder_step)
 
-    def _hold(self, ids: Ids, position: Array) -> None:
+    def _hold(self, position: Array) -> None:
         """Set goal and reference to ``position`` (B, n) [rad]."""
-        super()._hold(ids, position)
+        super()._hold(position)
         goal, here = (
-            np.rint(angle[ids] / self.arm.encoder_step).astype(np.int64)
-            for angle in (position, self.servos["measured"])
+            np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
         )
-        self.status[ids] = 0
+        self.status[:] = 0
         known = {"goal": goal, "reference": goal, "position": here}
-        for name, value in (known | self._begin(ids, goal, here)).items():
-            self.status[name].T[..., ids] = value.T
+        for name, value in (known | self._begin(goal, here)).items():
+            self.status[name].T[:] = value.T
 
     @abstractmethod
-    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
-        """Return more of the status of servos that hold ``goal`` from ``here`` (k, n) [counts]."""
+    def _begin(self, goal: Ids, here: Ids) -> dict[str, Ids]:
+        """Return more of the status of servos that hold ``goal`` from ``here`` (B, n) [counts]."""
 
 
 class StsPlant(ServoPlant):
@@ -377,10 +368,10 @@ class StsPlant(ServoPlant):
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:
+    def _begin(self, goal: Ids, here: Ids) -> dict[str, Ids]:
         raw = goal - here
-        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"][ids], 0)
-        self._rings[ids] = np.stack([error, here], axis=-1)[..., None]
+        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
+        self._rings[:] = np.stack([error, here], axis=-1)[..., None]
         return {"filtered": here}
 
 
@@ -406,10 +397,10 @@ class XPlant(ServoPlant):
         self.settings["bias"] = bias[..., None]
         self._x = self.settings, self.status
 
-    def reset(self, position: Array, where: Mask | None = None) -> None:
+    def reset(self, position: Array) -> None:
         """Put the arms at rest at encoder ``position`` (B, n) [rad], restarted."""
-        self.settings["torque_on"][self._selected(where)] = 1
-        super().reset(position, where)
+        self.settings["torque_on"] = 1
+        super().reset(position)
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
@@ -418,7 +409,7 @@ class XPlant(ServoPlant):
         lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
         return position + np.rint(lead) * self.arm.encoder_step
 
-    def _begin(self, ids: Ids, goal: Ids, here: Ids) -> dict[str, Ids]:  # noqa: ARG002 - of all arms alike
+    def _begin(self, goal: Ids, here: Ids) -> dict[str, Ids]:
         return {"aimed": goal, "error": goal - here}
 
 

@@ -56,7 +56,7 @@ class IdealPlant:
         self.goal = self.position.copy()
 
     def set_power(self, on):
-        self.on = bool(on[0])
+        self.on = on
 
     def set_speed_limit(self, speed):
         self.limit = speed

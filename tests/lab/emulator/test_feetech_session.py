@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots.wireserver import Finder
-from rejoint_lab.emulator.faults import parse_faults, size_of
+from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.feetech import FORMAT, StsArm, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, READ, SYNC_READ, SYNC_WRITE, BusSession, Packet
 
@@ -24,7 +24,7 @@ class Client:
         faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
-        arm = StsArm.build(ARM, "so101", resistance=size_of(faults, "sag"))
+        arm = StsArm.build(ARM, "so101")
         self.session = BusSession(arm, faults=faults)
         self.session.clock, self.session.await_data = lambda: self.now, self._await
         self.moved, self.busy, self._execute = [], busy, self.session.arm.execute

@@ -61,7 +61,7 @@ def test_the_chain_is_the_arm():
 def test_with_the_motors_off_energy_is_only_lost(name):
     of = quiet(name)
     plant = Plant(ARM, [of], seed=0)
-    plant.set_power(np.array([False]))
+    plant.set_power(False)
     levels = [energy(plant, of)]
     for _ in range(100):
         plant.advance(0.01)
@@ -73,7 +73,7 @@ def test_with_the_motors_off_energy_is_only_lost(name):
 
 def test_without_power_a_worn_arm_collapses_and_then_rests():
     plant = Plant(ARM, [quiet()], seed=0)
-    plant.set_power(np.array([False]))
+    plant.set_power(False)
     before = plant.true_tcp()[0, 2]
     plant.advance(4.0)
     assert plant.true_tcp()[0, 2] < before - 0.1
@@ -86,9 +86,9 @@ def test_without_power_a_worn_arm_collapses_and_then_rests():
 
 def test_power_on_holds_where_the_arm_is():
     plant = Plant(ARM, [wear("healthy")], seed=0)
-    plant.set_power(np.array([False]))
+    plant.set_power(False)
     plant.advance(0.1)
-    plant.set_power(np.array([True]))
+    plant.set_power(True)
     held = plant.encoder()
     plant.advance(1.0)
     np.testing.assert_allclose(plant.goal, held)

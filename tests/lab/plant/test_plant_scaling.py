@@ -43,8 +43,8 @@ def test_a_heavier_arm_moves_bit_for_bit_in_the_same_way(name):
             plant.advance(0.03)
         np.testing.assert_array_equal(other.link_position(), one.link_position())
     np.testing.assert_array_equal(other.torque, 16.0 * one.torque)
-    one.set_power(np.array([False]))
-    other.set_power(np.array([False]))
+    one.set_power(False)
+    other.set_power(False)
     for _ in range(20):  # down upon the mechanical stops
         one.advance(0.1)
         other.advance(0.1)
