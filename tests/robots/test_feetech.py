@@ -3,6 +3,7 @@
 import json
 import re
 from contextlib import closing, contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech import KIND
-from rejoint.robots.feetech.bus import FeetechBus, FeetechWire, zeros_of
+from rejoint.robots.feetech.bus import FeetechBus, FeetechWire
 from rejoint.robots.knobs import LIMIT, TunedServos
 from rejoint.robots.servobus import STEP, Gripper, Zeros, read_calibration
 from rejoint.robots.wireserver import TerminalServer
@@ -212,8 +213,15 @@ def test_goals_come_back_within_half_a_count(angles, middle):
     assert np.abs(np.subtract(back, angles)).max() <= np.pi / 4096 + 1e-12
 
 
+def zeros_of(homing, low, high, file=None, query=""):
+    """What a bus makes of registers (5,)."""
+    address = place_of(f"feetech://here{query}").detail
+    told = {"homing": np.array(homing), "low": np.full(5, low), "high": np.full(5, high)}
+    return FeetechBus.find_zeros(SimpleNamespace(_arm=ARM, file=file, address=address, get_all=told.get))
+
+
 def test_goals_are_clipped_to_what_the_servos_take():
-    zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), None)
+    zeros = zeros_of([0] * 5, 1000, 3000)
     assert zeros.counts(np.full(5, 3.0)) == [3000] * 5
     assert zeros.counts(np.full(5, -3.0)) == [1000] * 5
     assert (zeros.middle == 2000.0).all()
@@ -222,11 +230,10 @@ def test_goals_are_clipped_to_what_the_servos_take():
 def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
     file = read_calibration(calibration(tmp_path / "a.json"), ARM)
     assert file.ids == ((1,), (2,), (3,), (4,), (5,))
-    limits = np.zeros(5, int), np.full(5, 4095)
-    middle = zeros_of(ARM, file, np.array(HOMING[:5]), *limits, None).middle
+    middle = zeros_of(HOMING[:5], 0, 4095, file).middle
     assert middle.tolist() == ((file.low + file.high) / 2).tolist()
     with pytest.raises(RobotError, match="elbow_flex has a homing offset of 5 counts"):
-        zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, None)
+        zeros_of([*HOMING[:2], 5, *HOMING[3:5]], 0, 4095, file)
     with pytest.raises(InputError, match="needs 5 angles"):
         place_of("feetech://here?zero=1,2").detail.middle(ARM)
     with pytest.raises(InputError, match="ranges must rise"):
@@ -236,10 +243,9 @@ def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
 
 
 def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
-    whole = np.zeros(5, int), np.full(5, 4095)
     with pytest.raises(RobotError, match=r"elbow_flex, wrist_flex may turn by a whole turn.*zero="):
-        zeros_of(ARM, None, np.zeros(5, int), *whole, None)
-    assert zeros_of(ARM, None, np.zeros(5, int), *whole, np.zeros(5)).middle.tolist() == [2047.5] * 5
+        zeros_of([0] * 5, 0, 4095)
+    assert zeros_of([0] * 5, 0, 4095, query="?zero=0,0,0,0,0").middle.tolist() == [2047.5] * 5
     with serving() as server:
         fresh = server.arm.servos[2]  # an elbow with a new servo
         fresh["Min_Position_Limit"], fresh["Max_Position_Limit"] = 0, 4095

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
-from skrl.models.torch import DeterministicMixin, Model
+from skrl.models.torch import Model
 from torch import Tensor, nn
 
 from rejoint.system.records import value_type
@@ -41,8 +41,7 @@ class Actor(Model):  # type: ignore[misc]
     """
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int], log_std: float) -> None:
-        spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
-        Model.__init__(self, **spaces, device="cpu")
+        super().__init__(observation_space=unbounded(observation_size), action_space=unbounded(joints), device="cpu")
         self.net = perceptron((observation_size, *layers, joints))
         with torch.no_grad():
             for parameter in self.net[-1].parameters():
@@ -55,15 +54,13 @@ class Actor(Model):  # type: ignore[misc]
         """Log exploration noise (n,)."""
         return self.free_log_std.clamp(max=self.ceiling)
 
-    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Mean action (..., n) and log noise."""
-        return self.net(inputs["observations"]), {"log_std": self.log_std}
-
-    def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:
+    def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Mean action (..., n) and log density (..., 1) of the actions taken."""
-        mean, outputs = self.compute(inputs, role)
-        apart = (inputs["taken_actions"] - mean) * (-outputs["log_std"]).exp()
+        mean = self.net(inputs["observations"])
+        apart = (inputs["taken_actions"] - mean) * (-self.log_std).exp()
         return mean, {"log_prob": self._log_density(apart)[..., None]}
+
+    compute = act  # which skrl wants, but does not call
 
     def distribution(self, *, role: str = "") -> torch.distributions.Normal:  # noqa: ARG002
         """Distribution of the noise alone, whose width skrl reports."""
@@ -81,25 +78,30 @@ class Actor(Model):  # type: ignore[misc]
         return -0.5 * (apart**2).sum(dim=-1) - constant
 
 
-class Critic(DeterministicMixin, Model):  # type: ignore[misc]
+class Critic(Model):  # type: ignore[misc]
     """Value of an observation and a privileged observation, and of an action if it is ``taken``."""
 
     def __init__(
         self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int], *, taken: bool = False
     ) -> None:
-        spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
-        Model.__init__(self, **spaces, state_space=unbounded(privileged_size), device="cpu")
-        DeterministicMixin.__init__(self)
+        super().__init__(
+            observation_space=unbounded(observation_size),
+            state_space=unbounded(privileged_size),
+            action_space=unbounded(joints),
+            device="cpu",
+        )
         self._inputs = ("observations", "states", *["taken_actions"] * taken)
         self.net = perceptron((observation_size + privileged_size + taken * joints, *layers, 1))
 
-    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+    def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Values (..., 1)."""
         return self.net(torch.cat([inputs[name] for name in self._inputs], dim=-1)), {}
 
+    compute = act
+
     def value(self, observation: Tensor, privileged: Tensor) -> Tensor:
         """Values (...); thread-safe."""
-        values: Tensor = self.compute({"observations": observation, "states": privileged})[0][..., 0]
+        values: Tensor = self.act({"observations": observation, "states": privileged})[0][..., 0]
         return values
 
 
@@ -146,7 +148,6 @@ class Ppo(PPO):  # type: ignore[misc]
         )
         self.optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], fused=True)
         self.init()
-        self.enable_training_mode(True)
 
     def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> None:
         """Improve both networks by one rollout."""
@@ -160,9 +161,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self._current_next_observations = rollout["observation"][-1]
         self._current_next_states = rollout["privileged"][-1]
         self.optimizer.param_groups[0]["lr"] = learning_rate
-        self.enable_models_training_mode(True)
         self.update(timestep=iteration, timesteps=settings.iterations)
-        self.enable_models_training_mode(False)
         self.tracking_data.clear()
 
 

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from skrl.agents.torch.sac import SAC, SAC_CFG
@@ -53,16 +52,11 @@ _LOG_STD = (-5.0, 0.5)  # bounds of the noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
 
 
-def bounded(size: int) -> gymnasium.spaces.Box:
-    """Space of vectors with elements between -1 and 1."""
-    return gymnasium.spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
-
-
 class SquashedActor(Model):  # type: ignore[misc]
     """PPO's perceptron and tanh, with Gaussian noise by observation before it (Haarnoja et al. 2018, appendix C)."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
-        super().__init__(observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
+        super().__init__(observation_space=unbounded(observation_size), action_space=unbounded(joints), device="cpu")
         self.net = perceptron((observation_size, *layers, joints))
         self.log_std = nn.Linear(layers[-1], joints)
         with torch.no_grad():
@@ -82,9 +76,7 @@ class SquashedActor(Model):  # type: ignore[misc]
         density: Tensor = squashed.log_prob(action)  # type: ignore[no-untyped-call]
         return action, {"log_prob": density.sum(dim=-1, keepdim=True)}
 
-    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Mean actions (N, n)."""
-        return torch.tanh(self.net(inputs["observations"])), {}
+    compute = act
 
     def network(self) -> nn.Sequential:
         """Mean policy as layers."""
@@ -155,7 +147,7 @@ def _make_agent(task: ReachTask) -> SAC:
         memory=RandomMemory(memory_size=400, num_envs=task.agents, device="cpu"),
         observation_space=unbounded(size),
         state_space=unbounded(privileged),
-        action_space=bounded(n),
+        action_space=unbounded(n),
         device="cpu",
         cfg=SAC_CFG(
             gradient_steps=2,  # per control cycle

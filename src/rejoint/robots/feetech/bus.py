@@ -11,13 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from scservo_sdk import INST_READ, PKT_ERROR, PKT_ID, PKT_PARAMETER0, PortHandler, sms_sts
 
-from rejoint.arms import Arm, Array
 from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import Wire
 from rejoint.robots.feetech import KIND, torque_share
-from rejoint.robots.servobus import STEP, VOLT, Counts, MotorRanges, ServoBus, Zeros, listed, trouble
+from rejoint.robots.servobus import STEP, VOLT, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import shielded
@@ -58,6 +57,8 @@ MEASURED = ("position", "load", "voltage", "heat", "status", "target")
 """Registers of a cycle"""
 PROMPT = 254
 """[100 counts/s^2] as LeRobot sets it"""
+TURNING = np.radians(300.0)
+"""[rad] range of a joint that may turn fully (chosen: LeRobot does so with a wrist)"""
 
 
 class FeetechBus(ServoBus):
@@ -78,10 +79,23 @@ class FeetechBus(ServoBus):
             )
 
     def find_zeros(self) -> Zeros:
-        """Read zeros from servos and file."""
+        """Read zeros from servos, or a file; at mid-range 0 or what the address says. RobotError."""
+        arm, file = self._arm, self.file
         homing, low, high = map(self.get_all, ("homing", "low", "high"))
-        unsaid = not self.address.zero
-        return zeros_of(self._arm, self.file, homing, low, high, None if unsaid else self.address.middle(self._arm))
+        zero = self.address.middle(arm)
+        if file is not None:
+            file.require(arm, homing)
+        limited = low < high
+        low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
+        least, most = (low, high) if file is None else (file.low, file.high)
+        whole = (most - least >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
+        if whole.any() and not self.address.zero:
+            raise RobotError(
+                f"{listed(np.array(arm.joint_names)[whole])} may turn by a whole turn, as servos do that were never "
+                "calibrated: zero is unknown; run lerobot-calibrate, or say by zero=DEG,DEG,... what angle each joint "
+                "has in the middle of its range"
+            )
+        return Zeros(middle=(least + most) / 2, zero=zero, low=low, high=high, step=np.full(arm.joints, STEP))
 
     def set_up(self) -> None:
         """Lock the memory, and let the servos be prompt."""
@@ -125,27 +139,3 @@ class FeetechBus(ServoBus):
         self.gains = self.read_gains()
         if any(self.gains[name] != tuple(values) for name, values in gains.items()):
             raise RobotError(f"the servos have not taken the gains; they are {self.gains}")
-
-
-TURNING = np.radians(300.0)
-"""[rad] range of a joint that may turn fully (chosen: LeRobot does so with a wrist)"""
-
-
-def zeros_of(
-    arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, turned: Array | None
-) -> Zeros:
-    """Zeros from servo offsets and limits (n,); ``turned`` (n,) [rad] in mid-range, None: unsaid. RobotError."""
-    if file is not None:
-        file.require(arm, homing)
-    limited = low < high
-    low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
-    least, most = (low, high) if file is None else (file.low, file.high)
-    whole = (most - least >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
-    if whole.any() and turned is None:
-        raise RobotError(
-            f"{listed(np.array(arm.joint_names)[whole])} may turn by a whole turn, as servos do that were never "
-            "calibrated: zero is unknown; run lerobot-calibrate, or say by zero=DEG,DEG,... what angle each joint has "
-            "in the middle of its range"
-        )
-    zero = np.zeros(arm.joints) if turned is None else turned
-    return Zeros(middle=(least + most) / 2, zero=zero, low=low, high=high, step=np.full(arm.joints, STEP))
