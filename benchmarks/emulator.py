@@ -19,7 +19,7 @@ from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.wire import FORMAT, MAX_PAYLOAD, ROWS, Frame, answer, encode, pack_angles
 from rejoint.robots.wireserver import Finder, Server
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
-from rejoint_lab.emulator.servers import Timing, WireSession, on_port
+from rejoint_lab.emulator.servers import WireSession, on_port
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""
@@ -165,7 +165,9 @@ def _bench_fuzz(firmware: Firmware) -> None:
 
 
 def _bench_connections(firmware: Firmware) -> None:
-    with on_port(WireSession(firmware, timing=Timing(state=0.0, acknowledgement=0.0))) as server:
+    session = WireSession(firmware)
+    session.state = session.acknowledgement = 0.0
+    with on_port(session) as server:
         drop_connections(server, 500, seed=1)
         time.sleep(0.2)  # for the last ones to be noticed
         before, began = (resident(), descriptors(), threading.active_count()), time.perf_counter()

@@ -230,7 +230,7 @@ def _driven(title: str, arm: Arm, family: ArmFamily, twins: list[Twin]) -> None:
     variant, judge = find_variant("anywhere"), Judge(arm)
     targets, ways = targets_anywhere(arm, family, twins)
     plan_of = schedule("hold", Protocol(hold=3.0), keep_going=True)
-    controller = classical("feedforward").make(arm, twins)
+    controller = classical("feedforward").make(twins, arm)
     recording = run(open_family(arm, variant, family), controller, TargetSequence(arm, targets, ways=ways), plan_of)
     planned = [judge.nearest(_dense(way)) for row in ways for way in row]
     driven, late = [], []

@@ -42,7 +42,7 @@ from rejoint.robots.mycobot.bus import MyCobot280Socket
 from rejoint.robots.mycobot.wire import Frame, answer, encode, flag, pack_angles, pack_coords
 from rejoint.session.serving import Serving
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing, WireSession, on_port
+from rejoint_lab.emulator.servers import WireSession, on_port
 
 ARM = mycobot280()
 SPEED = 50
@@ -362,7 +362,7 @@ def main(
             await_rest(client)
             bare, bare_reads = play(client), read_times(client)
         with (
-            on_port(WireSession(build_firmware(ARM, "worn"), timing=Timing())) as emulator,
+            on_port(WireSession(build_firmware(ARM, "worn"))) as emulator,
             served(
                 emulator.address, folder, listen="127.0.0.1:0", settings=rejoint.Settings(controller=controller)
             ) as (address, ends),

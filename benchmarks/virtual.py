@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from rejoint_lab.emulator.faults import Faults
 from rejoint_lab.emulator.firmware import Firmware
-from rejoint_lab.emulator.servers import Timing, WireSession
+from rejoint_lab.emulator.servers import WireSession
 
 START = 1e6
 """[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""
@@ -28,17 +28,17 @@ class VirtualClient:
     """Asks ``requests`` one after the other, each when the answer to the last is there or ``patience`` [s] is over."""
 
     def __init__(
-        self, firmware: Firmware, *, timing: Timing | None = None, faults: Faults | None = None, seed: int = 0
+        self, firmware: Firmware, *, timing: dict[str, float] | None = None, faults: Faults | None = None, seed: int = 0
     ) -> None:
         self.now = START
         self.end = math.inf
         """when [s] the session ends by itself"""
         self.session = WireSession(
             firmware,
-            timing=timing or Timing(),
             seed=seed,
             faults=faults or {},
         )
+        vars(self.session).update(timing or {})
         self.session.clock, self.session.await_data = lambda: self.now, self._await
         self.sent: Callable[[float, bytes], object] = lambda _now, _data: None
         """is told what the robot sends, and when [s]"""

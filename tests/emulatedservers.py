@@ -14,12 +14,18 @@ from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
 
 
+def _session(firmware: Firmware, timing: dict[str, float] | None = None, **options: Any) -> WireSession:
+    session = WireSession(firmware, **options)
+    vars(session).update(timing or {})
+    return session
+
+
 def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 0, **options: Any) -> Server:
-    return on_port(WireSession(firmware, **options), host, port)
+    return on_port(_session(firmware, **options), host, port)
 
 
 def serve_pty(firmware: Firmware, **options: Any) -> Server:
-    return TerminalServer(WireSession(firmware, **options))
+    return TerminalServer(_session(firmware, **options))
 
 
 HEARD = (

@@ -25,13 +25,12 @@ from rejoint.robots.mycobot.bus import MyCobotBus  # noqa: F401 - the client wit
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
 TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
-TIMING = Timing(state=0.004, acknowledgement=0.003)
+TIMING = {"state": 0.004, "acknowledgement": 0.003}
 PERIOD = 0.04
 
 

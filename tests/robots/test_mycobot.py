@@ -32,7 +32,6 @@ from rejoint.system.errors import (
     StaleReplyError,
 )
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 
@@ -287,7 +286,7 @@ def test_something_else_behind_the_port_is_named(awake):
 def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     """The integrator reaches what the default misses by centimetres; no answer is lost."""
     firmware = build_firmware(ARM, "worn")
-    timing = Timing(state=0.003, acknowledgement=0.002)
+    timing = {"state": 0.003, "acknowledgement": 0.002}
     with (
         serve_tcp(firmware, port=0, timing=timing)
         if transport == "tcp"

@@ -121,7 +121,7 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
         np.testing.assert_allclose(wanted.goal[0], goal)
         distance = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, goal + off))
         assert ends[0].error == pytest.approx(distance, abs=1e-9)
-        assert served.in_position(goal) == (off == 0.0)
+        assert served.is_at(goal) == (off == 0.0)
 
 
 def test_a_stopped_arm_is_held_where_it_stands():

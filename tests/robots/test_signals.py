@@ -19,7 +19,6 @@ from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
-from rejoint_lab.emulator.servers import Timing
 from rejoint_lab.plant.wear import load_wear
 
 pytestmark = pytest.mark.realtime
@@ -56,7 +55,7 @@ def stops(monkeypatch):
 @pytest.mark.parametrize(("transport", "signals"), [("tcp", 60), ("pty", 40)])
 def test_every_signal_stops_the_arm_within_one_control_period(transport, signals, stops):
     rng = np.random.default_rng(5)
-    timing = Timing(state=0.004, acknowledgement=0.003)
+    timing = {"state": 0.004, "acknowledgement": 0.003}
     firmware = build_firmware(ARM, "worn")
     serve = serve_pty(firmware, timing=timing) if transport == "pty" else serve_tcp(firmware, port=0, timing=timing)
     late = []

@@ -44,8 +44,7 @@ from rejoint.robots.mycobot.wire import (
     Frame,
     Sensed,
     answer,
-    at_angles,
-    at_place,
+    at,
     encode,
     flag,
 )
@@ -209,19 +208,11 @@ class ServedArm(Computer, Reference):
         """Whether a move or its last approach is under way."""
         return not self.motion.paused and (self.motion.moving or not self._settled)
 
-    def in_position(self, angles: Array) -> bool:
-        """Whether the arm is at ``angles`` (n,) [rad], after the move."""
-        if at_angles(self.planned_angles, angles):
-            return self._has_come(self.pose_at(angles))
-        return super().in_position(angles)
-
-    def at_pose(self, pose: Array) -> bool:
-        """Whether the tool is at ``pose`` (4, 4), after the move."""
-        if at_place(self.planned_pose(), pose):
-            return self._has_come(pose)
-        return super().at_pose(pose)
-
-    def _has_come(self, pose: Array) -> bool:
+    def is_at(self, goal: Array) -> bool:
+        """Whether the arm is at angles (n,) [rad], or its tool at a pose (4, 4), after the move."""
+        planned, pose = (self.planned_angles, self.pose_at(goal)) if goal.ndim == 1 else (self.planned_pose(), goal)
+        if not at(planned, goal):
+            return super().is_at(goal)
         return not self.moving and bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < ARRIVED_LENGTH)
 
     # --- what clients order -----------------------------------------------------------------

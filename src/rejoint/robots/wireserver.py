@@ -66,8 +66,7 @@ class Finder(Generic[R]):
             if frame is not None:
                 frames.append(frame)
             self.rest = self.rest[1 if frame is None else size :]
-        begun = next(size for size in range(len(header) - 1, -1, -1) if self.rest.endswith(header[:size]))
-        self.rest = self.rest[len(self.rest) - begun :]
+        self.rest = self.rest[1 - len(header) :]
         return frames
 
     def expire(self) -> list[R]:

@@ -7,7 +7,7 @@ software leaves in the servos). Where the manual is silent, a comment says what 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import takewhile
 from typing import Any
 
@@ -45,21 +45,13 @@ _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
 _CLEAR = b"\x01DXL\x22"
 
 
-def _table() -> Iterator[int]:
-    for word in range(0, 0x10000, 0x100):
-        for _ in range(8):
-            word = word << 1 ^ (0x8005 if word & 0x8000 else 0)
-        yield word & 0xFFFF
-
-
-_CRC = tuple(_table())
-
-
 def crc(data: bytes) -> bytes:
     """CRC-16 of a packet: polynomial 0x8005."""
     found = 0
     for byte in data:
-        found = (found << 8 & 0xFFFF) ^ _CRC[found >> 8 ^ byte]
+        found ^= byte << 8
+        for _ in range(8):
+            found = found << 1 ^ (0x18005 if found & 0x8000 else 0)
     return found.to_bytes(2, "little")
 
 

@@ -139,7 +139,8 @@ class WireFaults:
 
     def pieces(self, request: bytes, answer: bytes) -> list[bytes]:
         """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
-        hit = {name for name in _CHANCES if name in self._faults and self._hits(name)}
+        chances = {name: size_of(self._faults, name) for name in _CHANCES if name in self._faults}
+        hit = {name for name, chance in chances.items() if self._streams[name].random() < chance}
         if "stale" in self._faults:
             key = request[3], answer[: 5 if answer[2:4] == b"\xfd\x00" else 4]  # Dynamixel's has the ID behind
             asked, answered = self._earlier.get(key, (b"", b""))
@@ -160,9 +161,6 @@ class WireFaults:
         answer *= 1 + ("double" in hit)
         cut = self._cut("split", answer) if "split" in hit else len(answer)
         return [answer[:cut], answer[cut:]] if cut < len(answer) else [answer]
-
-    def _hits(self, name: str) -> bool:
-        return bool(self._streams[name].random() < size_of(self._faults, name))
 
     def _cut(self, name: str, answer: bytes) -> int:
         return int(self._streams[name].integers(1, max(len(answer), 2)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -60,35 +60,14 @@ MAX_CATCH_UP = 1.0
 """[s] caught up at once; longer suspensions are skipped (chosen)"""
 
 
-class Timing(NamedTuple):
-    """Answer times, as measured on a myCobot 280."""
-
-    state: float = 0.012
-    """[s] to a state's answer"""
-    acknowledgement: float = 0.008
-    """[s] to an acknowledgement"""
-    jitter: float = 0.1
-    """relative deviation of both (chosen)"""
-    tick: float = 0.010
-    """[s] longest step of the plant (chosen)"""
-    pace: float = 1.0
-    """simulated seconds per second; 1 with a controller"""
-
-
 class EmulatedConversation(Conversation[R]):
     """Lets the time of an emulated arm pass, and applies faults."""
 
-    def __init__(
-        self,
-        arm: EmulatedArm,
-        *,
-        timing: Timing | None = None,
-        seed: int = 0,
-        log: TruthLog | None = None,
-        faults: Faults = NONE,
-    ) -> None:
-        self._timing = timing or Timing()
-        self._emulated, self.tick, self._log = arm, self._timing.tick, log
+    tick, pace = 0.010, 1.0
+    """[s] longest step of the plant (chosen), and simulated seconds per second: 1 with a controller"""
+
+    def __init__(self, arm: EmulatedArm, *, seed: int = 0, log: TruthLog | None = None, faults: Faults = NONE) -> None:
+        self._emulated, self._log = arm, log
         self._wire = WireFaults(faults, seed)
         arm.faults = faults
         # when the first byte came
@@ -153,7 +132,7 @@ class EmulatedConversation(Conversation[R]):
         if now - self._now >= 1e-3:
             if self._began is not None:
                 self._emulated.suffer(self._elapsed(now))
-            self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
+            self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self.pace)
             self._now = now
             if self._log is not None:
                 self._log.write(now, self._emulated)
@@ -165,9 +144,11 @@ READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
 
 
 class WireSession(EmulatedConversation[Frame]):
-    """One arm's ``firmware`` with the answer times ``timing``."""
+    """One arm's ``firmware``, with answer times as measured on a myCobot 280."""
 
     wire_format = FORMAT
+    state, acknowledgement, jitter = 0.012, 0.008, 0.1
+    """[s] to the answer of a state and an acknowledgement, and relative deviation of both (chosen)"""
 
     def __init__(self, firmware: Firmware, *, seed: int = 0, **options: Any) -> None:  # noqa: ANN401
         super().__init__(firmware, seed=seed, **options)
@@ -180,8 +161,8 @@ class WireSession(EmulatedConversation[Frame]):
             return
         if request.command in READINGS:
             self._emulated.was_read()
-        mean = self._timing.state if request.command not in COMMANDS else self._timing.acknowledgement
-        delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
+        mean = self.state if request.command not in COMMANDS else self.acknowledgement
+        delay = mean * max(0.0, 1.0 + self.jitter * self._rng.standard_normal())
         self.wait(None, self.clock() + delay + self._wire.delay)
         self._say(channel, self._wire.pieces(encode(request), encode(reply)))
 

@@ -425,11 +425,6 @@ class BusSession(EmulatedConversation[Packet]):
         # until when the wire is busy
         self._free = 0.0
 
-    def converse(self, channel: ByteStream) -> None:
-        """Serve one client until it is gone or the end."""
-        self.arm.rate = None
-        super().converse(channel)
-
     def _answer(self, channel: ByteStream, request: Packet) -> None:
         self._catch_up()
         self.arm.rate, sent = rate_of(channel), self.wire_format.write(request)

@@ -8,10 +8,9 @@ from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.wire import Frame, encode, pack_angles
 from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint_lab.emulator.faults import Fault, WireFaults, parse_faults
-from rejoint_lab.emulator.servers import Timing
 
 ARM = mycobot280()
-PROMPT = Timing(state=0.01, acknowledgement=0.01, jitter=0.0)
+PROMPT = {"state": 0.01, "acknowledgement": 0.01, "jitter": 0.0}
 GET_ANGLES = encode(Frame(0x20))
 ANGLES = bytes.fromhex("FE FE 0E 20 07D0 0000 DECC FE0C 0000 0000 FA")
 POSTURE = ARM.rest + np.radians([10.0, 0.0, 0.0, 0.0, 0.0, 0.0])

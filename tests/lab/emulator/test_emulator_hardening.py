@@ -15,12 +15,11 @@ from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.motion import MAX_QUEUE
 from rejoint.robots.mycobot.wire import Frame, answer, encode, pack_angles
 from rejoint_lab.emulator.firmware import MAX_WRITES
-from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
-AT_ONCE = Timing(state=0.0, acknowledgement=0.0)
+AT_ONCE = {"state": 0.0, "acknowledgement": 0.0}
 
 
 def test_fuzzed_frames_never_raise_and_leave_a_posture(worn):

@@ -15,11 +15,10 @@ from reaching import place
 
 from emulatedservers import serve_pty, serve_tcp
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator.servers import Timing
 
 pytestmark = pytest.mark.realtime
 
-QUICK = Timing(state=0.001, acknowledgement=0.001)
+QUICK = {"state": 0.001, "acknowledgement": 0.001}
 GET_ANGLES = bytes.fromhex("FE FE 02 20 FA")
 ANGLES = bytes.fromhex("FE FE 0E 20 07D0 0000 DECC FE0C 0000 0000 FA")
 IS_POWER_ON = bytes.fromhex("FE FE 02 12 FA")

@@ -10,10 +10,9 @@ from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.mycobot.bus import MyCobot280, MyCobot280Socket
 from rejoint_lab.emulator.firmware import build_firmware
-from rejoint_lab.emulator.servers import Timing
 
 ARM = mycobot280()
-QUICK = Timing(state=0.002, acknowledgement=0.001, pace=4.0)
+QUICK = {"state": 0.002, "acknowledgement": 0.001, "pace": 4.0}
 REST = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
 pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")]
 

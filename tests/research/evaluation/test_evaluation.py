@@ -55,7 +55,7 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
 def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_result(tmp_path):
     made = []
 
-    def make(arm, _twins):
+    def make(_twins, arm):
         made.append(arm)
         return IntegratorController(arm)
 

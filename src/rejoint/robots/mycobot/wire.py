@@ -116,14 +116,11 @@ ARRIVED_ANGLE, ARRIVED_LENGTH = float(np.radians(1.0)), 0.003
 """[rad], [m] (chosen)"""
 
 
-def at_angles(here: Array, angles: Array) -> bool:
-    """Whether ``here`` (n,) [rad] is within a degree of ``angles``."""
-    return bool((np.abs(here - angles) < ARRIVED_ANGLE).all())
-
-
-def at_place(here: Array, pose: Array) -> bool:
-    """Whether ``here`` (4, 4) is within 3 mm and a degree of ``pose``."""
-    shift, turn = np.linalg.norm(difference(here, pose).reshape(2, 3), axis=1)
+def at(here: Array, goal: Array) -> bool:
+    """Whether angles (n,) [rad] are within a degree of a goal, or a pose (4, 4) within 3 mm and a degree."""
+    if goal.ndim == 1:
+        return bool((np.abs(here - goal) < ARRIVED_ANGLE).all())
+    shift, turn = np.linalg.norm(difference(here, goal).reshape(2, 3), axis=1)
     return bool(shift < ARRIVED_LENGTH and turn < ARRIVED_ANGLE)
 
 
@@ -195,13 +192,9 @@ class Computer(ABC):
         """(4, 4) TCP pose."""
         return self.pose_at(self.angles)
 
-    def in_position(self, angles: Array) -> bool:
-        """Whether the arm is at ``angles`` (n,) [rad], as `at_angles`."""
-        return at_angles(self.angles, angles)
-
-    def at_pose(self, pose: Array) -> bool:
-        """Whether the TCP is at ``pose`` (4, 4), as `at_place`."""
-        return at_place(self.pose, pose)
+    def is_at(self, goal: Array) -> bool:
+        """Whether the arm is at angles (n,) [rad], or its TCP at a pose (4, 4), as `at`."""
+        return at(self.angles if goal.ndim == 1 else self.pose, goal)
 
     @property
     def planned_angles(self) -> Array:
@@ -336,7 +329,7 @@ class Computer(ABC):
 
     def is_there(self, place: bytes, is_pose: int) -> bool:
         """Whether the arm has come to a pose, or to angles."""
-        return self.at_pose(to_pose(unpack_coords(place))) if is_pose else self.in_position(unpack_angles(place))
+        return self.is_at(to_pose(unpack_coords(place)) if is_pose else unpack_angles(place))
 
     def encoder(self, joint: int | None) -> bytes:
         """Return the encoder count of a joint; -1: no gripper."""

@@ -77,7 +77,7 @@ class Contestant(NamedTuple):
 
     name: str
     """unique, such as ``policy default #0``"""
-    make: Callable[[Arm, Sequence[Twin]], Controller]
+    make: Callable[[Sequence[Twin], Arm], Controller]
     """from the twins of the arms, if they have any"""
     identity: str
     """changes with everything that the behaviour depends on, except the software"""
@@ -85,10 +85,6 @@ class Contestant(NamedTuple):
     """whether it is compared with all others, and is no rival itself"""
     calibrations: Callable[[Variant], Sequence[Calibration]] | None = None
     """of each arm, where they correct its targets"""
-
-    def on(self, twins: Sequence[Twin]) -> Callable[[Arm], Controller]:
-        """Make the controller of arms with these twins."""
-        return lambda arm: self.make(arm, twins)
 
 
 KNOWN = (*BASELINES, *RIVALS, SHELF)
@@ -102,7 +98,7 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
     own = (gains or {}).get(name) or (RIVALS[name].tuned if name in RIVALS else {})
     shelf = _digest(*(shelf_path(arm) for arm in shelf_arms())) if name == SHELF else ""
 
-    def make(arm: Arm, twins: Sequence[Twin]) -> Controller:
+    def make(twins: Sequence[Twin], arm: Arm) -> Controller:
         if name in RIVALS:
             return make_rival(name, arm, own)
         if name == PREDICTIVE and twins:
@@ -128,7 +124,7 @@ def learned(path: Path, arm: Arm) -> Contestant:
     """Policy from a file; FileError or ContractError for a wrong one."""
     contract = load_policy(path, arm).contract
     name = f"policy {contract.preset}{' on its twin' if contract.twin_digest else ''} #{contract.seed}"
-    return Contestant(name, lambda arm, _: load_policy(path, arm), _digest(path), ours=True)
+    return Contestant(name, lambda _, arm: load_policy(path, arm), _digest(path), ours=True)
 
 
 def _digest(*files: Path) -> str:
@@ -199,7 +195,7 @@ def evaluate(
             columns = try_on(
                 arm,
                 partial(open_family, arm, variant, family),
-                one.on(known),
+                partial(one.make, known),
                 family,
                 (targets, ways),
                 calibrations,

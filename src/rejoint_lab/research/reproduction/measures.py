@@ -354,7 +354,9 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
             f"emulated:{profile}", arm=bench.arm, seed=seed, count=count, threads=bench.threads
         ),
         {
-            name: classical(name).on(()) if name in NAMES else partial(load_policy, bench.training(name).policy)
+            name: partial(classical(name).make, ())
+            if name in NAMES
+            else partial(load_policy, bench.training(name).policy)
             for name in names
         },
         bench.targets,
