@@ -13,6 +13,7 @@ import os
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -320,6 +321,9 @@ class OrderLog:
 RELAY_PATIENCE = 0.25
 """[s] for which the server waits (chosen: clients over TCP give up after 0.3)"""
 
+SILENT = 2
+"""Lost answers in a row after which a command is not passed on again (chosen: one may be lost on the wire)"""
+
 Passes = Callable[[int, bytes], bytes | None]
 """Asks the robot by id and payload; None: no answer"""
 
@@ -364,7 +368,7 @@ class Clients(Conversation[Frame]):
         self._served, self._log, self._passes, self._say, self._listener = served, log, passes, say, listener
         self._number: int | None = None
         self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on
-        self._silent: set[int] = set()  # commands that the robot does not answer
+        self._lost = Counter[int]()  # answers of the robot to a command, the last ones in a row
         self._said: dict[str, float] = {}  # refusal -> when [s] it was said last
 
     def server(self) -> Server:
@@ -433,10 +437,11 @@ class Clients(Conversation[Frame]):
 
     def _pass_on(self, request: Frame) -> Frame | None:
         found, future = None, Future[bytes | None]()
-        if self._passes is not None and request.command not in self._silent:
+        if self._passes is not None and self._lost[request.command] < SILENT:
             self._waiting = request, future
             with contextlib.suppress(TimeoutError):
                 found = future.result(RELAY_PATIENCE)
+            future.cancel()  # what the log calls not done is not done later
         if request.command not in _ASKS:
             why = "" if found is not None else "the robot does not answer it, or its driver cannot pass it on"
             self._log.ordered(request.command, request.payload, done=found is not None, why=why)
@@ -445,13 +450,12 @@ class Clients(Conversation[Frame]):
     def relay(self) -> None:
         """Pass on what waits for the robot; for the control loop."""
         waiting, self._waiting = self._waiting, None
-        if waiting is None or self._passes is None:
+        if waiting is None or self._passes is None or not waiting[1].set_running_or_notify_cancel():
             return
         (request, future), answer = waiting, None
         with contextlib.suppress(RobotError):
             answer = self._passes(request.command, request.payload)
-        if answer is None:
-            self._silent.add(request.command)
+        self._lost[request.command] = 0 if answer is not None else self._lost[request.command] + 1
         future.set_result(answer)
 
     def _say_again(self, about: str, line: str) -> None:
