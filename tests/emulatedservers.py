@@ -14,9 +14,9 @@ from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
 
 
-def _session(firmware: Firmware, timing: dict[str, float] | None = None, **options: Any) -> WireSession:
+def _session(firmware: Firmware, timing: Any = (), **options: Any) -> WireSession:
     session = WireSession(firmware, **options)
-    vars(session).update(timing or {})
+    vars(session).update(timing)
     return session
 
 

@@ -176,7 +176,7 @@ def tune(
         for k, (name, rival) in enumerate(chosen.items()):
             ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")
             tuned[name] = search(arm, ranges, rival, ahead, generations=generations, seed=seed)
-    write_json(out, known | tuned)
+            write_json(out, known | tuned)
     for name, gains in tuned.items():
         call.table(f"Gains of {name}", ["gain", "value"], [(gain, str(value)) for gain, value in gains.items()])
     call.result(f"Next: rejoint research evaluate --controllers {','.join(chosen)} --gains {out}")

@@ -11,9 +11,11 @@ ARM = mycobot280()
 
 
 def test_it_leaves_a_policy_that_loads(tmp_path):
-    result = train_offpolicy(ARM, None, out=tmp_path, cycles=36, agents=8, seed=3)
+    gains = {"p": (32,) * 6}
+    result = train_offpolicy(ARM, None, tmp_path, servo_gains=gains, cycles=36, agents=8, seed=3)
     controller = load_policy(result.policy, ARM)
-    assert (controller.contract.preset, controller.contract.seed) == ("sac", 3)
+    contract = controller.contract
+    assert (contract.preset, contract.seed, contract.servo_gains) == ("sac", 3, gains)
     assert result.steps == 36 * 8
     assert np.isfinite(result.reward)
 

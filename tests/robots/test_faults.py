@@ -42,9 +42,7 @@ def awake(monkeypatch):
 
 def drive(fault, *, dwell=2.0, seed=0):
     """Drive to two targets with a fault; returns the recording and what ended it."""
-    with serve_tcp(
-        build_firmware(ARM, "worn"), port=0, timing=TIMING, faults=parse_faults(fault, 6), seed=seed
-    ) as server:
+    with serve_tcp(build_firmware(ARM, "worn"), timing=TIMING, faults=parse_faults(fault, 6), seed=seed) as server:
         robot = open_robot(server.address, period=(PERIOD, PERIOD))
         try:
             return run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=dwell)), None
@@ -170,7 +168,7 @@ def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
     """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
     firmware = build_firmware(ARM, "worn")
     begin = firmware.planned_angles
-    with serve_tcp(firmware, port=0) as server:
+    with serve_tcp(firmware) as server:
         process = deploy(server.address, firmware, tmp_path / "run", 0.1)
         process.send_signal(signal.SIGKILL)
         process.communicate(timeout=30)

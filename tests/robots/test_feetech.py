@@ -43,9 +43,8 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 
 @contextmanager
 def serving(fault="", *, pty=False, arm=None):
-    faults = parse_faults(fault, 5)
     arm = arm or StsArm.build(ARM, "so101")
-    with (TerminalServer if pty else on_port)(BusSession(arm, faults=faults)) as server:
+    with (TerminalServer if pty else on_port)(BusSession(arm, faults=parse_faults(fault, 5))) as server:
         server.arm = arm
         yield server
 

@@ -54,8 +54,8 @@ def test_lerobot_connects_calibrates_moves_and_disconnects():
 
 
 def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
-    koch, floating = load_arm("koch"), np.zeros(3)  # limp for its calibration, it would fall
-    arm = dynamixel.XArm(koch, load_wear("new", koch), gravity=floating)
+    koch = load_arm("koch")
+    arm = dynamixel.XArm(koch, load_wear("new", koch), gravity=np.zeros(3))  # limp for its calibration, it would fall
     seen = judged(BusSession(arm))
     assert seen["models"] == [1060, 1200]
     assert [seen["held"][name][0] for name in NAMES] == list(dynamixel.FITTINGS["koch"].homing)

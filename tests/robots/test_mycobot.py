@@ -286,12 +286,8 @@ def test_something_else_behind_the_port_is_named(awake):
 def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     """The integrator reaches what the default misses by centimetres; no answer is lost."""
     firmware = build_firmware(ARM, "worn")
-    timing = {"state": 0.003, "acknowledgement": 0.002}
-    with (
-        serve_tcp(firmware, port=0, timing=timing)
-        if transport == "tcp"
-        else serve_pty(firmware, timing=timing) as server
-    ):
+    serve = serve_tcp if transport == "tcp" else serve_pty
+    with serve(firmware, timing={"state": 0.003, "acknowledgement": 0.002}) as server:
         robot = open_robot(server.address, period=(0.02, 0.03), seed=1)
         recording = run(robot, IntegratorController(ARM), np.array([[[0.2, -0.03, 0.2]]]), Schedule(dwell=3.0))
         robot.stop()

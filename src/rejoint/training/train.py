@@ -35,6 +35,7 @@ from rejoint.control.controllers.policy import (
     probe_observations,
     seal,
 )
+from rejoint.control.servogains import ServoGains
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import write_parquet
 from rejoint.system.errors import ContractError
@@ -69,7 +70,7 @@ class TrainingOptions:
     """updates; default: the preset's"""
     snapshot_every: int | None = None
     """updates between kept policies, the untrained one first; None: none"""
-    servo_gains: dict[str, tuple[int, ...]] | None = None
+    servo_gains: ServoGains | None = None
     """of the identified servos, for the contract"""
     ranges: Ranges | None = None
     """arms to train on; default: by the twin, else broad ones"""
@@ -105,8 +106,8 @@ class TrainingResult:
     wall_s: float
 
 
-Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy and writes what `rejoint.logs.runfolder.RunFolder` names for it into a folder"""
+Trainer = Callable[[Arm, Twin | None, Path, Progress, ServoGains | None], TrainingResult]
+"""Trains a policy, with gains in its contract, and writes what `rejoint.logs.runfolder.RunFolder` names for it"""
 
 
 def train(
@@ -128,7 +129,7 @@ def train(
         recipe = replace(recipe, ppo=recipe.warm)
     learner = make_learner(arm, twin, recipe, options, start)
     total = recipe.ppo.iterations
-    contract = replace(policy_contract(arm, twin, recipe, options.seed), servo_gains=options.servo_gains)
+    contract = policy_contract(arm, twin, recipe, options.seed, options.servo_gains)
     while learner.iteration < total:
         if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
             export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
@@ -180,7 +181,9 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     return replace(recipe, task=replace(recipe.task, law=law, hold_steps=round(recipe.task.hold_steps * size**0.5)))
 
 
-def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> PolicyContract:
+def policy_contract(
+    arm: Arm, twin: Twin | None, recipe: Preset, seed: int, servo_gains: ServoGains | None = None
+) -> PolicyContract:
     """Make the contract of a policy."""
     return PolicyContract(
         arm=arm.name,
@@ -198,6 +201,7 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> P
         preset=recipe.name,
         seed=seed,
         software=__version__,
+        servo_gains=None if servo_gains is None else dict(servo_gains),
     )
 
 

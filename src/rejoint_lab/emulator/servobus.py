@@ -225,8 +225,9 @@ class ServoArm(EmulatedArm, Generic[S]):
         """Let faults begin; ``elapsed`` [s] after the first byte."""
         same, without = self._begun("same"), self.unpowered
         super().suffer(elapsed)
+        first = {servo.joint: servo for servo in reversed(self.servos)}
         for joint in np.flatnonzero(self._begun("same") & ~same).tolist():
-            self.servos[joint]["ID"] = self.servos[joint - 1 if joint else 1].number
+            first[joint]["ID"] = first[joint - 1 if joint else 1].number
         if self.unpowered and not without:
             for servo in self.servos:
                 self.restart(servo)
@@ -248,7 +249,8 @@ class ServoArm(EmulatedArm, Generic[S]):
         """Servos, from 0, that neither hear nor answer."""
         if self.unpowered:
             return {*range(len(self.servos))}
-        return {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
+        joints = {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
+        return {k for k, servo in enumerate(self.servos) if servo.joint in joints}
 
     @abstractmethod
     def restart(self, servo: S) -> None:

@@ -19,6 +19,7 @@ from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
 from rejoint.arms import Arm
+from rejoint.control.servogains import ServoGains
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.learner import (
@@ -93,6 +94,7 @@ def train_offpolicy(
     twin: Twin | None,
     out: Path,
     on_progress: Progress = no_progress,
+    servo_gains: ServoGains | None = None,
     *,
     seed: int,
     cycles: int = CYCLES,
@@ -113,7 +115,8 @@ def train_offpolicy(
                 curve.append(next_point(stacked(done), curve, noise=agent.policy.spread, seconds=seconds))
                 done, began = [], time.perf_counter()
                 on_progress((cycle + 1) / cycles, describe(curve[-1]))
-    return finish_training(RunFolder(out), agent.policy.network(), policy_contract(arm, twin, recipe, seed), curve)
+    contract = policy_contract(arm, twin, recipe, seed, servo_gains)
+    return finish_training(RunFolder(out), agent.policy.network(), contract, curve)
 
 
 def _interact(agent: SAC, task: ReachTask, clock: dict[str, int], before: Rollout) -> Rollout:

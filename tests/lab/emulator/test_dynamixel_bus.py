@@ -118,6 +118,15 @@ def write(bus, servo, address, value, size=4):
     return error
 
 
+def test_faults_hit_the_servos_of_their_joint():
+    bus = made("vx300s")
+    bus.faults = parse_faults("mute=3@0/2,same=3@2", 6)
+    bus.suffer(1.0)
+    assert [servo.number for servo in bus.servos if servo not in bus.hearing()] == [4, 5]
+    bus.suffer(3.0)
+    assert [servo.number for servo in bus.servos] == [1, 2, 3, 2, *range(5, 10)]
+
+
 def test_servos_refuse_what_the_manual_says(bus):
     cases = {
         (11, 3, 1): 7,  # of the lasting area, under torque

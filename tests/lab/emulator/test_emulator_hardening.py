@@ -44,7 +44,7 @@ def test_orders_that_nobody_waits_for_fill_no_queue_without_end(firmware):
 
 
 def test_connections_opened_and_dropped_leave_nothing_behind(firmware):
-    with serve_tcp(firmware, port=0, timing=AT_ONCE) as server:
+    with serve_tcp(firmware, timing=AT_ONCE) as server:
         files, threads = descriptors(), threading.active_count()
         drop_connections(server, 300, seed=1)
         until(lambda: descriptors() == files)
@@ -53,7 +53,7 @@ def test_connections_opened_and_dropped_leave_nothing_behind(firmware):
 
 def test_garbage_without_end_takes_no_memory_and_no_time_from_the_arm(firmware):
     noise = np.random.default_rng(5).bytes(50_000)
-    with serve_tcp(firmware, port=0, timing=AT_ONCE) as server, socket.create_connection(place(server), 10.0) as client:
+    with serve_tcp(firmware, timing=AT_ONCE) as server, socket.create_connection(place(server), 10.0) as client:
         client.sendall(noise)
         tracemalloc.start()
         try:
@@ -70,7 +70,7 @@ def test_garbage_without_end_takes_no_memory_and_no_time_from_the_arm(firmware):
 
 
 def test_a_client_that_never_reads_makes_room_for_the_next(firmware):
-    with serve_tcp(firmware, port=0, timing=AT_ONCE) as server, socket.socket() as deaf:
+    with serve_tcp(firmware, timing=AT_ONCE) as server, socket.socket() as deaf:
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.connect(place(server))
         deaf.setblocking(False)
@@ -90,7 +90,7 @@ def sent(client, data):
 
 def test_what_two_clients_write_is_never_mixed(firmware):
     with (
-        serve_tcp(firmware, port=0, timing=AT_ONCE) as server,
+        serve_tcp(firmware, timing=AT_ONCE) as server,
         socket.create_connection(place(server), 10.0) as first,
         socket.create_connection(place(server), 10.0) as second,
     ):

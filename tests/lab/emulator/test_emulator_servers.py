@@ -31,7 +31,7 @@ def connect(server, patience=2.0):
 
 @pytest.fixture
 def server(firmware):
-    with serve_tcp(firmware, port=0, timing=QUICK) as running:
+    with serve_tcp(firmware, timing=QUICK) as running:
         yield running
 
 

@@ -21,11 +21,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefa
 def client(request):
     """One client per transport: its constructor sleeps for 1.5 s."""
     firmware = build_firmware(ARM, "worn")
-    with (
-        serve_tcp(firmware, port=0, timing=QUICK)
-        if request.param == "tcp"
-        else serve_pty(firmware, timing=QUICK) as running
-    ):
+    with (serve_tcp if request.param == "tcp" else serve_pty)(firmware, timing=QUICK) as running:
         if request.param == "tcp":
             vendor = MyCobot280Socket("127.0.0.1", int(running.address.rsplit(":", 1)[1]))
         else:

@@ -21,11 +21,9 @@ class Client:
     """
 
     def __init__(self, requests, fault="", pause=0.02, busy=0.0):
-        faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
-        arm = StsArm.build(ARM, "so101")
-        self.session = BusSession(arm, faults=faults)
+        self.session = BusSession(StsArm.build(ARM, "so101"), faults=parse_faults(fault, 5))
         self.session.clock, self.session.await_data = lambda: self.now, self._await
         self.moved, self.busy, self._execute = [], busy, self.session.arm.execute
         self.session.arm.execute = self._obey

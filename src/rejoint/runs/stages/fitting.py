@@ -353,7 +353,7 @@ def train(
             options = TrainingOptions(preset=preset, threads=how.threads, **about)
             result = learn(chosen, known, out=folder, options=options, on_progress=update)
         else:
-            result = how.trainer(chosen, known, folder, update)
+            result = how.trainer(chosen, known, folder, update, servo_gains)
         return TrainedPolicy(**vars(Policy.load(result.policy)), training=result)
 
 
