@@ -13,10 +13,10 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_pose
+from rejoint.arms.compiled import inner
 from rejoint.arms.inertia import heavier
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
@@ -424,7 +424,7 @@ def plant_of(arm: Arm) -> type[Plant]:
 # ruff: noqa: ANN001, ANN202
 
 
-@njit(cache=True)
+@inner
 def _aim(joints, servos, status):
     """Give the goals of one arm to its servos (n, S), in counts."""
     for j in range(len(joints)):
@@ -432,7 +432,7 @@ def _aim(joints, servos, status):
             status[j, k].goal = int(np.rint(servos[j].goal / joints[j].encoder_step))
 
 
-@njit(cache=True)
+@inner
 def _drive(ids, tick, key, arms, commands, bodies, sts, x):
     """Write the next torques of the arms ``ids``.
 

@@ -12,10 +12,11 @@ from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, uint64, vectorize
+from numba import float64, int64, uint64, vectorize
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.arms.compiled import inner
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201
@@ -109,13 +110,13 @@ def fill_constants(records: NDArray[np.void], max_speed: Array, torque: Array, t
     records["stop_damping"] = _STOP_DAMPING * (torque * time)
 
 
-@njit(cache=True)
+@inner
 def within(value, most):
     """``value`` between ``-most`` and ``most``."""
     return min(max(value, -most), most)
 
 
-@njit(cache=True)
+@inner
 def read_encoder(joint, servo_angle, gear_angle):
     """Angle in whole counts; behind the gear with play, without flex."""
     angle = servo_angle
@@ -124,7 +125,7 @@ def read_encoder(joint, servo_angle, gear_angle):
     return np.rint(angle / joint.encoder_step) * joint.encoder_step
 
 
-@njit(cache=True)
+@inner
 def motor_torque(joint, servo, angle, speed):
     """Position loop on the encoder angle; returns the motor torque."""
     servo.measured_speed += _SPEED_FILTER * ((angle - servo.measured) / STEP - servo.measured_speed)
@@ -141,7 +142,7 @@ def motor_torque(joint, servo, angle, speed):
     return joint.torque_limit * (duty - speed / joint.no_load_speed)
 
 
-@njit(cache=True)
+@inner
 def friction_torque(joint, servo, speed, load):
     """Friction of motor and gear at ``speed`` under the transmitted torque ``load``."""
     stribeck = np.exp(-((speed / _STRIBECK_SPEED) ** 2))
@@ -152,7 +153,7 @@ def friction_torque(joint, servo, speed, load):
     return -within(stiffness * servo.bristle + damping * speed, most)
 
 
-@njit(cache=True)
+@inner
 def gear_torque(joint, angle, speed):
     """Torque on the link, turned by ``angle`` against the servo output."""
     bent = angle - within(angle, 0.5 * joint.play)
@@ -164,7 +165,7 @@ def gear_torque(joint, angle, speed):
     return torque - joint.grease * speed
 
 
-@njit(cache=True)
+@inner
 def disturbance(joint, angle, speed, unit):
     """Gear ripple and stops; ``unit`` in [0, 1) draws the torque noise."""
     torque = joint.ripple * np.sin(_RIPPLE_PERIODS * angle)
@@ -175,7 +176,7 @@ def disturbance(joint, angle, speed, unit):
     return torque
 
 
-@njit(cache=True)
+@inner
 def warm_up(joint, servo):
     """Step of a first-order thermal model, heated by copper losses."""
     load = servo.torque / joint.torque_limit
@@ -183,7 +184,7 @@ def warm_up(joint, servo):
     servo.temperature += STEP / _HEAT_TIME * (joint.ambient + rise - servo.temperature)
 
 
-@njit(cache=True)
+@inner
 def receive(tick, due, queue, servos):
     """Take arrived commands of one arm, the latest last."""
     while True:
@@ -195,7 +196,7 @@ def receive(tick, due, queue, servos):
             servos[j].goal = queue[slot, j]
 
 
-@njit(cache=True)
+@inner
 def record(ids, tick, joints, servos, qpos, history):
     """Count a step and store encoder readings (B, HISTORY, n)."""
     for i in ids:
@@ -207,7 +208,7 @@ def record(ids, tick, joints, servos, qpos, history):
                 history[i, tick[i] % HISTORY, j] = read_encoder(joints[i, j], qpos[i, 2 * j], qpos[i, 2 * j + 1])
 
 
-@njit(cache=True)
+@inner
 def trapezoid(reference, rate, goal, speed, acceleration):
     """Return reference and rate a tick later, on a trapezoid of speed to ``goal``; in one unit, per s and s^2."""
     left = goal - reference

@@ -6,8 +6,8 @@ Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, a measured sag (le
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from rejoint.arms.compiled import inner
 from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid, within
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -58,7 +58,7 @@ TABLE = ServoTable("sts3215.csv")
 """The model ``STS3215`` (C018)"""
 
 
-@njit(cache=True)
+@inner
 def ramp(setting, status):
     """Move the reference by one tick, on a trapezoid of speed."""
     goal = float(status.goal)
@@ -67,7 +67,7 @@ def ramp(setting, status):
     status.reference, status.rate = trapezoid(status.reference, status.rate, goal, setting.speed, setting.acceleration)
 
 
-@njit(cache=True)
+@inner
 def sense(status, count, positions, tick):
     """Take an encoder reading, and the speed over `WINDOW`; ``positions`` (WINDOW,)."""
     status.filtered += _ENCODER_SHARE * (count - status.filtered)
@@ -78,7 +78,7 @@ def sense(status, count, positions, tick):
     positions[slot] = status.position
 
 
-@njit(cache=True)
+@inner
 def output_of(setting, status, errors, tick):
     """Output [0.1 % PWM]; ``errors`` (WINDOW,)."""
     raw = int(status.reference) - status.position
@@ -106,7 +106,7 @@ def output_of(setting, status, errors, tick):
     return held
 
 
-@njit(cache=True)
+@inner
 def protect(setting, status, output, temperature):
     """Update the alarms of a tick; returns the allowed ``output``."""
     turned = output * status.sign < 0
@@ -147,7 +147,7 @@ def protect(setting, status, output, temperature):
     return output
 
 
-@njit(cache=True)
+@inner
 def torque_of(setting, status, powered, speed, no_load_speed):
     """Motor torque [N m] at ``speed`` [rad/s] and the present voltage."""
     braked = setting.stall * speed / no_load_speed
@@ -163,7 +163,7 @@ def torque_of(setting, status, powered, speed, no_load_speed):
     return torque
 
 
-@njit(cache=True)
+@inner
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
     """One millisecond of a servo at ``count``; ``rings`` (2, WINDOW); returns the torque [N m] on the output."""
     errors, positions = rings[0], rings[1]

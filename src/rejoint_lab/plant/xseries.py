@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rejoint.arms.compiled import inner
 from rejoint_lab.plant.servo import STEP, ServoTable, record_of, trapezoid, within
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -81,7 +81,7 @@ def as_sold(model: str) -> NDArray[np.void]:
     return setting
 
 
-@njit(cache=True)
+@inner
 def follow(setting, status):
     """Move the reference by one tick towards the goal."""
     if status.goal != status.aimed:
@@ -102,7 +102,7 @@ def follow(setting, status):
         )
 
 
-@njit(cache=True)
+@inner
 def output_of(setting, status, speed):
     """Output before its limits; ``speed`` [rad/s]."""
     if setting.mode == PWM:
@@ -133,7 +133,7 @@ def output_of(setting, status, speed):
     return output
 
 
-@njit(cache=True)
+@inner
 def protect(setting, status, wanted, temperature):
     """Update the alarms, which stay; one of ``shutdown`` takes the torque off."""
     if abs(wanted) >= setting.limit and abs(status.position - status.blocked_at) <= _TRAVEL:
@@ -153,7 +153,7 @@ def protect(setting, status, wanted, temperature):
         setting.torque_on = 0
 
 
-@njit(cache=True)
+@inner
 def tick_servo(setting, status, state, count, speed):
     """One millisecond of one servo at ``count``; returns its motor torque [N m]."""
     status.speed += _FILTER * ((count - status.position) / STEP - status.speed)
@@ -177,7 +177,7 @@ def tick_servo(setting, status, state, count, speed):
     return torque
 
 
-@njit(cache=True)
+@inner
 def tick_servos(settings, status, state, count, speed):
     """One millisecond of a joint's servos at ``count``; returns the torque [N m] on the output."""
     torque = 0.0
