@@ -88,17 +88,11 @@ class Plant:
         seed: int,
         threads: int = 1,
         first: int = 0,
-        payload: Array | float = 0.0,
-        bodies: Sequence[Arm] | None = None,
-        gravity: Array = GRAVITY,
+        **truth: Any,  # noqa: ANN401
     ) -> None:
-        """Put the arms at rest.
-
-        The truth: ``payload`` (B,) [kg] at the TCP, ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame.
-        """
+        """Put the arms at rest, with the ``truth`` of `_weigh`."""
         self.arm, self.count = arm, len(wears)
-        self._pull = np.asarray(gravity, dtype=float)
-        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, float), self.count), bodies)
+        self._weigh(**truth)
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -124,6 +118,13 @@ class Plant:
         self.servos["temperature"] = self.joints["ambient"]
         self._equip()
         self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    def _weigh(
+        self, payload: Array | float = 0.0, bodies: Sequence[Arm] | None = None, gravity: Array = GRAVITY
+    ) -> None:
+        """Take a ``payload`` (B,) [kg] at the TCP, true ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame."""
+        self._pull = np.asarray(gravity, dtype=float)
+        self._carried = _loaded(self.arm, np.broadcast_to(np.asarray(payload, float), self.count), bodies)
 
     def _equip(self) -> None:
         """Add servos with a firmware of their own."""
