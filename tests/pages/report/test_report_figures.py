@@ -6,26 +6,32 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.logs.runlog import RunLog
 from rejoint.pages import html as palette
 from rejoint.pages.report.figures import (
     Gallery,
     Series,
     curves,
-    error_over_time,
     inline_svg,
 )
 
 
 def test_error_over_time_draws_every_line_on_a_log_axis():
-    time = np.linspace(0, 8, 50)
-    lines = [
-        Series(label=n, look=look, value=np.exp(-time) + i) for i, (n, look) in enumerate(palette.CONTROLLERS.items())
-    ]
-    axes = error_over_time(time, lines).axes[0]
+    arm, time, logs = mycobot280(), 0.02 * np.arange(400), {}
+    position = arm.rest + 0.1 * np.exp(-time)[:, None]
+    tool = tcp_position(arm, position)
+    for i, name in enumerate(palette.CONTROLLERS):
+        target = np.tile(tool[-1] + 0.001 * i, (len(time), 1))
+        logs[name] = RunLog.of(time, position, position, arm=arm, target=target)
+    gallery = Gallery()
+    gallery.error_over_time(arm, logs)
+    axes = gallery._figures["error-over-time"].axes[0]
     drawn = {line.get_label(): line for line in axes.lines}
-    for one in lines:
-        np.testing.assert_array_equal(drawn[one.label].get_ydata(), one.value)
-        assert drawn[one.label].get_color() == one.look.colour
+    for name, look in palette.CONTROLLERS.items():
+        error = 1e3 * np.linalg.norm(tool - logs[name].target, axis=1)
+        np.testing.assert_allclose(drawn[name].get_ydata(), error, atol=1e-9)
+        assert drawn[name].get_color() == look.colour
     assert axes.get_yscale() == "log"
     assert "[s]" in axes.get_xlabel()
     assert "[mm]" in axes.get_ylabel()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 
 import numpy as np
@@ -55,15 +55,6 @@ TOOL_SHARE = 0.3
 UP, SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as fast as it goes": np.inf}
 """at which an arm of virtual time can be watched"""
-
-
-def guard_actions(recent: Sequence[SeenCycle], joints: Sequence[str]) -> dict[str, str]:
-    """Actions of the guard in ``recent`` cycles, each with the joint whose command it changed most."""
-    found: dict[str, str] = {}
-    for one in recent:
-        joint = joints[int(np.argmax(np.abs(one.wanted - one.cycle.command)))]
-        found |= dict.fromkeys(reason_names(int(one.cycle.reasons)), joint)
-    return found
 
 
 LONGEST = 0.5
@@ -149,9 +140,8 @@ class WebPage:
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.set_panel_label(self.label)
-        scene.set_up_direction("+z")
         scene.configure_environment_map(None)
-        scene.configure_default_lights(enabled=True, cast_shadow=True)
+        scene.configure_default_lights()
         self._built: tuple[Arm, float] | None = None
         self.shown: Shown | None = None
         """the run that is drawn"""
@@ -276,7 +266,11 @@ class WebPage:
             error = float(np.linalg.norm(now.aim - tcp_position(arm, now.position)))
             true = float(np.linalg.norm(now.target - now.true_tcp))
             joints = write.joints(arm.joint_names, now, seen.temperature, HOT)
-        guarded = write.guard(guard_actions(self._recent, arm.joint_names), MEANINGS, doing.stopped)
+        actions = dict[str, str]()  # of the guard, each with the joint whose command it changed most
+        for one in self._recent:
+            joint = arm.joint_names[int(np.argmax(np.abs(one.wanted - one.cycle.command)))]
+            actions |= dict.fromkeys(reason_names(int(one.cycle.reasons)), joint)
+        guarded = write.guard(actions, MEANINGS, doing.stopped)
         colours = [f"rgb{colour}" for colour in (LINKS[1], GHOST, TRAIL, TARGET, TRUE)]
         legend = write.legend(colours, self._ghost is not None, cell_of(reach(arm)))
         self.state.content = f"{write.error(error, true, shown.within)}{guarded}{joints}{legend}"

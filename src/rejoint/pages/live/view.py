@@ -71,7 +71,7 @@ class SeenCycle(NamedTuple):
         """Newest arm of a cycle."""
         b = int(cycle.active.argmax())
         heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
-        return cls(b, Cycle(**{name: column[b] for name, column in vars(cycle).items()}), wanted[b], heat)
+        return cls(b, cycle.at(b), wanted[b], heat)
 
 
 @dataclass(kw_only=True)

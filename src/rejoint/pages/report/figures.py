@@ -113,13 +113,6 @@ class Series:
     high: Array | None = None
     """(K,) upper end"""
 
-    def line(self, axes: Axes, across: Array) -> None:
-        """Draw a line over ``across`` (K,), and the band between the ends."""
-        colour = self.look.colour
-        axes.plot(across, self.value, color=colour, linestyle=self.look.dash, linewidth=1.7, label=self.label)
-        if self.low is not None and self.high is not None:
-            axes.fill_between(across, self.low, self.high, color=colour, alpha=0.16, linewidth=0)
-
 
 @STYLED
 def canvas(
@@ -149,7 +142,10 @@ def curves(
     figure, grid = canvas(size, *((len(panels), 1) if rows else (1, len(panels))), sharex=True)
     for axes, (title, series) in zip(grid.flat, panels.items(), strict=True):
         for one in series:
-            one.line(axes, across)
+            colour = one.look.colour
+            axes.plot(across, one.value, color=colour, linestyle=one.look.dash, linewidth=1.7, label=one.label)
+            if one.low is not None and one.high is not None:
+                axes.fill_between(across, one.low, one.high, color=colour, alpha=0.16, linewidth=0)
         axes.set_title(title)
         axes.set_xlim(across[0], across[-1])
         if rows:
@@ -158,20 +154,6 @@ def curves(
         axes.set_xlabel(xlabel)
     if any(one.label for one in series):
         legend(figure, grid[0, 0])
-    return figure
-
-
-@STYLED
-def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
-    """Draw encoder errors [mm] over ``time`` (K,) [s], log axis, with spread."""
-    figure = curves({"": series}, time, "time since the target was set [s]", (WIDE, 3.8))
-    (axes,) = figure.axes
-    axes.set(yscale="log", ylabel="encoder error [mm]")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    for level in (10.0, 5.0, 2.0):
-        axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=_DASHED)
     return figure
 
 
@@ -248,6 +230,7 @@ class Gallery:
             f"frame. Lines are drawn {scale} times as long as they are. Points without all coordinates are left out.",
         )
 
+    @STYLED
     def error_over_time(self, arm: Arm, logs: Mapping[str, RunLog]) -> Picture:
         """Draw the median error after a new target per controller, with 10th and 90th percentile."""
         found = {name: list(visits(arm, log)) for name, log in logs.items()}
@@ -256,9 +239,17 @@ class Gallery:
         for name, group in found.items():
             middle, low, high = MM * spread_over_time(group, time)
             series.append(Series(label=short(name), look=look_of(name), value=middle, low=low, high=high))
+        figure = curves({"": series}, time, "time since the target was set [s]", (WIDE, 3.8))
+        (axes,) = figure.axes
+        axes.set(yscale="log", ylabel="encoder error [mm]")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        for level in (10.0, 5.0, 2.0):
+            axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=_DASHED)
         return self.show(
             "error-over-time",
-            error_over_time(time, series),
+            figure,
             alt="Encoder error over the time since a target was set, log axis, by controller; the table has the ends.",
             caption="Encoder error after a new target is set: median over the targets of one trial, and where 80 % of "
             "them lie. By the encoders, from where they are to stand. Dashed levels: 10, 5 and 2 mm.",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -17,47 +16,44 @@ from rejoint.twin.twin import FEWEST, NO_TWIN, Judgement, smaller
 DEG = float(np.degrees(1.0))
 
 
-class ResultColumn(NamedTuple):
-    """A column of a table of controllers."""
-
-    header: str
-    cell: Callable[[Any], Cell]
-    """of a `ControllerRow`"""
+ResultColumns = dict[str, Callable[[ControllerRow], Cell]]
+"""Columns of a table of controllers by header"""
 
 
-def columns(comparison: Comparison) -> tuple[ResultColumn, ...]:
+def columns(comparison: Comparison) -> ResultColumns:
     """Columns of a comparison, without the names."""
-    basic = result_columns(comparison.protocol, len(comparison.targets[0]), comparison.block)
-    turned = ResultColumn("orientation, encoders [deg]", lambda row: measured(row.turned, DEG))
-    return (*basic[:4], *([turned] if comparison.orientations else []), *basic[4:], ResultColumn("guard", _guard))
+    found = result_columns(comparison.protocol, len(comparison.targets[0]), comparison.block)
+    if comparison.orientations:
+        found["orientation, encoders [deg]"] = lambda row: measured(row.turned, DEG)
+    return found | {"guard": _guard}
 
 
-def result_columns(protocol: Protocol, count: int, block: int = 0) -> tuple[ResultColumn, ...]:
+def result_columns(protocol: Protocol, count: int, block: int = 0) -> ResultColumns:
     """Columns of what controllers reach at ``count`` targets, in blocks of ``block``."""
     within = " / ".join(f"{distance * MM:g}" for distance in protocol.within)
-    return (
-        ResultColumn("success [%]", _success),
-        ResultColumn("error at the crossing [mm]", lambda row: Cell(_crossing(row.crossing_error))),
-        ResultColumn(f"{plural(count, 'target')} [s]", lambda row: measured(row.cycle_time, 1.0, 3)),
-        ResultColumn("settled error, encoders [mm]", lambda row: _settled(row, block)),
-        ResultColumn("settled error, true [mm]", _true),
-        ResultColumn(f"time to stay within {within} mm [s]", _stays),
-        ResultColumn("oscillation [mm]", lambda row: Cell(measured(row.oscillation).text)),
-    )
+    return {
+        "success [%]": _success,
+        "error at the crossing [mm]": lambda row: Cell(_crossing(row.crossing_error)),
+        f"{plural(count, 'target')} [s]": lambda row: measured(row.cycle_time, 1.0, 3),
+        "settled error, encoders [mm]": lambda row: _settled(row, block),
+        "settled error, true [mm]": _true,
+        f"time to stay within {within} mm [s]": _stays,
+        "oscillation [mm]": lambda row: Cell(measured(row.oscillation).text),
+    }
 
 
 def plain_table(
-    found: Sequence[ResultColumn], rows: Iterable[ControllerRow], *, notes: bool = False
+    found: ResultColumns, rows: Iterable[ControllerRow], *, notes: bool = False
 ) -> tuple[list[str], list[list[str]]]:
     """Headers and rows of plain text, first column the controllers; ``notes``: with the small print."""
     lines = [
         [
             f"{row.controller}{' (by diagnosis)' if row.source else ''}",
-            *(str(cell) if notes else cell.text for cell in (column.cell(row) for column in found)),
+            *(str(cell) if notes else cell.text for cell in (cell(row) for cell in found.values())),
         ]
         for row in rows
     ]
-    return ["controller", *(column.header for column in found)], lines
+    return ["controller", *found], lines
 
 
 def _success(row: ControllerRow) -> Cell:

@@ -46,7 +46,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.procedure import Suggestion, before, suggest
-from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
+from rejoint.pages.report.tables import ResultColumns, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
@@ -280,7 +280,7 @@ def inside(found: Mapping[str, Array]) -> Array:
     return np.where(np.isfinite(error + found["modelled_high"]), hit, np.nan)
 
 
-def _columns(found: Comparison) -> list[ResultColumn]:
+def _columns(found: Comparison) -> ResultColumns:
     """Columns of a table, with those of calibrated arms."""
 
     def share(values: Array) -> Cell:
@@ -290,22 +290,18 @@ def _columns(found: Comparison) -> list[ResultColumn]:
     def hits(controller: str) -> Array:
         return inside({name: found.array(name, controller) for name in ("settled_true", *MODELLED)})
 
-    columns = [
-        *result_columns(found.protocol, found.shape[-1]),
-        ResultColumn("95 % below, encoders [mm]", lambda row: _p95(row.settled, 3)),
-        ResultColumn("95 % below, true [mm]", lambda row: _p95(row.settled_true, 2)),
-        ResultColumn("farther than 5 mm [%]", lambda row: share(outside(found, row.controller))),
-    ]
+    columns = result_columns(found.protocol, found.shape[-1]) | {
+        "95 % below, encoders [mm]": lambda row: _p95(row.settled, 3),
+        "95 % below, true [mm]": lambda row: _p95(row.settled_true, 2),
+        "farther than 5 mm [%]": lambda row: share(outside(found, row.controller)),
+    }
     if "modelled" not in found.results:
         return columns
-    return [
-        *columns,
-        ResultColumn(
-            "expected by the calibration [mm]", lambda row: Cell((row.settled_modelled or NOT_KNOWN).millimetres)
-        ),
-        ResultColumn("in its interval [%]", lambda row: share(hits(row.controller))),
-        ResultColumn("corrected arms [%]", lambda row: share(found.array("used", row.controller))),
-    ]
+    return columns | {
+        "expected by the calibration [mm]": lambda row: Cell((row.settled_modelled or NOT_KNOWN).millimetres),
+        "in its interval [%]": lambda row: share(hits(row.controller)),
+        "corrected arms [%]": lambda row: share(found.array("used", row.controller)),
+    }
 
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
