@@ -14,6 +14,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -27,8 +28,9 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
+from rejoint.logs.runfolder import read_effort
 from rejoint.robots import open_robot
-from rejoint.runs.run import StageMotion
+from rejoint.runs.run import Run, staged
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, open_loop_trials
 from rejoint.session.context import ControllerMaker
 
@@ -99,24 +101,28 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     twice = TrialRunner(
         connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep
     ).compare()
-    done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), StageMotion()
+    done = _Asked({part.key: part for driven in short for part in _parts(driven)})
     settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, block=BLOCK)
     everyone = {DEFAULT: DefaultController, **factories}
     ledger = Ledger()
     ledger.done = done
-    raced = TrialRunner(
-        lambda count, seed: meter.watch(connect(count, seed)),
-        everyone,
-        targets[:sets],
-        settings,
-        measured=before.driven,
-        ledger=ledger,
-    ).compare()
+    with TemporaryDirectory() as folder:
+        run = Run.create(folder, address, ARM)
+        with staged(run, "compare") as watch:
+            raced = TrialRunner(
+                lambda count, seed: watch(connect(count, seed)),
+                everyone,
+                targets[:sets],
+                settings,
+                measured=before.driven,
+                ledger=ledger,
+            ).compare()
+        effort = read_effort(run.folder)
     best = recommend(raced)
     return Outcome(
         short=best,
         long=recommend(_once(twice)),
-        seconds=meter.moving + sum(map(_seconds, done["asked"])),
+        seconds=(effort.stages[0].moving if effort else 0.0) + sum(map(_seconds, done["asked"])),
         held=raced.row(best.controller).held,
         worse=_worse(twice, best.controller),
     )

@@ -5,29 +5,31 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.start import move
+from rejoint.logs.runfolder import read_effort
 from rejoint.robots import open_robot
-from rejoint.runs.run import StageMotion
+from rejoint.runs.run import Run, staged
 
 ARM = mycobot280()
 
 
-def test_time_and_travel_are_those_of_the_motion():
-    meter = StageMotion()
-    robot = meter.watch(open_robot("emulated:healthy", seed=1))
+def test_time_and_travel_are_those_of_the_motion(tmp_path):
+    run, robot = Run.create(tmp_path / "run", "emulated:healthy", ARM), open_robot("emulated:healthy", seed=1)
     posture = ARM.rest.copy()
     posture[0] += 0.5
     first = move(robot, ARM.rest)
-    before = meter.moving, meter.travel
-    motion = move(robot, posture, sent=first.command[-1])
+    with staged(run, "turn") as watch:
+        motion = move(watch(robot), posture, sent=first.command[-1])
     robot.close()
-    assert meter.moving - before[0] == pytest.approx(motion.time[-1, 0] - first.time[-1, 0], rel=0.01)
-    assert meter.travel - before[1] == pytest.approx(np.abs(np.diff(motion.position[:, 0], axis=0)).sum(), rel=0.02)
-    assert meter.travel > 0.45
+    (spent,) = read_effort(run.folder).stages
+    assert spent.moving == pytest.approx(motion.time[-1, 0] - first.time[-1, 0], rel=0.02)
+    assert spent.travel == pytest.approx(np.abs(np.diff(motion.position[:, 0], axis=0)).sum(), rel=0.02)
+    assert spent.travel > 0.45
 
 
 def test_a_counted_robot_moves_as_one_that_is_not():
     plain, counted = (open_robot("emulated:worn", seed=2) for _ in range(2))
-    ours, theirs = move(StageMotion().watch(counted), ARM.rest), move(plain, ARM.rest)
-    np.testing.assert_array_equal(ours.position, theirs.position)
     batch = open_robot("emulated:worn", seed=2, count=2)
-    assert StageMotion().watch(batch) is batch, "arms side by side in virtual time cost nothing"
+    with staged(None, "") as watch:
+        ours, theirs = move(watch(counted), ARM.rest), move(plain, ARM.rest)
+        assert watch(batch) is batch, "arms side by side in virtual time cost nothing"
+    np.testing.assert_array_equal(ours.position, theirs.position)

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -201,7 +202,7 @@ def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
         f"    os.kill(os.getpid(), {int(signum)})\n    time.sleep(0.01)\n    print('started', flush=True)\n"
         "    return Ray()\n"
         "rayexecutor._started = started\n"
-        "def app(**_):\n    rayexecutor._begun(None, None, {})\n"
+        "def app(**_):\n    rayexecutor.RayExecutor([])\n"
         "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
     )
     assert (ended.returncode, ended.stderr) == (128 + signum, f"error: interrupted by {signum.name}\n")
@@ -209,9 +210,13 @@ def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
 
 
 def test_ray_sets_no_handler_of_signals_while_it_starts(monkeypatch):
-    monkeypatch.setattr(rayexecutor, "_started", lambda *_: signal.signal(signal.SIGTERM, signal.SIG_IGN))
+    def started(*_):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return MagicMock()
+
+    monkeypatch.setattr(rayexecutor, "_started", started)
     before = signal.getsignal(signal.SIGTERM), signal.signal
-    rayexecutor._begun(None, None, {})
+    rayexecutor.RayExecutor([])
     assert (signal.getsignal(signal.SIGTERM), signal.signal) == before
 
 

@@ -12,9 +12,8 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from ipaddress import ip_address
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, NamedTuple, TextIO, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -25,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rejoint.system.progress import Progress
-from rejoint.system.shell import host_and_port
+from rejoint.system.shell import host_and_port, is_loopback
 from rejoint.system.stopping import raise_again
 
 if TYPE_CHECKING:
@@ -86,13 +85,8 @@ def _results() -> TextIO:
     return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
 
 
-class ShownTable(NamedTuple):
-    """A table, with one row set off."""
-
-    title: str
-    headers: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    bold: int | None = None
+Shown = Iterable[str | tuple[Any, ...]]
+"""Lines, and tables as `Terminal.table` takes them"""
 
 
 class Terminal:
@@ -114,10 +108,10 @@ class Terminal:
         """Print a line of the result."""
         self.results.print(f"{self._of}{text}", markup=False)
 
-    def show(self, parts: Iterable[str | ShownTable]) -> None:
+    def show(self, parts: Shown) -> None:
         """Print lines and tables of the result."""
         for part in parts:
-            if isinstance(part, ShownTable):
+            if isinstance(part, tuple):
                 self.table(*part)
             else:
                 self.result(part)
@@ -161,7 +155,16 @@ class Terminal:
     def bar(self, title: str) -> Iterator[Progress]:
         """Show a bar on a terminal, and a line now and then elsewhere."""
         if not self.notes.is_terminal:
-            yield _plain_progress(self, title)
+            last = time.monotonic()
+
+            def tell(share: float, what: str) -> None:
+                nonlocal last
+                raise_again()
+                if time.monotonic() - last >= _PLAIN_INTERVAL:
+                    last = time.monotonic()
+                    self.message(f"{title}: {f'{100 * share:.0f} % ' if share >= 0.005 else ''}{what}".rstrip())
+
+            yield tell
             return
         columns = (*bars.Progress.get_default_columns(), bars.TextColumn("{task.fields[what]}"))
         with bars.Progress(*columns, console=self.notes, transient=True) as bar:
@@ -202,19 +205,6 @@ def _plain(value: object) -> object:
     raise TypeError(f"a {type(value).__name__} has no place in JSON")
 
 
-def _plain_progress(terminal: Terminal, title: str) -> Progress:
-    last = time.monotonic()
-
-    def update(share: float, what: str) -> None:
-        nonlocal last
-        raise_again()
-        if time.monotonic() - last >= _PLAIN_INTERVAL:
-            last = time.monotonic()
-            terminal.message(f"{title}: {f'{100 * share:.0f} % ' if share >= 0.005 else ''}{what}".rstrip())
-
-    return update
-
-
 OPTION = "--live"
 HERE = "127.0.0.1:8080"
 """Where the page is unless something else is said: this computer alone reaches it"""
@@ -247,11 +237,3 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
             )
         view.begin(title)
         yield view
-
-
-def is_loopback(host: str) -> bool:
-    """Whether this computer alone reaches a host name."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -15,7 +15,7 @@ from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
 from rejoint.logs.joints import ImportOptions, read_map
-from rejoint.logs.runfolder import RunFolder, read_info
+from rejoint.logs.runfolder import RunFolder, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
@@ -187,20 +187,17 @@ def arms(
         call.result(f"{name} is no name any more, in {remove_name(name)}")
         return {"removed": name}
     if calibration is not None:
-        address = _calibrated(address, calibration)
+        if not hasattr(place_of(address).detail, "calibration"):
+            text = f"--calibration is LeRobot's, of arms on a bus of servos, and {address} is none: leave it out"
+            raise InputError(text)
+        if not calibration.is_file():
+            raise FileError(calibration, "no such file", "give LeRobot's calibration of this arm (.json)")
+        address += f"{'&' if '?' in address else '?'}calibration={quote(str(calibration.resolve()))}"
     more = {"description": arm, "tolerance_mm": tolerance}
     path = name_arm(name, address=address, **{key: value for key, value in more.items() if value is not None})
     call.result(f"{name} is {address}, in {path}")
     call.next(command("doctor", name))
     return {"file": path, "name": name, "address": address}
-
-
-def _calibrated(address: str, file: Path) -> str:
-    if not hasattr(place_of(address).detail, "calibration"):
-        raise InputError(f"--calibration is LeRobot's, of arms on a bus of servos, and {address} is none: leave it out")
-    if not file.is_file():
-        raise FileError(file, "no such file", "give LeRobot's calibration of this arm (.json)")
-    return f"{address}{'&' if '?' in address else '?'}calibration={quote(str(file.resolve()))}"
 
 
 @takes
@@ -209,8 +206,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "begin a run: rejoint repair ROBOT")
     rows, found = [], []
-    paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
-    for path in sorted(paths, key=lambda one: one.stat().st_mtime, reverse=True):
+    for path in runs_below(folder):
         try:
             info, files = read_info(path), RunFolder(path.parent)
         except FileError as error:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import rejoint
 from rejoint.arms import Array
-from rejoint.cli.console import ShownTable
+from rejoint.cli.console import Shown
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed, fitting
@@ -18,9 +18,6 @@ from rejoint.logs.runfolder import Effort, cost
 if TYPE_CHECKING:
     from rejoint.control.servogains import GainsFound
     from rejoint.runs.fleet.campaign import FleetResult
-
-
-Shown: TypeAlias = Iterator[str | ShownTable]
 
 
 def stage(name: str, result: Any) -> Shown:  # noqa: ANN401 - of each stage another
@@ -125,7 +122,7 @@ def comparison(done: rejoint.Compared) -> Shown:
     sets = f"{plural(len(result.targets), 'set')} of {plural(len(result.targets[0]), 'target')}"
     trials = f"{sets}, {plural(result.repetitions, 'repetition')}"
     title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"
-    yield ShownTable(title, headers, rows, bold=result.controllers.index(advice.controller))
+    yield title, headers, rows, result.controllers.index(advice.controller)
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
             yield f"  ! {line}"
@@ -169,7 +166,7 @@ def followed(done: rejoint.Followed) -> Shown:
         "rms of the tool",
     ]
     title = f"{done.path}, {done.controller}: errors along the way by the encoders"
-    yield ShownTable(title, headers, rows)
+    yield title, headers, rows
     if not done.followed:
         yield f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected."
     yield from _gaps(done.gaps)
@@ -203,7 +200,7 @@ def deployment(done: rejoint.Deployed) -> Shown:
         "remark",
     ]
     reached = f"reached: within {1e3 * done.within:g} mm by the encoders"
-    yield ShownTable(f"Errors of {done.controller} at the end of each target ({reached})", headers, rows)
+    yield f"Errors of {done.controller} at the end of each target ({reached})", headers, rows
     if done.missed:
         yield f"Not reached: {len(done.missed)} of {len(done.visits)} targets."
     seen = [visit.seen_error for visit in done.visits if visit.seen_error is not None]
@@ -224,7 +221,7 @@ def fleet(found: FleetResult) -> Shown:
     """Yield the table of all arms, and what was found of each."""
     from rejoint.runs.fleet.campaign import HEADERS
 
-    yield ShownTable("All arms, the worst first", HEADERS, [row.cells for row in found.rows])
+    yield "All arms, the worst first", HEADERS, [row.cells for row in found.rows]
     for row in found.rows:
         yield f"{row.name}: {row.found}"
 

@@ -10,7 +10,7 @@ import sys
 import webbrowser
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import typer
@@ -19,11 +19,11 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import HERE, is_loopback, picked
+from rejoint.cli.console import HERE, picked
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
-from rejoint.control.servogains import in_words
+from rejoint.control.servogains import in_words, tunable
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
@@ -33,11 +33,8 @@ from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
-from rejoint.system.shell import command, host_and_port
+from rejoint.system.shell import command, host_and_port, is_loopback
 from rejoint.system.stopping import check, noted
-
-if TYPE_CHECKING:
-    from rejoint.training.train import Trainer
 
 
 @takes
@@ -241,7 +238,15 @@ def train(
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
-    trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
+    trainer = None
+    if learner != "ppo":
+        if preset != "default":
+            raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
+        points = entry_points(group=TRAINERS)
+        if learner not in points.names:
+            raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
+        point = points[learner]
+        trainer = point.load()(learner, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
     result = call.do(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
@@ -250,17 +255,6 @@ def train(
 
 TRAINERS = "rejoint.trainers"
 """Entry points of functions that make a `Trainer` from its name and a seed"""
-
-
-def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
-    if preset != "default":
-        raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
-    points = entry_points(group=TRAINERS)
-    if learner not in points.names:
-        raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
-    point = points[learner]
-    made: Trainer = point.load()(learner, seed)
-    return made
 
 
 @takes
@@ -385,7 +379,7 @@ def gains(
         found = call.do(rejoint.gains, robot, run, settings=call.settings)
         call.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         return {"run": run, "gains": found}
-    from rejoint.runs.stages.fitting import gains_to_keep, keep_gains
+    from rejoint.runs.stages.fitting import gains_to_keep
 
     job = Run.open(run)
     wanted = gains_to_keep(job)
@@ -399,7 +393,9 @@ def gains(
         return {"run": run, "wanted": wanted}
     if not yes and not typer.confirm("Write it?", err=True):
         raise InputError("nothing was written; say --yes to be asked no more")
-    before = keep_gains(robot, job, wanted)
+    with noted(), ArmSession(robot, run=job) as session:
+        servos, before = tunable(session.robot)
+        servos.keep(wanted)
     call.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
     call.next(f"{command('repair', robot)}, for a twin and a policy under these gains")
     return {"run": run, "kept": wanted, "before": before}

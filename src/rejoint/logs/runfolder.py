@@ -118,6 +118,12 @@ class RunFolder:
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
 
 
+def runs_below(folder: Path) -> list[Path]:
+    """Files run.json in a folder and below it, the newest first."""
+    paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
+    return sorted(paths, key=lambda path: path.stat().st_mtime, reverse=True)
+
+
 def read_info(path: Path) -> RunInfo:
     """Read run.json; FileError."""
     found = read_json(path, dict[str, Any])

@@ -130,7 +130,7 @@ class RunLog:
         """Whether the log holds commands."""
         return not np.isnan(self.command).all() or not self.command.size
 
-    def rows(self, which: slice) -> RunLog:
+    def rows(self, which: slice | Index) -> RunLog:
         """Return some rows."""
         return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
 

@@ -54,17 +54,6 @@ def _tensor(value: Any) -> Any:  # noqa: ANN401 - whatever NumPy takes
     return torch.as_tensor(np.array(value, dtype=float))
 
 
-def _arm_tensors(arm: Arm) -> list[Tensor]:
-    """Constants of `_pose` and `_search`.
-
-    Joint frames (n, 4, 4): constant, sine and cosine part; axes (n, 3), centres of mass (n, 4), tip (4,), rest posture,
-    limits (n,).
-    """
-    parts = np.moveaxis(joint_terms(arm), 1, 0)
-    com = np.column_stack([arm.com, np.ones(arm.joints)])
-    return [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
-
-
 def _scripted(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -178,22 +167,24 @@ class _TensorObserver(Observer):
 
     def begin(self, old: dict[str, Any], fresh: Any, time: Any) -> None:  # noqa: ANN401
         """Go on from the memory, ``time`` (1, 1) [s] after it."""
-        velocity, action = (where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
-        self._velocity, self._action = (one.reshape(1, HISTORY, -1) for one in (velocity, action))
+        begun = (where(fresh, 0.0, old[name]).reshape(1, HISTORY, -1) for name in ("velocity", "action"))
+        self._velocity, self._action = begun
         self._position, self._time = old["position"], where(fresh, time, 0.0)[0]
         self._period = old["mean_period"][0]
 
     def memory(self) -> dict[str, Any]:
         """Return what the next cycle goes on from."""
-        velocity, action = (one.reshape(1, -1) for one in (self._velocity, self._action))
-        return {"velocity": velocity, "action": action, "mean_period": self._period[None]}
+        kept = {"velocity": self._velocity, "action": self._action, "mean_period": self._period}
+        return {name: one.reshape(1, -1) for name, one in kept.items()}
 
 
 class _CycleGraph(nn.Module):
     def __init__(self, arm: Arm, law: CommandLaw, network: bytes | None) -> None:
         super().__init__()
         self.network, self.n = network, arm.joints
-        self.arm = _arm_tensors(arm)
+        parts = np.moveaxis(joint_terms(arm), 1, 0)
+        com = np.column_stack([arm.com, np.ones(arm.joints)])
+        self.arm = [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
         self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(law.stiffness), _tensor(-GRAVITY)
         self.law, self.observer = _TensorLaw(arm, law), _TensorObserver(arm)
@@ -234,8 +225,8 @@ class _CycleGraph(nn.Module):
             action = _answer(self.network, numbers.float()).double()
             command = law.commands(inputs, view, action)
         observer.acted(action)
-        memory = observer.memory() | law.memory() | {"begun": torch.ones_like(since), "since_target": since}
-        memory |= {"sent": command, "asked": command, "target": target, "goal": goal}
+        own = {"begun": torch.ones_like(since), "since_target": since, "target": target, "goal": goal}
+        memory = observer.memory() | law.memory() | own | {"sent": command, "asked": command}
         return command.float(), torch.cat([memory[name] for name in slots], dim=1).float()
 
 

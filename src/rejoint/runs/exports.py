@@ -15,7 +15,7 @@ from rejoint.arms.workspace import posture_grid
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
 from rejoint.control.controllers.policy import check_contract
-from rejoint.control.servogains import ServoGains, in_words, inner_name
+from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
@@ -54,9 +54,26 @@ def export_run(
     elif kind == "lerobot":
         path, told = _lerobot(about, lerobot, out)
     elif kind in ("mjcf", "isaaclab"):
-        path, told = _simulator(about, kind, out)
+        require(f"rejoint export --format {kind}", "train", "jinja2")
+        if about.twin is None:
+            raise FileError(about.folder.twin, "no such file", f"make it with: rejoint identify {about.path}")
+        make, name = (
+            (mjcf_text, f"{about.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
+        )
+        path = out or about.path / name
+        write_text(path, make(_unit(about), about.twin))
+        told = "The servos are those of the twin; a comment says what the simulator lacks."
+    elif kind == "urdf":
+        found, rigid = _rigid(about)
+        path = out or about.path / f"{about.arm.name}.urdf"
+        note = (
+            f"This unit as calibrated on {found.date} from {found.points} measurements ({found.source}): zeros and "
+            "links are in the joint origins, with the mean effect of play and flex over the region of targets."
+        )
+        write_urdf(path, unit_arm(about.arm, rigid), note)
+        told = "The corrections are in the joint origins; a program that reads encoders needs no other."
     else:
-        path, told = _urdf(about, out) if kind == "urdf" else _controller(about, kind, out, controller)
+        path, told = _controller(about, kind, out, controller)
     return path, f"{told} {quick_note(about)}".rstrip()
 
 
@@ -78,27 +95,6 @@ def _unit(run: Run) -> Arm:
     return run.arm if found is None or not found.used else unit_arm(run.arm, _rigid(run)[1])
 
 
-def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
-    found, rigid = _rigid(run)
-    path = out or run.path / f"{run.arm.name}.urdf"
-    note = (
-        f"This unit as calibrated on {found.date} from {found.points} measurements ({found.source}): zeros and links "
-        "are in the joint origins, with the mean effect of play and flex over the region of targets."
-    )
-    write_urdf(path, unit_arm(run.arm, rigid), note)
-    return path, "The corrections are in the joint origins; a program that reads encoders needs no other."
-
-
-def _simulator(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
-    require(f"rejoint export --format {kind}", "train", "jinja2")
-    if run.twin is None:
-        raise FileError(run.folder.twin, "no such file", f"make it with: rejoint identify {run.path}")
-    make, name = (mjcf_text, f"{run.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
-    path = out or run.path / name
-    write_text(path, make(_unit(run), run.twin))
-    return path, "The servos are those of the twin; a comment says what the simulator lacks."
-
-
 def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str]:
     path, told, kept = out or run.path / "lerobot.json", "", None
     try:
@@ -117,7 +113,11 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
         told = f"Homing offsets changed by {counts} counts (present position = raw - homing_offset). "
     if kept is not None:
         beside = path if source is None else path.with_stem(f"{path.stem}-gains")
-        write_homing(beside, _registers(run.arm, kept))
+        # one register of two bytes: the limit of the I part is the upper one
+        force = {"Minimum_Startup_Force": np.array(kept["startup"]) + 256 * np.array(kept["limit"])}
+        values = {name: kept[ours] for name, ours in _GAINS.items()} | force
+        joints = enumerate(run.arm.joint_names)
+        write_homing(beside, {joint: {name: int(one[i]) for name, one in values.items()} for i, joint in joints})
         told += f"{beside.name} holds gains: LeRobot sets its own as it connects, so write these to the bus afterwards."
     return path, told.rstrip()
 
@@ -130,13 +130,6 @@ _GAINS = {
     "CCW_Dead_Zone": "dead_ccw",
 }
 """LeRobot's names of registers (its ``STS_SMS_SERIES_CONTROL_TABLE``), and ours"""
-
-
-def _registers(arm: Arm, gains: ServoGains) -> dict[str, Any]:
-    # one register of two bytes: the limit of the I part is the upper one
-    force = {"Minimum_Startup_Force": np.array(gains["startup"]) + 256 * np.array(gains["limit"])}
-    values = {name: gains[ours] for name, ours in _GAINS.items()} | force
-    return {joint: {name: int(one[i]) for name, one in values.items()} for i, joint in enumerate(arm.joint_names)}
 
 
 def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import datetime
@@ -88,20 +88,13 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
         head = members.pop("", None)
         if kind == "repair":
             past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head.left_mm if head else None)
-        elif kind == "check" and head and (measures := _measures(head, members.values())):
-            check = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
-            left = None if head.norm == SET_UP else past.left_mm
-            past = Past(visits=(check,) if head.norm else (*past.visits, check), setup=head.setup, left_mm=left)
+        elif kind == "check" and head and members:
+            with suppress(msgspec.ValidationError):  # a measure is missing
+                found = vars(head) | {"joints": list(map(vars, members.values()))}
+                check = PastCheck(time=head.time, measures=msgspec.convert(found, CheckMeasures), used_h=head.used_h)
+                left = None if head.norm == SET_UP else past.left_mm
+                past = Past(visits=(check,) if head.norm else (*past.visits, check), setup=head.setup, left_mm=left)
     return past
-
-
-def _measures(head: HistoryRow, joints: Collection[HistoryRow]) -> CheckMeasures | None:
-    """Measures in the rows of a check; None: one is missing."""
-    with suppress(msgspec.ValidationError):
-        return (
-            msgspec.convert(vars(head) | {"joints": [vars(row) for row in joints]}, CheckMeasures) if joints else None
-        )
-    return None
 
 
 def summarise(run: Run) -> None:
@@ -126,8 +119,8 @@ def summarise(run: Run) -> None:
     joints = []
     if diagnosis is not None:
         for row in diagnosis.measurement.joints:
-            found = {name: getattr(row, name) for name in _DIAGNOSED}
-            joints.append(replace(arm, joint=row.joint, **{name: one and one.value for name, one in found.items()}))
+            found = {name: one and one.value for name in _DIAGNOSED for one in [getattr(row, name)]}
+            joints.append(replace(arm, joint=row.joint, **found))
         arm, loop = replace(arm, state=diagnosis.condition, line=diagnosis.verdict), diagnosis.open_loop
         if loop is not None:
             known = loop.true_error_mm

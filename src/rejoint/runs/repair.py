@@ -204,7 +204,16 @@ def repair(
         with prepared(observer) as job:
             return job.drive(observer.progress, ahead)
 
-    works = _works(robot, found, what, chosen, quick=quick) | {"compare": compared}
+    gauge = None if what.gauge == NO_GAUGE else what.gauge
+    works: dict[StageName, Callable[..., object]] = {
+        "diagnose": partial(diagnose, robot, run=found, quick=quick, settings=chosen),
+        "calibrate": partial(calibrate, robot, run=found, gauge=gauge, settings=chosen),
+        "identify": partial(identify, run=found, quick=quick),
+        "gains": partial(gains, robot, found, settings=chosen),
+        "train": partial(train, run=found, preset=what.preset, quick=quick),
+        "compare": compared,
+        "report": lambda observer: report(found),  # noqa: ARG005
+    }
     early = is_batchable(robot) and only is None and not what.controllers
     early = early and not (found.folder.policy.exists() or found.folder.comparison.exists())
     with ExitStack() as stack:
@@ -219,21 +228,6 @@ def repair(
                 _do(stage, works[name], found, watching, alone=only is not None)
     watching.progress(1.0, "done")
     return found
-
-
-def _works(
-    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, *, quick: bool
-) -> dict[StageName, Callable[..., object]]:
-    """Return what does each stage but the comparison, for an observer."""
-    gauge = None if plan.gauge == NO_GAUGE else plan.gauge
-    return {
-        "diagnose": partial(diagnose, robot, run=run, quick=quick, settings=settings),
-        "calibrate": partial(calibrate, robot, run=run, gauge=gauge, settings=settings),
-        "identify": partial(identify, run=run, quick=quick),
-        "gains": partial(gains, robot, run, settings=settings),
-        "train": partial(train, run=run, preset=plan.preset, quick=quick),
-        "report": lambda observer: report(run),  # noqa: ARG005
-    }
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -20,7 +22,7 @@ from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.control.servogains import GainsFound
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
+from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
@@ -60,8 +62,7 @@ class Run(Readable):
             return path
         folder = RunFolder(Path(path))
         if not folder.info.exists():
-            depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
-            within = sorted(str(p.parent.relative_to(path)) for depth in depths for p in folder.path.glob(depth))
+            within = sorted(str(p.parent.relative_to(path)) for p in runs_below(folder.path))
             start = "start with: rejoint diagnose ROBOT --run FOLDER"
             hint = f"it holds runs, name one of: {', '.join(within)}" if within else start
             raise FileError(path, "no run folder (it holds no run.json)", hint)
@@ -82,7 +83,18 @@ class Run(Readable):
         folder = path.folder if isinstance(path, Run) else RunFolder(Path(path))
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
-            run.require(robot=robot, arm=arm, seed=seed)
+            seed = run.seed if seed is None else seed
+            if (run.robot, run.arm.name, run.seed) != (robot, arm.name, seed):
+                raise InputError(
+                    f"{run.path} is a run of {run.robot} ({run.arm.name}, seed {run.seed}), and this would be "
+                    f"{robot} ({arm.name}, seed {seed}); give another --run"
+                )
+            if changed := differing(bare(run.arm), bare(arm)):
+                raise InputError(
+                    f"{run.path} was begun with another description of {arm.name} (it differs in "
+                    f"{', '.join(changed)}); give another --run, or {run.folder.arm(run.info.arm)} as the arm to go on "
+                    "with that one"
+                )
             return run
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
@@ -110,20 +122,6 @@ class Run(Readable):
             run = replace(self, info=replace(self.info, arm_file=_digest(self.folder)))
         write_json(run.folder.info, run.info)
         return run
-
-    def require(self, *, robot: str, arm: Arm, seed: int | None) -> None:
-        """Raise InputError unless the run is of this robot, seed (if given) and arm description."""
-        seed = self.seed if seed is None else seed
-        if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
-            raise InputError(
-                f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), and this would be "
-                f"{robot} ({arm.name}, seed {seed}); give another --run"
-            )
-        if changed := differing(bare(self.arm), bare(arm)):
-            raise InputError(
-                f"{self.path} was begun with another description of {arm.name} (it differs in {', '.join(changed)}); "
-                f"give another --run, or {self.folder.arm(self.info.arm)} as the arm to go on with that one"
-            )
 
     @property
     def path(self) -> Path:
@@ -231,21 +229,6 @@ def finish(run: Run) -> None:
         write_json(folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
 
 
-def remove_if_empty(run: Run) -> None:
-    """Remove the folder of a run without results."""
-    path = run.folder.path
-    with suppress(OSError):  # logs are there
-        (path / "logs").rmdir()
-    if _empty(path):
-        for entry in path.iterdir():
-            entry.unlink()
-        path.rmdir()
-        if RUNS in path.parents:  # what was made for it goes with it
-            for parent in (path.parent, RUNS):
-                with suppress(OSError):  # other runs are there
-                    parent.rmdir()
-
-
 @contextmanager
 def exclusive(run: Run | None) -> Iterator[None]:
     """Lock the run folder during a stage; a failed one leaves no new folder."""
@@ -256,8 +239,15 @@ def exclusive(run: Run | None) -> Iterator[None]:
         try:
             yield
         except BaseException:
-            if run.path.is_dir() and not run.folder.info.exists():
-                remove_if_empty(run)
+            path = run.path
+            if path.is_dir() and not run.folder.info.exists():
+                with suppress(OSError):  # logs are there
+                    (path / "logs").rmdir()
+                if _empty(path):
+                    shutil.rmtree(path)
+                    if RUNS in path.parents:  # what was made for it goes with it
+                        with suppress(OSError):  # other runs are there
+                            os.removedirs(path.parent)
             raise
 
 
@@ -272,57 +262,49 @@ def _digest(folder: RunFolder) -> str:
         return digest(read_bounded(folder.description, TOML_MOST, remedy)).decode()
 
 
-class StageMotion:
-    """What a stage's robots do: metered, and journaled at ``path``."""
+@contextmanager
+def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
+    """Return what wraps the robots of a stage; the run then knows their motion, which is journaled.
 
-    def __init__(self, run: Run | None = None, stage: str = "", path: Path | None = None) -> None:
-        self.run, self.stage, self.path = run, stage, path
-        self.journal: Journal | None = None
-        self.moving, self.travel = 0.0, 0.0
+    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion, in the run or
+    beside ``path``.
+    """
+    file = dated(run, stage) if path is None and run is not None else path
+    journals, moving, travel = list[Journal](), 0.0, 0.0  # one, from the first step on
 
-    def watch(self, robot: Robot) -> Robot:
-        """Robot whose motion counts."""
+    def watch(robot: Robot) -> Robot:
         before: JointState | None = None
 
         def see(state: JointState, command: Array | None) -> None:
-            nonlocal before
+            nonlocal before, moving, travel
             if command is None:
                 return
             last, before = before, state
             if last is None:
                 return
-            if self.journal is None and self.path is not None:
-                if self.run is not None:
-                    self.run.begin()
-                self.journal = Journal(self.path, robot.arm, robot.address, self.stage)
-            self.moving += max(float(np.nan_to_num(state.time[0] - last.time[0])), 0.0)
-            self.travel += float(np.nansum(np.abs(state.position[0] - last.position[0])))
-            if self.journal is not None:
-                self.journal.append(last.time[0], last.position[0], command[0], *np.full((2, 3), np.nan))
+            if not journals and file is not None:
+                if run is not None:
+                    run.begin()
+                journals.append(Journal(file, robot.arm, robot.address, stage))
+            moving += max(float(np.nan_to_num(state.time[0] - last.time[0])), 0.0)
+            travel += float(np.nansum(np.abs(state.position[0] - last.position[0])))
+            for journal in journals:
+                journal.append(last.time[0], last.position[0], command[0], *np.full((2, 3), np.nan))
 
         return WatchedRobot(robot, see) if robot.count == 1 else robot
 
-
-@contextmanager
-def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
-    """Return what wraps the robots of a stage; the run then knows their motion.
-
-    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion, in the run or
-    beside ``path``.
-    """
-    motion = StageMotion(run, stage, dated(run, stage) if path is None and run is not None else path)
     try:
-        yield motion.watch
+        yield watch
     except BaseException as error:
-        if motion.journal is not None:
-            error.add_note(motion.journal.rescue())
+        for journal in journals:
+            error.add_note(journal.rescue())
         raise
     else:
-        if motion.journal is not None:
-            motion.journal.discard()
+        for journal in journals:
+            journal.discard()
     finally:
-        if run is not None and motion.moving > 0.0:
-            add(run.folder, StageCost(name=stage, moving=motion.moving, travel=motion.travel))
+        if run is not None and moving > 0.0:
+            add(run.folder, StageCost(name=stage, moving=moving, travel=travel))
 
 
 def dated(run: Run, name: str) -> Path:

@@ -9,6 +9,7 @@ import sys
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import version
+from ipaddress import ip_address
 from typing import Any
 
 from rejoint.system.errors import InputError
@@ -51,6 +52,14 @@ def host_and_port(option: str, text: str) -> tuple[str, int]:
     if not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
         raise InputError(f"{option} {text!r}: expected HOST:PORT, such as 127.0.0.1:9000")
     return host, int(port)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether this computer alone reaches a host name."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:

@@ -7,7 +7,9 @@ import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
 
 import rejoint
-from rejoint.control.comparison.compare import BLOCK, LEVEL, Ledger, worse
+from rejoint.arms import Box
+from rejoint.arms.inertia import loaded
+from rejoint.control.comparison.compare import BLOCK, LEVEL, Ledger, Settings, worse
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -17,7 +19,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import read_effort
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
-from rejoint.runs.stages.compare import open_loop_trials
+from rejoint.runs.stages.compare import ComparisonJob, open_loop_trials
 from rejoint.system.errors import ContractError, GuardTripError, NoReplyError, NotReadyError
 from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
@@ -279,6 +281,15 @@ def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_pat
     assert other.rows[0].source == "", "at other targets it is driven"
     full = rejoint.compare(SaggingRobot(), ["integrator"], TWENTY[0, :2], plan=replace(quick, full=True)).comparison
     assert (full.block, full.rows[0].source) == (0, "")
+
+
+def test_trials_with_another_load_or_other_boxes_are_not_gone_on_from(tmp_path):
+    run, box = Run.create(tmp_path, "emulated:worn", ARM), Box(lower=np.full(3, 0.5), upper=np.ones(3))
+    arms = ARM, loaded(ARM, 0.1), loaded(ARM, 0.2), loaded(ARM, 0.1, [0.0, 0.0, 0.01]), replace(ARM, keep_out=(box,))
+    jobs = [
+        ComparisonJob(robot=run.robot, arm=arm, targets=TWENTY, settings=Settings(batched=True)) for arm in (*arms, ARM)
+    ]
+    assert len({job._digest(run) for job in jobs}) == len(arms)
 
 
 def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm, write_arm_toml
-from rejoint.runs.fleet.file import DAYS, ROOM, read_fleet, read_hours
+from rejoint.runs.fleet.file import DAYS, ROOM, FleetArm, read_fleet
 from rejoint.system.errors import FileError
 
 OWN = replace(load_arm("mycobot280"), name="own")
@@ -57,8 +57,8 @@ def test_arms_take_what_they_do_not_say_from_the_top(tmp_path):
     assert (second.tolerance_mm, second.may_move, second.needs_somebody, second.may_repair) == (5.0, True, False, True)
     assert second.description == str(tmp_path / "own.toml")
     assert [arm.virtual for arm in fleet.arms] == [False, True]
-    assert first.opening == read_hours(["Mon-Fri 08:00-18:00"])
-    assert second.opening == read_hours(["Fri 22:00-06:00"], ["2026-12-24 to 2027-01-06"])
+    assert (first.hours, first.closed) == (["Mon-Fri 08:00-18:00"], None)
+    assert (second.hours, second.closed) == (["Fri 22:00-06:00"], ["2026-12-24 to 2027-01-06"])
     assert fleet.only(("desk",)) == (second,)
 
 
@@ -123,7 +123,8 @@ spans = st.builds(
     now=st.datetimes(datetime(2026, 11, 23), datetime(2026, 12, 7)),
 )
 def test_motions_begin_at_the_first_minute_that_leaves_them_room(texts, day, now):
-    hours = read_hours(texts, [f"{datetime(2026, 11, 23) + timedelta(days=day):%Y-%m-%d}"])
+    closed = [f"{datetime(2026, 11, 23) + timedelta(days=day):%Y-%m-%d}"]
+    hours = FleetArm(name="a", address="a", hours=texts, closed=closed).opening
     now = now.replace(second=0, microsecond=0)
 
     def leaves_room(at):

@@ -209,10 +209,10 @@ class Campaign:
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Newest check of an arm in this campaign."""
-        begun, places = self.info.begun, (self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}")
-        new = (place for place in places if place.parent.name >= f"{begun:%Y%m%dT%H%M%S}")  # named after its time
-        rows = map(_summary, sorted(new, reverse=True))
-        return next((row for row in rows if row and row.time >= begun), None)
+        places = (self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}")
+        newest = max(places, default=None)  # their folders are named after their times
+        row = newest and _summary(newest)
+        return row if row and row.time >= self.info.begun else None
 
     def finish(self) -> bool:
         """Store whether nothing is left that the file allows, and return it."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
 from contextlib import suppress
 from datetime import date, datetime, timedelta
 from pathlib import Path
@@ -60,11 +59,6 @@ class Hours(NamedTuple):
         room = sliding_window_view(self._open(now, HORIZON * _DAY), ROOM)
         first = next(iter(np.flatnonzero(room.all(axis=1)).tolist()), None)
         return now.replace(second=0, microsecond=0) + first * _MINUTE if first else None if first is None else now
-
-
-def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:
-    """Read ``Mon-Fri 08:00-18:00`` and ``2026-12-24 to 2027-01-06``; ValueError names a wrong text."""
-    return Hours(spans=tuple(one for text in spans for one in _span(text)), closed=tuple(map(_dates, closed)))
 
 
 def _span(text: str) -> list[tuple[int, int]]:
@@ -123,7 +117,8 @@ class FleetArm(_SharedTable, kw_only=True):
     @property
     def opening(self) -> Hours:
         """Hours at which it may move; ValueError names a wrong text."""
-        return read_hours(self.hours or (), self.closed or ())
+        spans = tuple(one for text in self.hours or () for one in _span(text))
+        return Hours(spans=spans, closed=tuple(map(_dates, self.closed or ())))
 
     @property
     def virtual(self) -> bool:
@@ -171,7 +166,12 @@ def read_fleet(path: Path | str) -> Fleet:
     shared = {name: getattr(top, name) for name in _SharedTable.__struct_fields__}
     for table in top.arm:
         try:
-            arm = _arm(shared | table, home)
+            arm = msgspec.convert(shared | table, FleetArm)
+            if plain_name(arm.name) != arm.name:
+                raise ValueError("expected a name of letters, digits, dots and dashes, such as bench-3")
+            if arm.description is not None and arm.description not in CATALOGUE:
+                arm = replace(arm, description=str(_place(home, arm.description)))
+            arm.opening, arm.built  # noqa: B018 - what cannot be read or built is refused now
             spot = place_of(arm.address).spot
             if any(arm.name == other.name for other in arms.values()):
                 raise ValueError("two arms have this name")
@@ -181,17 +181,6 @@ def read_fleet(path: Path | str) -> Fleet:
             raise FileError(place, f"arm {str(table.get('name'))[:40]!r}: {error}", "correct the file") from error
         arms[spot] = arm
     return Fleet(path=place, folder=_place(home, top.folder), arms=tuple(arms.values()))
-
-
-def _arm(table: dict[str, Any], home: Path) -> FleetArm:
-    """ValueError (as InputError is), FileError."""
-    arm = msgspec.convert(table, FleetArm)
-    if plain_name(arm.name) != arm.name:
-        raise ValueError("expected a name of letters, digits, dots and dashes, such as bench-3")
-    if arm.description is not None and arm.description not in CATALOGUE:
-        arm = replace(arm, description=str(_place(home, arm.description)))
-    arm.opening, arm.built  # noqa: B018 - what cannot be read or built is refused now
-    return arm
 
 
 def _place(home: Path, text: str) -> Path:

@@ -64,7 +64,14 @@ class RayExecutor:
         """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         real = {arm.resource for arm in arms if not arm.virtual}
         self._training_cpus, self._running = training_cpus, dict[Any, Work]()
-        self._ray = _begun(address, cpus, dict.fromkeys(real, 1.0))
+        with noted():
+            with _own_signals():
+                self._ray = _started(address, cpus, dict.fromkeys(real, 1.0))
+            try:
+                check()
+            except BaseException:
+                self._ray.shutdown()
+                raise
         missing = sorted(real - self._ray.cluster_resources().keys())
         if missing:
             self.close()
@@ -97,7 +104,7 @@ class RayExecutor:
 
     def close(self) -> None:
         """Release all processes; a cluster stays."""
-        with noted():  # for a second Ctrl-C as for the first, see `_begun`
+        with noted():  # for a second Ctrl-C as for the first, see `__init__`
             self._ray.shutdown()
 
     def _ended(self, reference: Any) -> tuple[Work, WorkOutcome]:  # noqa: ANN401 - of Ray
@@ -118,18 +125,6 @@ def has_token() -> bool:
     """Whether this computer has a cluster token."""
     named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
-
-
-def _begun(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
-    with noted():
-        with _own_signals():
-            ray = _started(address, cpus, resources)
-        try:
-            check()
-        except BaseException:
-            ray.shutdown()
-            raise
-    return ray
 
 
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401

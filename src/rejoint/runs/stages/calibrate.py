@@ -228,8 +228,10 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
             filmed = measured.fit(arm, prior, date)
             found, measured = filmed.calibration, filmed.measurements
     except InputError as error:
-        if taken or not isinstance(measured, Measurements):
-            error.add_note("What was measured is kept; --fresh measures again.")
+        if taken:
+            points = "What was measured is kept; --fresh measures again."
+            pictures = "The pictures are kept: give their folder to fit them again; the same command takes new ones."
+            error.add_note(points if isinstance(measured, Measurements) else pictures)
         raise
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed

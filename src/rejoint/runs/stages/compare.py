@@ -26,6 +26,7 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
+from rejoint.logs.history import setup_of
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
@@ -80,34 +81,29 @@ def open_loop_trials(
     arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None
 ) -> OpenLoopTrials | None:
     """Judge an open-loop log as trials; None if its holds are too short."""
-    recording, targets = _recording(log)
-    found = measure(arm, recording, targets[None], protocol, Key(DEFAULT, "hold", ((0, 0),)), model=model, both=True)
-    if not np.isfinite(found.columns["settled"]).all():
-        return None
-    return OpenLoopTrials(
-        targets=targets, driven=replace(found, source=SOURCE), log=replace(log, label=found.key.label)
-    )
-
-
-def _recording(log: RunLog) -> tuple[Recording, Array]:
-    """Log as a recording, and its targets (K, 3) [m]."""
-    known = np.isfinite(log.target).all(axis=1)
-    rows = np.flatnonzero(known)
-    target, time = log.target[rows], log.time[rows]
-    index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
-    first = np.searchsorted(index, np.arange(index[-1] + 1))
+    known = log.rows(np.flatnonzero(np.isfinite(log.target).all(axis=1)))
+    target, time, visits = known.target, known.time, known.visits()
+    index = np.repeat(np.arange(len(visits)), list(map(len, visits)))
+    first = np.array([rows[0] for rows in visits])
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
-    state = JointState(time=time, position=log.position[rows], age=np.zeros(len(rows)))
-    cycles = cycle_at_rest(state, log.true_tcp[rows], log.command[rows])
+    state = JointState(time=time, position=known.position, age=np.zeros(len(known)))
+    cycles = cycle_at_rest(state, known.true_tcp, known.command)
     cycles = replace(cycles, target=target, aim=target, target_index=index, since_target=time - begun[index])
-    return Recording(
+    recording = Recording(
         arm=log.arm,
         joint_names=log.joint_names,
         robot=log.robot,
         controller=DEFAULT,
         tripped=np.zeros(1, dtype=np.uint16),
-        **{name: values[:, None].copy() for name, values in vars(cycles).items()},
-    ), target[first]
+        **vars(cycles.at(slice(None), None)),
+    )
+    targets, key = target[first], Key(DEFAULT, "hold", ((0, 0),))
+    found = measure(arm, recording, targets[None], protocol, key, model=model, both=True)
+    if not np.isfinite(found.columns["settled"]).all():
+        return None
+    return OpenLoopTrials(
+        targets=targets, driven=replace(found, source=SOURCE), log=replace(log, label=found.key.label)
+    )
 
 
 SOURCE = "the diagnosis"
@@ -271,7 +267,7 @@ class ComparisonJob:
         turns = self.trials.get("turns")
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
         options = self.period, self.trials.get("correction"), self.before is None, turned
-        about = self.arm, self.settings, list(self.factories), self.targets.tolist(), files, options
+        about = setup_of(self.arm), self.settings, list(self.factories), self.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode()).decode()
 
 

@@ -35,7 +35,6 @@ from rejoint.session.inputs import (
 )
 from rejoint.session.session import ArmSession
 from rejoint.system.files import read_json, saving, set_aside, write_json
-from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
 
@@ -115,8 +114,15 @@ def diagnose(
     >>> rejoint.diagnose("logs", arm="so101").findings[0].sentence
     """
     if not is_robot(source):
-        with pacing(observer) as update:
-            return Diagnosed(diagnosis=_from_logs(cast(LogsLike, source), arm, run, healthy, update))
+        given = cast(LogsLike, source)
+        kept, known = run_of_logs(run, given, arm)
+        with pacing(observer) as update, exclusive(kept):
+            name = source_of(given) if kept is None else kept.robot
+            told = diagnose_logs(known, as_logs(given), _reference(known, healthy), source=name, on_progress=update)
+            if kept is not None:
+                write_json(kept.begin().folder.diagnosis, told)
+                summarise(kept)
+        return Diagnosed(diagnosis=told)
     robot, chosen = cast(RobotLike, source), settled(settings, None, None)[0]
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     about = None if run is None or chosen.dry_run else Run.plan(run, address_of(robot), built, chosen.seed)
@@ -143,25 +149,6 @@ def diagnose(
                     summarise(session.run)
                 keep(session.run, session.settings)
         return result
-
-
-def _from_logs(
-    source: LogsLike,
-    arm: ArmLike | None,
-    given: RunLike | None,
-    healthy: RunLike | Diagnosis | None,
-    on_progress: Progress,
-) -> Diagnosis:
-    run, chosen = run_of_logs(given, source, arm)
-    with exclusive(run):
-        name = source_of(source) if run is None else run.robot
-        found = diagnose_logs(
-            chosen, as_logs(source), _reference(chosen, healthy), source=name, on_progress=on_progress
-        )
-        if run is not None:
-            write_json(run.begin().folder.diagnosis, found)
-            summarise(run)
-    return found
 
 
 def _reference(arm: Arm, healthy: RunLike | Diagnosis | None, robot: str = "") -> HealthyReference | None:

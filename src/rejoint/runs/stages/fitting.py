@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
-from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
@@ -427,11 +427,3 @@ def gains_to_keep(run: Run) -> ServoGains:
     if best not in RIVALS:
         raise InputError(f"{run.path} recommends {best}, under the gains that the servos had; there is nothing to keep")
     return found.alone if best == GEARED else found.under
-
-
-def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
-    """Write ``wanted`` to the servos' permanent memory; returns the gains before."""
-    with noted(), ArmSession(robot, run=run) as session:
-        servos, before = tunable(session.robot)
-        servos.keep(wanted)
-    return before
