@@ -104,6 +104,7 @@ repair emulated:worn --arm broken.urdf | broken.urdf
 repair emulated:worn --arm ur5e | known arms
 repair emulated:healthy --run run | emulated:worn
 repair emulated:worn --measure ruler | touch
+repair emulated:worn --measure camera=front | camera=NUMBER
 repair emulated:wear.toml | wear.toml
 calibrate emulated:worn run --measure none | repair
 calibrate emulated:worn new --measure points=book.xlsx | CSV

@@ -11,7 +11,7 @@ from rejoint.arms import tcp_pose
 from rejoint.camera import tracker
 from rejoint.camera.board import ON_TOOL, Detector
 from rejoint.camera.rig import Rig
-from rejoint.camera.tracker import ToolTracker
+from rejoint.camera.tracker import sighting
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras import LENS, render
 
@@ -52,19 +52,17 @@ def test_a_board_out_of_sight_is_a_wall():
 
 def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
     rig, links = taken().rig, taken().links
-    tracker = ToolTracker(rig)
+    detector = Detector(rig.board)
     for i in (0, 7):
-        seen = tracker.see(render(rig, tcp_pose(ARM, links[i]), i), time=5.0)
+        seen = sighting(rig, detector.find("p", render(rig, tcp_pose(ARM, links[i]), i)), 5.0)
         truth = tcp_pose(ARM, links[i])[:3, 3]
         assert np.linalg.norm(seen.place - truth) < min(1e-3, 6 * seen.sigma)
-        assert tracker.why == ""
         assert seen.time == 5.0
-    assert tracker.see(np.full_like(render(rig, tcp_pose(ARM, links[0]), 0), 140)) is None
-    assert tracker.why
+    wall = detector.find("p", np.full_like(render(rig, tcp_pose(ARM, links[0]), 0), 140))
+    assert sighting(rig, wall, 0.0) == wall.why != ""
     view = taken().views[0]
     bent = type(view)(name="bent", number=view.number, pixel=view.pixel + np.where(view.number % 2, 4.0, -4.0)[:, None])
-    assert tracker.sighting(bent) is None
-    assert "px beside those of a flat board" in tracker.why
+    assert "px beside those of a flat board" in sighting(rig, bent, 0.0)
 
 
 class Device:

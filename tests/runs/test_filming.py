@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.camera import filming
 from rejoint.camera.board import ON_TOOL
-from rejoint.camera.film import read_folder
+from rejoint.camera.film import Film, read_folder
 from rejoint.camera.filming import CameraGauge
 from rejoint.camera.rig import write_rig
 from rejoint.camera.tracker import LiveEye
@@ -22,6 +22,7 @@ from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.runs.run import Run
 from rejoint.session.motions import opened_eye
 from rejoint.system.errors import InputError
+from rejoint.system.files import write_bytes
 from rejoint_lab.cameras import EmulatedCamera, beside, render
 from standin import StandIn
 
@@ -88,6 +89,26 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     assert list(runs[1].path.glob("pictures-*"))
+
+
+@pytest.mark.parametrize("done", [0, 3])
+def test_a_film_that_was_killed_between_the_two_files_of_a_picture_goes_on(tmp_path, monkeypatch, done):
+    monkeypatch.setattr(filming, "SCOUTS", filming.FEWEST_SCOUTS)
+    run, left = Run.create(tmp_path / "run", Still.address, ARM), [None] * done
+    with monkeypatch.context() as patch:
+        patch.setattr(filming, "write_bytes", lambda *given: (left.pop(), write_bytes(*given)))
+        with pytest.raises(IndexError):
+            film(robot := Still(), Cut(robot), run)
+    found = film(robot := Still(), camera := Cut(robot), run)
+    assert camera.taken == list(range(done + 1, len(found) + 1))
+
+
+def test_pictures_that_do_not_fit_are_kept_for_another_fit(tmp_path, monkeypatch):
+    monkeypatch.setattr(CameraGauge, "film", lambda *_, **__: Film(board=ON_TOOL, carried="board"))
+    gauge = CameraGauge(camera=lambda _: nullcontext(), board=ON_TOOL)
+    with pytest.raises(InputError) as refused:
+        rejoint.calibrate("emulated:worn", run=Run.create(tmp_path, "emulated:worn", ARM), gauge=gauge)
+    assert "give their folder to fit them again" in refused.value.__notes__[0]
 
 
 def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monkeypatch):

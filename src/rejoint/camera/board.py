@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -74,18 +74,10 @@ class Board:
         """(4, 3) [m] outer, board frame."""
         return np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * [*self.size, 0.0]
 
-    def printed(self, measured_x: float | None = None, measured_y: float | None = None) -> Board:
-        """Board whose 100 mm rulers measure these millimetres."""
-        return replace(
-            self,
-            stretch_x=self.stretch_x if measured_x is None else measured_x / RULER,
-            stretch_y=self.stretch_y if measured_y is None else measured_y / RULER,
-        )
-
     def drawing(self, dots: float) -> NDArray[np.uint8]:
         """Draw the board, (height, width) grey levels, ``dots`` per metre."""
         across, down = (round(dots * self.square * count) for count in (self.columns, self.rows))
-        return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
+        return np.asarray(self.opencv().generateImage((across, down)), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's board; InputError for unknown markers."""
@@ -156,37 +148,6 @@ def page_of(board: Board, page: str = "A4") -> Image.Image:
     if page not in PAGES:
         raise InputError(f"board: no page is called {page!r}; known pages: {', '.join(PAGES)}")
     width, height = PAGES[page]
-    x, y = _place(board, page)
-    sheet = Image.new("1", (round(DOTS * width), round(DOTS * height)), 1)
-    sheet.paste(Image.fromarray(board.drawing(1e3 * DOTS)), (round(DOTS * x), round(DOTS * y)))
-    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(round(DOTS * _TEXT))
-
-    def line(*ends: float) -> None:
-        pen.line([round(DOTS * end) for end in ends], fill=0, width=round(DOTS * _LINE))
-
-    for name, left, top, across in (
-        ("x", x, y + 1e3 * board.square * board.rows + _QUIET, 1.0),
-        ("y", x + 1e3 * board.square * board.columns + _QUIET, y, 0.0),
-    ):
-        down = 1.0 - across
-        line(left, top, left + RULER * across, top + RULER * down)
-        for way in np.linspace(0.0, RULER, 11):
-            a, b = left + way * across, top + way * down
-            line(a, b, a + _TICK * down, b + _TICK * across)
-        at = (DOTS * (left + (RULER + 2) * across), DOTS * (top + (RULER + 2) * down))
-        pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
-    caption = (
-        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
-        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
-        "Print at 100 %, then measure both rulers between their first and last tick."
-    )
-    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), caption, fill=0, font=font)
-    return sheet
-
-
-def _place(board: Board, page: str) -> tuple[float, float]:
-    """Upper left corner of the board on the page [mm]."""
-    width, height = PAGES[page]
     across, down = 1e3 * board.square * board.columns, 1e3 * board.square * board.rows
     beside, below = 2 * _QUIET + 2 * _TICK, 2 * _QUIET + 2 * _TICK + _TEXT
     left = width - 2 * _BORDER - max(across + beside, RULER)
@@ -196,7 +157,32 @@ def _place(board: Board, page: str) -> tuple[float, float]:
             f"board: {across:g} x {down:g} mm with its rulers does not fit on {page} ({width:g} x {height:g} mm); "
             "take fewer or smaller squares, or a larger page"
         )
-    return round(DOTS * (_BORDER + left / 2)) / DOTS, round(DOTS * (_BORDER + over / 2)) / DOTS
+    x, y = (round(DOTS * (_BORDER + room / 2)) / DOTS for room in (left, over))
+    sheet = Image.new("1", (round(DOTS * width), round(DOTS * height)), 1)
+    sheet.paste(Image.fromarray(board.drawing(1e3 * DOTS)), (round(DOTS * x), round(DOTS * y)))
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(round(DOTS * _TEXT))
+
+    def line(*ends: float) -> None:
+        pen.line([round(DOTS * end) for end in ends], fill=0, width=round(DOTS * _LINE))
+
+    for name, left, top, level in (
+        ("x", x, y + down + _QUIET, 1.0),
+        ("y", x + across + _QUIET, y, 0.0),
+    ):
+        upright = 1.0 - level
+        line(left, top, left + RULER * level, top + RULER * upright)
+        for way in np.linspace(0.0, RULER, 11):
+            a, b = left + way * level, top + way * upright
+            line(a, b, a + _TICK * upright, b + _TICK * level)
+        at = (DOTS * (left + (RULER + 2) * level), DOTS * (top + (RULER + 2) * upright))
+        pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
+    caption = (
+        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
+        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        "Print at 100 %, then measure both rulers between their first and last tick."
+    )
+    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), caption, fill=0, font=font)
+    return sheet
 
 
 Picture = NDArray[np.uint8]
@@ -225,9 +211,7 @@ class Detector:
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        searching = cv2.aruco.DetectorParameters()
-        searching.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE  # of markers: the chessboard's are used
-        self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
+        self._opencv = cv2.aruco.CharucoDetector(board.opencv())
         self._shown = False  # whether it has been seen: then it is the right board, and any fault is of one picture
 
     def find(self, name: str, picture: Picture) -> BoardView:

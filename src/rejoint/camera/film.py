@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 
 import cv2
@@ -134,9 +135,9 @@ class Film:
                     f"{len(doubts)} of {len(shots)} views do not fit the others ({', '.join(doubts)}); check that "
                     "every picture is paired with the joint positions at which it was taken"
                 )
-        problem, kept = problem.rows(good), np.flatnonzero(good).tolist()
+        problem = problem.rows(good)
         sights = rig.carried_in(problem.seen)
-        height, sigma = bow(rig_of(problem, rig, vector), [views[v] for v in kept], sights)
+        height, sigma = bow(rig_of(problem, rig, vector), list(compress(views, good)), sights)
         if height > MOST * board.size.max() and height > SURE * sigma:
             raise InputError(
                 f"camera: the board is not flat: its corners stand by {1e3 * height:.1f} mm or more out of its plane; "
@@ -156,7 +157,7 @@ class Film:
             measurements=measured,
             rig=rig_of(problem, rig, fitted.vector),
             rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[problem.layout.body :]), len(TERMS)),
-            residuals=tuple(residuals[v] for v in kept),
+            residuals=tuple(compress(residuals, good)),
             left_out=(*self.unusable, *doubts.items()),
         )
 
@@ -425,8 +426,7 @@ class Filmed:
 
     def write(self, folder: RunFolder) -> None:
         """Write the camera's setup to a run."""
-        set_aside(folder.camera)
-        write_rig(folder.camera, self.calibration.arm, self.rig, self.rig_sigma, self.calibration.date)
+        write_rig(set_aside(folder.camera), self.calibration.arm, self.rig, self.rig_sigma, self.calibration.date)
 
 
 def _judged(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import ClassVar, Protocol
 
 import cv2
@@ -24,7 +23,9 @@ from rejoint.camera.film import (
     write_postures,
 )
 from rejoint.camera.rig import TERMS, Rig
+from rejoint.camera.tracker import LiveCamera
 from rejoint.control.robot import Robot
+from rejoint.control.seeing import simulated
 from rejoint.diagnosis.calibration.calibration import DisplacementLayout, belief
 from rejoint.diagnosis.calibration.procedure import BEFORE, StandingDrive, kept, log_resumed, narrowed
 from rejoint.logs.runfolder import RunFolder
@@ -158,65 +159,59 @@ class CameraGauge:
         """
         pictures, total = None if folder is None else folder.pictures, SCOUTS + count * visits
         film = Film(board=self.board, carried=self.carried)
-        if pictures is not None and (pictures / POSTURES).exists() and not fresh:
+        if pictures is not None and any(pictures.glob("view-*.png")) and not fresh:
             begun = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
             if len(begun) < total:
                 log_resumed(pictures / POSTURES, f"{len(begun.usable)} pictures are there")
                 film = begun
         if pictures is not None and not film.shots:
             set_aside(pictures)
+        arm, detector = drive.robot.arm, Detector(self.board)
         with kept(pictures, fresh=fresh), self.camera(drive.robot) as camera:
+
+            def shoot(number: int, posture: Array, place: int) -> None:
+                nonlocal film
+                if any(shot.number == number for shot in film.usable):
+                    return
+                on_progress((number - 1) / total, f"picture {number} of {total}")
+                position = drive.stand(posture, number - 1)
+                picture = camera.still(number)
+                check()
+                seen = detector.find(f"view-{number:03}.png", picture)
+                self.show(picture, seen)
+                shot = Shot(number=number, position=position, posture=place, seen=seen)
+                film = film.with_shot(shot, picture.shape[::-1])
+                if pictures is not None:
+                    write_postures(pictures / POSTURES, arm, film)
+                    write_bytes(pictures / seen.name, cv2.imencode(".png", picture)[1].tobytes())
+                if number == 1 and seen.why:
+                    raise UnseenBoardError(
+                        f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
+                        "the board there, and begin again"
+                    )
+
             try:
-                return _Shooting(self, drive, camera, film, pictures, on_progress, total).take(count, visits)
+                for place, posture in enumerate(scouting_postures(arm, self.carried, SCOUTS)):
+                    shoot(place + 1, posture, place)
+                scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.number <= SCOUTS))
+                for place, posture in enumerate(choose_postures(arm, believed_rig(arm, scouted), count)):
+                    for visit in range(visits):
+                        shoot(SCOUTS + 1 + place * visits + visit, posture, SCOUTS + place)
+                drive.rest()
             except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
                 if pictures is not None:
                     set_aside(pictures)
                 raise
+        return film
 
 
-@dataclass(eq=False)
-class _Shooting:
-    gauge: CameraGauge
-    drive: StandingDrive
-    camera: StillCamera
-    film: Film
-    pictures: Path | None
-    on_progress: Progress
-    total: int
+def camera_gauge(number: int | None, board: Board, *, carried: str = "board", seed: int = 0) -> CameraGauge:
+    """Gauge of the camera of this ``number``, or None: of an emulated arm's."""
 
-    def __post_init__(self) -> None:
-        self.detector = Detector(self.film.board)
+    def camera(robot: Robot) -> AbstractContextManager[StillCamera]:
+        return nullcontext(simulated(robot).camera(board, carried, seed)) if number is None else LiveCamera(number)
 
-    def take(self, count: int, visits: int) -> Film:
-        arm = self.drive.robot.arm
-        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS), start=1):
-            self._shoot(number, posture, number - 1)
-        scouted = replace(self.film, shots=tuple(shot for shot in self.film.shots if shot.number <= SCOUTS))
-        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count), visits, axis=0)
-        for row, posture in enumerate(chosen):
-            self._shoot(SCOUTS + 1 + row, posture, SCOUTS + row // visits)
-        self.drive.rest()
-        return self.film
-
-    def _shoot(self, number: int, posture: Array, place: int) -> None:
-        if any(shot.number == number for shot in self.film.usable):
-            return
-        self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
-        position = self.drive.stand(posture, number - 1)
-        picture = self.camera.still(number)
-        check()
-        seen = self.detector.find(f"view-{number:03}.png", picture)
-        self.gauge.show(picture, seen)
-        shot = Shot(number=number, position=position, posture=place, seen=seen)
-        self.film = self.film.with_shot(shot, picture.shape[::-1])
-        if self.pictures is not None:
-            write_bytes(self.pictures / seen.name, cv2.imencode(".png", picture)[1].tobytes())
-            write_postures(self.pictures / POSTURES, self.drive.robot.arm, self.film)
-        if number == 1 and seen.why:
-            raise UnseenBoardError(
-                f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
-                "the board there, and begin again"
-            )
+    return CameraGauge(camera=camera, board=board, carried=carried)
 
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:

@@ -114,21 +114,20 @@ def place(lens: Lens, board: Board, view: BoardView, near: Array | None = None) 
     starts = list(zip(turns, shifts, strict=True))
     if near is not None:
         starts.append((cv2.Rodrigues(near[:3, :3])[0], near[:3, 3:].copy()))
-    found = [_placed(lens, corners, pixel, *cv2.solvePnPRefineLM(*seen, *start)) for start in starts]
+    found = list[Placed]()
+    for start in starts:
+        turn, shift = cv2.solvePnPRefineLM(*seen, *start)
+        pose = pose_of(turned(turn[:, 0]), shift[:, 0])
+        told, slope, _ = lens.slopes(corners, pose)
+        residual = (told - pixel).ravel()
+        spread = CORNER**2 * np.linalg.inv(slope.T @ slope + 1e-12 * np.eye(6))
+        rms = float(np.sqrt(residual @ residual / max(len(residual) - 6, 1)))
+        found.append(Placed(pose=pose, covariance=np.asarray(spread), rms=rms))
     best = min(found, key=lambda one: one.rms)
     if near is None:
         return best
     fitting = [one for one in found if one.rms <= max(best.rms, FLAT)]
     return min(fitting, key=lambda one: float(np.linalg.norm(rotation_error(one.pose[:3, :3], near[:3, :3]))))
-
-
-def _placed(lens: Lens, corners: Array, pixel: Array, turn: Array, shift: Array) -> Placed:
-    pose = pose_of(turned(turn[:, 0]), shift[:, 0])
-    told, slope, _ = lens.slopes(corners, pose)
-    residual = (told - pixel).ravel()
-    spread = CORNER**2 * np.linalg.inv(slope.T @ slope + 1e-12 * np.eye(6))
-    rms = float(np.sqrt(residual @ residual / max(len(residual) - 6, 1)))
-    return Placed(pose=pose, covariance=np.asarray(spread), rms=rms)
 
 
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives

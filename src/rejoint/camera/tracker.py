@@ -76,30 +76,15 @@ CROOKED = 1.0
 """[px] corner residual of an untrusted picture; chosen"""
 
 
-class ToolTracker:
-    """Locates the tool in pictures, without encoders."""
-
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self.why = ""
-        """why the last picture was unusable, or empty"""
-        self._detector = Detector(rig.board)
-
-    def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
-        """Locate the tool in a picture; None without a good view."""
-        found = self._detector.find("picture", picture)
-        self.why = found.why
-        return None if found.why else self.sighting(found, time)
-
-    def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
-        """Return the same for a ``view`` with known corners."""
-        placed = place(self.rig.lens, self.rig.board, view)
-        if placed.rms > CROOKED:
-            self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
-            return None
-        sights = placed.pose[None]
-        sigma = float(point_sigma(self.rig.spread(sights, placed.covariance[None]))[0])
-        return Sighting(place=self.rig.tool(sights)[0, :3, 3], sigma=sigma, time=time)
+def sighting(rig: Rig, view: BoardView, time: float) -> Sighting | str:
+    """Locate the tool in a ``view`` of the board, or say why it cannot be."""
+    if view.why:
+        return view.why
+    placed = place(rig.lens, rig.board, view)
+    if placed.rms > CROOKED:
+        return f"its corners lie {placed.rms:.1f} px beside those of a flat board"
+    sigma = float(point_sigma(rig.spread(placed.pose, placed.covariance)))
+    return Sighting(place=rig.tool(placed.pose)[:3, 3], sigma=sigma, time=time)
 
 
 LATE = 0.05
@@ -115,7 +100,7 @@ class LiveEye:
         self.name = name
         self.why = ""
         """why the last picture was unusable, or empty"""
-        self._camera, self._tracker = camera, ToolTracker(rig)
+        self._camera, self._rig, self._detector = camera, rig, Detector(rig.board)
         self._newest: Sighting | None = None
         self._gone = False
         self._end = threading.Event()
@@ -123,7 +108,7 @@ class LiveEye:
 
     def __enter__(self) -> LiveEye:
         """Begin; InputError for pictures of another size than calibrated."""
-        size, calibrated = self._camera.picture()[0].shape[::-1], self._tracker.rig.lens.size
+        size, calibrated = self._camera.picture()[0].shape[::-1], self._rig.lens.size
         if size != calibrated:
             raise InputError(
                 f"{self.name} gives pictures of {size[0]} x {size[1]} px, it was calibrated with {calibrated[0]} x "
@@ -158,8 +143,8 @@ class LiveEye:
             if alike:  # no news: it would tell that the tool stays where it was, whatever the arm does
                 self.why = "gives the same picture for ever; plug it in again" if self._gone else self.why
                 continue
-            self._newest = self._tracker.see(picture, came - LATE) or self._newest
-            self.why = self._tracker.why
+            seen = sighting(self._rig, self._detector.find("picture", picture), came - LATE)
+            self._newest, self.why = (self._newest, seen) if isinstance(seen, str) else (seen, "")
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +36,6 @@ from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
-    from rejoint.camera.filming import CameraGauge
 
 
 @takes
@@ -146,25 +144,6 @@ class Means(NamedTuple):
             )
         return usual
 
-    def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
-        """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
-        from rejoint.camera.board import ON_TABLE, ON_TOOL
-        from rejoint.camera.filming import CameraGauge
-        from rejoint.camera.tracker import LiveCamera
-        from rejoint.control.seeing import simulated
-
-        if word == EMULATED:
-            drawn = self.pattern(ON_TOOL if self.carried == "board" else ON_TABLE)
-            return CameraGauge(
-                camera=lambda robot: nullcontext(simulated(robot).camera(drawn, self.carried, seed)),
-                board=drawn,
-                carried=self.carried,
-            )
-        if place_of(robot).virtual:
-            raise InputError(f"camera {word} cannot see {robot}; watch an emulated arm with camera=emulated")
-        number = int(word)
-        return CameraGauge(camera=lambda _: LiveCamera(number), board=self.pattern(), carried=self.carried)
-
 
 def gauge_by_word(
     terminal: Terminal, robot: str, word: str | None, seed: int, means: Means | None = None
@@ -174,8 +153,17 @@ def gauge_by_word(
         return word
     means, virtual = means or Means(), place_of(robot).virtual
     kind, named, what = word.partition("=")
-    if kind == "camera" and bool(named) == bool(what):
-        return means.camera(robot, what or (EMULATED if virtual else "0"), seed)
+    number = what if named else EMULATED if virtual else "0"
+    if kind == "camera" and (number == EMULATED or number.isdecimal()):
+        from rejoint.camera.board import ON_TABLE, ON_TOOL
+        from rejoint.camera.filming import camera_gauge
+
+        if number == EMULATED:
+            drawn = means.pattern(ON_TOOL if means.carried == "board" else ON_TABLE)
+            return camera_gauge(None, drawn, carried=means.carried, seed=seed)
+        if virtual:
+            raise InputError(f"camera {number} cannot see {robot}; watch an emulated arm with camera=emulated")
+        return camera_gauge(int(number), means.pattern(), carried=means.carried)
     if kind == "tracker" and what:
         return TrackerGauge(path=Path(what), unit=means.unit, sigma=means.sigma, frame=means.frame or "tracker")
     if word == "touch":
@@ -195,14 +183,8 @@ def gauge_by_word(
 
 
 def _ask(terminal: Terminal, stop: Stop) -> str:
-    x, y, z = 1e3 * stop.believed
     terminal.bars.close()  # one would write over the question
-    if stop.again:
-        terminal.message(f"{stop.again}; it is measured once more.")
-    terminal.message(
-        f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
-    )
-    terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
+    terminal.notes.print(stop.question, end=" ", markup=False)
     line = sys.stdin.readline()
     if not line:
         raise InputError("the answers ended before the last posture was measured")
@@ -221,7 +203,7 @@ def board(
     measured_y: float | None = None,
 ) -> object:
     """Write a ChArUco board as a PDF in true size, with rulers to check the print."""
-    from rejoint.camera.board import ON_TABLE, ON_TOOL, write_board, write_pdf
+    from rejoint.camera.board import ON_TABLE, ON_TOOL, RULER, write_board, write_pdf
 
     chosen = ON_TOOL if on == "tool" else ON_TABLE
     if file.suffix.lower() != ".pdf":
@@ -233,7 +215,8 @@ def board(
         chosen = replace(chosen, columns=int(found[1]), rows=int(found[2]))
     if square is not None:
         chosen = replace(chosen, square=square / 1e3, marker=chosen.marker / chosen.square * square / 1e3)
-    chosen = chosen.printed(measured_x, measured_y)
+    x, y = ((RULER if one is None else one) / RULER for one in (measured_x, measured_y))
+    chosen = replace(chosen, stretch_x=x, stretch_y=y)
     write_pdf(file, chosen, page)
     description = file.with_suffix(".toml")
     write_board(description, chosen)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,11 +17,10 @@ import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.recording import StageObserver
-from rejoint.control.seeing import simulated
 from rejoint.control.start import look_at_servos
-from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge
+from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.logs.history import find_rows
-from rejoint.logs.runfolder import LOGS, RunFolder, read_info
+from rejoint.logs.runfolder import LOGS, RunFolder, read_info, runs_below
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.ports import arm_at, ports
 from rejoint.runs.exports import export_run
@@ -35,7 +34,6 @@ from rejoint.system.files import read_shipped
 
 if TYPE_CHECKING:  # an extra
     from rejoint.camera.board import BoardView, Picture
-    from rejoint.camera.filming import CameraGauge, StillCamera
 
 _TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
 SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
@@ -55,10 +53,7 @@ def candidates(home: Path) -> dict[str, str]:
     found = {f"{one.name}, {one.address}": one.name for one in (read_fleet(path).arms if path.exists() else ())}
     for device, what in ports().items():
         heard = arm_at(device)
-        if heard is None:
-            found[f"{device} ({what}): no arm answers; is it switched on?"] = ""
-        else:
-            found[f"{heard[0]}, on {device}"] = heard[1]
+        found[f"{heard or 'no arm answers; is it switched on?'}, on {device} ({what})"] = heard or ""
     for address in runs(home):
         if address not in (*found.values(), *EMULATED.values()):
             found[f"{address}, known from before"] = address
@@ -67,13 +62,13 @@ def candidates(home: Path) -> dict[str, str]:
 
 def runs(home: Path) -> dict[str, Path]:
     """Return the newest run below ``home`` of every address."""
-    found = dict[str, tuple[str, Path]]()
-    for path in home.glob("*/*/run.json"):
+    found = dict[str, Path]()
+    for path in runs_below(home):
         with suppress(FileError):
-            info = read_info(path)
-            if ":" in info.robot and not info.robot.startswith(LOGS):
-                found[info.robot] = max(found.get(info.robot, ("", path)), (info.created, path.parent))
-    return {address: path for address, (_, path) in sorted(found.items())}
+            robot = read_info(path).robot
+            if ":" in robot and not robot.startswith(LOGS):
+                found.setdefault(robot, path.parent)
+    return dict(sorted(found.items()))
 
 
 def look(studio: Studio) -> None:
@@ -109,7 +104,7 @@ def see(studio: Studio) -> None:
     session.look()
     state = session.robot.read()
     found = tuple(look_at_servos(session.arm, state))
-    studio.keep(checks=found, nudged=None)
+    studio.keep(checks=found)
     bad = [f"{one.found}; {one.fix}" for one in found if one.fix]
     if bad:
         raise NotReadyError(". ".join(bad))
@@ -129,7 +124,6 @@ def nudge(studio: Studio) -> None:
         session.move_joints(np.clip(goal, session.arm.lower, session.arm.upper), within_rad=np.radians(3.0))
     if studio.ask(f"Did {name} alone turn a little, and come back?", "yes", "no") != "yes":
         raise NotReadyError(f"{name} did not move as expected: compare cables and IDs with the arm's description")
-    studio.keep(nudged=True)
     studio.change(step="diagnose", done=f"{name} answers. The arm is ready.")
 
 
@@ -200,9 +194,14 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
     run = studio.begin_run()
     gauge: GaugeLike | None = None
     if by == RULER:
-        gauge = TouchGauge(ask=lambda stop: studio.ask(_where(stop)), complain=studio.message)
+        gauge = TouchGauge(ask=lambda stop: studio.ask(stop.question), complain=studio.message)
     elif by == CAMERA:
-        gauge = shown_camera(studio, board, camera)
+        from rejoint.camera.board import ON_TOOL, read_board
+        from rejoint.camera.filming import camera_gauge
+
+        emulated = is_virtual(studio.status.address)
+        drawn = ON_TOOL if emulated and not board.exists() else read_board(board)
+        gauge = replace(camera_gauge(None if emulated else camera, drawn), show=partial(show, studio))
     found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=count)
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
@@ -228,36 +227,12 @@ def show(studio: Studio, picture: Picture, seen: BoardView) -> None:
     studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
 
 
-def shown_camera(studio: Studio, file: Path, number: int) -> CameraGauge:
-    """Return the camera of this ``number``, which measures; ``file`` describes the board."""
-    from rejoint.camera.board import ON_TOOL, read_board
-    from rejoint.camera.filming import CameraGauge
-    from rejoint.camera.tracker import LiveCamera
-
-    emulated = is_virtual(studio.status.address)
-    board = ON_TOOL if emulated and not file.exists() else read_board(file)
-
-    def camera(robot: rejoint.Robot) -> AbstractContextManager[StillCamera]:
-        return nullcontext(simulated(robot).camera(board, "board", 0)) if emulated else LiveCamera(number)
-
-    return CameraGauge(camera=camera, board=board, show=partial(show, studio))
-
-
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
 
 
 def gauges(address: str) -> tuple[str, ...]:
     """Return what can measure the tool at an address."""
     return (EMULATOR, CAMERA, RULER) if is_virtual(address) else (RULER, CAMERA)
-
-
-def _where(stop: Stop) -> str:
-    x, y, z = 1e3 * stop.believed
-    again = f"{stop.again}; it is measured once more. " if stop.again else ""
-    return (
-        f"{again}Posture {stop.number} of {stop.total}. The encoders see the tool at {x:.1f} {y:.1f} {z:.1f} mm. "
-        "Where is it? Type x y z in mm, - for one that you did not measure; leave it empty to leave the posture out."
-    )
 
 
 def prove(studio: Studio, points: Sequence[Array]) -> None:
@@ -281,11 +256,6 @@ def go_to(studio: Studio, target: Array, within: float = 2e-3) -> None:
     state = session.move_to(target, within_m=within)
     error = float("nan") if state is None or state.error_m is None else 1e3 * state.error_m
     studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
-
-
-def record(studio: Studio, points: list[Array]) -> None:
-    """Add the place of the tool to ``points``, such as one to which the arm was moved by hand."""
-    points.append(studio.session().state.tool_m)
 
 
 SPEED = 0.05

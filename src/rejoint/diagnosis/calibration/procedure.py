@@ -210,6 +210,16 @@ class Stop:
     again: str = ""
     """why again, or empty"""
 
+    @property
+    def question(self) -> str:
+        """What is asked of the user who measures."""
+        x, y, z = 1e3 * self.believed
+        again = f"{self.again}; it is measured once more. " if self.again else ""
+        return (
+            f"{again}Posture {self.number} of {self.total}. The encoders see the tool at {x:.1f} {y:.1f} {z:.1f} mm. "
+            "Where is it? Type x y z in mm, - for one that you did not measure; empty leaves the posture out."
+        )
+
 
 class Gauge(Protocol):
     """A device that measures the tool of a stationary arm."""
