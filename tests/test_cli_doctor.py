@@ -9,7 +9,9 @@ import termios
 import time
 from contextlib import ExitStack
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
+import cv2
 import pytest
 import serial
 
@@ -86,6 +88,9 @@ def patched(what, name, value):
     return plant
 
 
+dark = patched(cv2, "VideoCapture", MagicMock(**{"return_value.read.return_value": (False, None)}))
+
+
 def environment(name, value):
     def plant(bench):
         bench.patch.setenv(name, value)
@@ -142,6 +147,7 @@ PLANTED = {
         "no calibration",
         "rejoint calibrate",
     ),
+    "camera dark": (lambda bench: [*dark(bench), "--camera", 0], "camera", "gives no pictures", "check its cable"),
     "camera missing": (lambda _: ["--camera", 7], "camera", "no camera answers as number 7", "plug it in"),
     "run of another arm": (
         lambda bench: ["emulated:healthy", bench.run("tcp://10.0.0.1:9000")],

@@ -31,9 +31,11 @@ def asked(address, **headers):
         return error.code, error.read()
 
 
-def test_other_sites_and_other_names_of_this_computer_are_refused(studio):
-    with StudioView(studio, "127.0.0.1", 0) as view:
+@pytest.mark.parametrize("place", ["127.0.0.1", "127.0.0.2"])
+def test_other_sites_and_other_names_of_this_computer_are_refused(studio, place):
+    with StudioView(studio, place, 0) as view:
         assert asked(view.address)[0] == 200
+        assert asked(view.address, host="localhost")[0] == 200
         assert asked(view.address, origin=view.address)[0] == 200
         assert asked(view.address, origin="http://elsewhere.example")[0] == 403
         assert asked(view.address, host="elsewhere.example:80")[0] == 403

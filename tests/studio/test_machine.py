@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import tcp_position
+from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import WallClock
 from rejoint.runs.fleet.file import name_arm
 from rejoint.runs.repair import MOVING, STAGES
+from rejoint.runs.run import Run, mark_quick
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import AddressError
@@ -180,6 +181,20 @@ def test_a_known_arm_is_used_at_once(studio, tmp_path):
     assert status.run == studio.status.run
     assert status.found["diagnosis"] is not None
     again.leave()
+
+
+def test_an_arm_that_answers_at_a_port_is_offered_with_its_address(studio, monkeypatch):
+    monkeypatch.setattr(jobs, "ports", lambda: {"/dev/a": "one", "/dev/b": "other"})
+    monkeypatch.setattr(jobs, "arm_at", {"/dev/a": "feetech:///dev/a"}.get)
+    found = jobs.candidates(studio.home)
+    assert [found[next(label for label in found if port in label)] for port in jobs.ports()] == ["feetech:///dev/a", ""]
+
+
+def test_a_quick_try_in_a_folder_of_any_name_is_left_for_another(studio, tmp_path):
+    run = Run.create(tmp_path / "mine", "emulated:worn", mycobot280())
+    mark_quick(run, quick=True)
+    studio.change(run=run.path, address=run.robot, arm=run.arm)
+    assert studio.begin_run(quick=True).path == run.path != studio.begin_run(quick=False).path
 
 
 def test_every_stage_of_a_repair_has_a_time():

@@ -22,11 +22,10 @@ from importlib import import_module
 from importlib.resources import files
 from typing import Annotated, Any
 
-import msgspec
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from rejoint.cli.console import into_nothing, notes, with_place
+from rejoint.cli.console import Terminal, into_nothing, notes, with_place
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import require_compiler
 from rejoint.system.shell import __version__
@@ -199,13 +198,10 @@ def _ended(error: BaseException, *, json: bool) -> int:
     if not {*VERBOSE}.isdisjoint(sys.argv):
         _say("".join(traceback.format_exception(error)).rstrip())
     _say(f"error: {text}")
-    if json:
-        line = msgspec.json.encode({"error": kind, "message": text, "exit_code": code}).decode()
-        try:
-            sys.stdout.write(line + "\n")
-            sys.stdout.flush()
-        except OSError:  # no reader, or its disk is full: what is left in its buffer has nowhere to go either
-            into_nothing(sys.stdout)
+    try:
+        Terminal(json=json).finish({"error": kind, "message": text, "exit_code": code})
+    except OSError:  # its disk is full: what is left in its buffer has nowhere to go either
+        into_nothing(sys.stdout)
     for note in getattr(error, "__notes__", ()):
         _say(note)
     return code

@@ -140,7 +140,8 @@ def camera(case: Surroundings) -> Iterator[Symptom]:
         return
     from rejoint.camera.tracker import LiveCamera
 
-    with LiveCamera(case.camera):
+    with LiveCamera(case.camera) as opened:
+        opened.picture()
         yield Symptom(f"camera {case.camera} gives pictures")
 
 

@@ -23,6 +23,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
+from rejoint.system.files import unused
 from rejoint.system.records import entity
 from rejoint.system.stopping import Interrupted, ending, interrupt
 
@@ -75,16 +76,6 @@ class Status:
         return bool(self.job)
 
 
-class _Messages(logging.Handler):
-    def __init__(self, say: Callable[[str], object]) -> None:
-        super().__init__(logging.WARNING)
-        self._say = say
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Show a warning."""
-        self._say(record.getMessage())
-
-
 class Studio(Observer):
     """Holds the status, and does one job at a time; any thread may ask.
 
@@ -99,7 +90,7 @@ class Studio(Observer):
         self.settings = rejoint.Settings()
         self.left = threading.Event()
         """the program is to end"""
-        self._lock, self._status = threading.RLock(), Status()
+        self._lock, self.status = threading.RLock(), Status()
         self._answers = queue.SimpleQueue[str | None]()
         self._stopped_by = ""
         self._session: rejoint.Session | None = None
@@ -107,19 +98,15 @@ class Studio(Observer):
         """newest reading of the arm"""
         self.travel = 0.0
         """[rad] of all joints in this job"""
-        LOGGER.addHandler(_Messages(self.message))
+        warnings = logging.Handler(logging.WARNING)
+        warnings.emit = lambda record: self.message(record.getMessage())  # type: ignore[method-assign]
+        LOGGER.addHandler(warnings)
         self._thread = threading.Thread()
 
-    @property
-    def status(self) -> Status:
-        """What is the case now."""
-        return self._status
-
-    def change(self, **fields: Any) -> Status:  # noqa: ANN401 - of `Status`
+    def change(self, **fields: Any) -> None:  # noqa: ANN401 - of `Status`
         """Change fields of the status."""
         with self._lock:
-            self._status = replace(self._status, **fields)
-            return self._status
+            self.status = replace(self.status, **fields)
 
     def keep(self, **results: object) -> None:
         """Add results of a job; None removes one."""
@@ -143,7 +130,7 @@ class Studio(Observer):
             while not self._answers.empty():
                 self._answers.get()
             self.change(job=title, share=0.0, what="", began=time.monotonic(), stage=None)
-            self.change(error="", done="", lines=(), stopping=False, question="", picture=None)
+            self.change(error="", done="", lines=())
             self._thread = threading.Thread(target=self._work, args=(title, job), name="studio", daemon=True)
             self._thread.start()
             return True
@@ -172,19 +159,15 @@ class Studio(Observer):
         try:
             job(self)
         except BaseException as why:  # noqa: BLE001 - whatever it is, the page says it
-            error = self._line(title, why)
-            if not isinstance(why, Interrupted):
+            if isinstance(why, Interrupted):
+                error = f"{title}: stopped by {why.by or 'a signal'}. The arm holds its position."
+                if not why.by:  # a signal, which ends the program
+                    self.left.set()
+            else:
+                error = "; ".join((kept(failure_of(why)).text, *getattr(why, "__notes__", ())))
                 self.release()
-            elif not why.by:  # a signal, which ends the program
-                self.left.set()
         with self._lock:
             self.change(job="", stopping=False, question="", picture=None, served="", error=error)
-
-    def _line(self, title: str, error: BaseException) -> str:
-        """Return in one line why a job ended, and what to do."""
-        if isinstance(error, Interrupted):
-            return f"{title}: stopped by {error.by or 'a signal'}. The arm holds its position."
-        return "; ".join((kept(failure_of(error)).text, *getattr(error, "__notes__", ())))
 
     # --- the arm ------------------------------------------------------------------------------------
 
@@ -225,7 +208,7 @@ class Studio(Observer):
             home = self.home / plain_name(f"{status.arm.name}-{status.address}")
             path = newest_or_new(status.address, status.arm, home)
         if quick is False and RunFolder(path).quick.exists():
-            path = path.parent / f"{int(path.name) + 1:03}"
+            path = path.with_name(f"{int(path.name) + 1:03}") if path.name.isdecimal() else unused(path)
         self.change(run=path)
         return Run.plan(path, status.address, status.arm)
 
@@ -267,10 +250,6 @@ class Studio(Observer):
         """See `Observer`."""
         self.change(stage=cast("rejoint.Stage", stage), began=time.monotonic())
         self.heed()
-
-    def partial(self, result: object) -> None:
-        """See `Observer`."""
-        self.keep(partial=result)
 
     def served(self, address: str) -> None:
         """See `Observer`."""

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from http import HTTPStatus
 from http.cookies import SimpleCookie
@@ -33,69 +32,17 @@ from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
 from rejoint.studio.machine import Job, Status, StepName, Studio
 from rejoint.system.errors import InputError
+from rejoint.system.shell import is_loopback
 
 PING = 2.0
 """[s] between signs of life of a browser; one that stays silent for twice that is gone (chosen)"""
 AWAY = 4.0
 """[s] without a page before the arm holds, if the owner wants that (chosen: a reload takes less)"""
 HOLDS = "stops and holds"
-HERE = ("127.0.0.1", "localhost", "[::1]")
 
 
-class Admission:
-    """Decides who may use the page: pages of other sites may not, and from other computers only with the token."""
-
-    def __init__(self, token: str, report: Callable[[], bytes | None]) -> None:
-        """Take a ``token``, empty where this computer alone reaches the page, and what reads the report."""
-        self._token, self._report, self.used = token, report, False
-
-    def answer(self, request: Request) -> Response | None:
-        """Refuse a request, or answer it; None where it may go on to the page."""
-        self.used = True
-        head, path = request.headers, urlsplit(request.path)
-        host, origin = head.get("Host", ""), head.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return _text(HTTPStatus.FORBIDDEN, "This page is used from its own address alone.")
-        if not self._token and host.rpartition(":")[0] not in HERE:
-            return _text(HTTPStatus.FORBIDDEN, "This page is for this computer alone.")
-        if self._token:
-            given = parse_qs(path.query).get("token", [""])[0]
-            if secrets.compare_digest(given.encode(), self._token.encode()):
-                cookie = f"rejoint={self._token}; HttpOnly; SameSite=Strict; Path=/"
-                return Response(HTTPStatus.FOUND, "Found", Headers({"Location": "/", "Set-Cookie": cookie}))
-            crumb = SimpleCookie(head.get("Cookie", "")).get("rejoint")
-            if crumb is None or not secrets.compare_digest(crumb.value.encode(), self._token.encode()):
-                return _text(HTTPStatus.FORBIDDEN, "Open the address with the token that rejoint studio has printed.")
-        if path.path == "/report":
-            page = self._report()
-            if page is None:
-                return _text(HTTPStatus.NOT_FOUND, "There is no report yet.")
-            return Response(HTTPStatus.OK, "OK", Headers({"Content-Type": "text/html; charset=utf-8"}), page)
-        return None
-
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Ask `answer` in every server of WebSockets that begins inside; viser has no option for that."""
-        serve = sockets.serve
-
-        def guarded(*given: Any, process_request: Callable[..., Any], **words: Any) -> Any:  # noqa: ANN401
-            def ask(connection: Any, request: Request) -> Any:  # noqa: ANN401
-                return self.answer(request) or process_request(connection, request)
-
-            self.used = True
-            return serve(*given, process_request=ask, ping_interval=PING, ping_timeout=2.0 * PING, **words)
-
-        sockets.serve = guarded  # type: ignore[assignment, misc]
-        try:
-            yield
-        finally:
-            sockets.serve = serve  # type: ignore[misc]
-        if not self.used:
-            raise InputError("this version of viser listens in another way; install the one that rejoint names")
-
-
-def _text(status: HTTPStatus, text: str) -> Response:
-    return Response(status, status.phrase, Headers({"Content-Type": "text/plain; charset=utf-8"}), text.encode())
+def _text(status: HTTPStatus, text: str, kind: str = "plain") -> Response:
+    return Response(status, status.phrase, Headers({"Content-Type": f"text/{kind}; charset=utf-8"}), text.encode())
 
 
 TITLES: dict[StepName, str] = {
@@ -119,7 +66,7 @@ class StudioPage(WebPage):
         self.studio = studio
         self.form: dict[str, Any] = {}
         """what was typed and chosen"""
-        self._admission = Admission(token, self._report)
+        self._token, self._guarded = token, False
         self._drawn: tuple[object, ...] = ()
         self._busy = False  # when it was drawn: a job may be over before the next look
         self._alone: float | None = np.inf  # [s] when the last page was closed; infinite: before the first
@@ -130,9 +77,50 @@ class StudioPage(WebPage):
             self.address += f"/?token={token}"
 
     def serve(self, host: str, port: int) -> viser.ViserServer:
-        """Listen, guarded."""
-        with self._admission.listening():
-            return super().serve(host, port)
+        """Ask `admit` in the server of WebSockets that begins inside; viser has no option for that."""
+        serve = sockets.serve
+
+        def guarded(*given: Any, process_request: Callable[..., Any], **words: Any) -> Any:  # noqa: ANN401
+            def ask(connection: Any, request: Request) -> Any:  # noqa: ANN401
+                return self.admit(request) or process_request(connection, request)
+
+            self._guarded = True
+            return serve(*given, process_request=ask, ping_interval=PING, ping_timeout=2.0 * PING, **words)
+
+        sockets.serve = guarded  # type: ignore[assignment, misc]
+        try:
+            server = super().serve(host, port)
+        finally:
+            sockets.serve = serve  # type: ignore[misc]
+        if not self._guarded:
+            raise InputError("this version of viser listens in another way; install the one that rejoint names")
+        return server
+
+    def admit(self, request: Request) -> Response | None:
+        """Refuse a request, or answer it; None where it may go on to the page.
+
+        Pages of other sites may not, and from other computers only with the token.
+        """
+        head, path = request.headers, urlsplit(request.path)
+        host, origin = head.get("Host", ""), head.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return _text(HTTPStatus.FORBIDDEN, "This page is used from its own address alone.")
+        if not self._token and not is_loopback(urlsplit(f"//{host}").hostname or ""):
+            return _text(HTTPStatus.FORBIDDEN, "This page is for this computer alone.")
+        if self._token:
+            given = parse_qs(path.query).get("token", [""])[0]
+            if secrets.compare_digest(given.encode(), self._token.encode()):
+                cookie = f"rejoint={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                return Response(HTTPStatus.FOUND, "Found", Headers({"Location": "/", "Set-Cookie": cookie}))
+            crumb = SimpleCookie(head.get("Cookie", "")).get("rejoint")
+            if crumb is None or not secrets.compare_digest(crumb.value.encode(), self._token.encode()):
+                return _text(HTTPStatus.FORBIDDEN, "Open the address with the token that rejoint studio has printed.")
+        if path.path == "/report":
+            run = self.studio.run
+            if run is None or not run.page.exists():
+                return _text(HTTPStatus.NOT_FOUND, "There is no report yet.")
+            return _text(HTTPStatus.OK, run.page.read_text(encoding="utf-8"), "html")
+        return None
 
     def furnish(self, gui: viser.GuiApi) -> None:
         """Put the parts that never change into the panel, in the order of what matters."""
@@ -290,10 +278,6 @@ class StudioPage(WebPage):
         if self.form.get("at once"):
             self.studio.do("Go", lambda studio: jobs.go_to(studio, point(self.form)))
 
-    def _report(self) -> bytes | None:
-        run = self.studio.run
-        return run.page.read_bytes() if run is not None and run.page.exists() else None
-
 
 class StudioView(LiveView):
     """The view of a studio: its page, and what happens when the last page is closed."""
@@ -418,7 +402,7 @@ def use(page: StudioPage, status: Status) -> None:
     path = page.form.setdefault("path", [])
     page.html("points", path)
     page.button("Record the point", lambda: path.append(point(page.form)))
-    page.job("Record where the tool is", lambda studio: jobs.record(studio, path))
+    page.job("Record where the tool is", lambda studio: path.append(studio.session().state.tool_m))
     page.button("Forget the path", path.clear)
     page.field("Times", "times", 1.0)
     page.job("Play the path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))

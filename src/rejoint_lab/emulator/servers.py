@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Any, TypeVar
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -165,12 +163,6 @@ class WireSession(EmulatedConversation[Frame]):
         delay = mean * max(0.0, 1.0 + self.jitter * self._rng.standard_normal())
         self.wait(None, self.clock() + delay + self._wire.delay)
         self._say(channel, self._wire.pieces(encode(request), encode(reply)))
-
-
-def beyond_loopback(address: str) -> bool:
-    """Whether other machines can reach ``address``."""
-    place = urlsplit(address)
-    return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
 
 
 def on_port(session: Conversation[Any], host: str = "127.0.0.1", port: int = 0) -> Server:
