@@ -58,3 +58,13 @@ def cli(capsys, monkeypatch):
         return told
 
     return run
+
+
+@pytest.fixture
+def studio(tmp_path):
+    """A studio, which leaves its arm at the end."""
+    from rejoint.studio.machine import Studio
+
+    machine = Studio(tmp_path / "runs")
+    yield machine
+    machine.leave()

@@ -36,7 +36,7 @@ HEARD = (
 
 def deploy(address: str, firmware: Firmware, folder: Path, moved: float) -> subprocess.Popen[str]:
     """Start a deployment in a process of its own; returns once a joint was sent ``moved`` [rad] away."""
-    Run.create(folder, address, firmware.arm, 0)
+    Run.create(folder, address, firmware.arm)
     words = [sys.executable, "-c", HEARD, "deploy", address, str(folder), "--controller", "integrator", "--dwell", "30"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     begin, until = firmware.planned_angles, time.monotonic() + 60.0

@@ -22,7 +22,7 @@ class Page(HTMLParser):
         ``section / tag`` with a number for other words, ``picture N`` for what is read out instead of it"""
         self._section, self._table, self._name, self._headers = "top", "", "", []
         self._seen: Counter[str] = Counter()
-        self.feed(source if isinstance(source, str) else source.read_text(encoding="utf-8"))
+        self.feed(source if isinstance(source, str) else source.read_text())
         self.close()
         assert self._stack == []
 

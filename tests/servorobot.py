@@ -10,7 +10,7 @@ ARM = load_arm("so101")
 
 class ServoRobot(EmulatedRobot):
     def __init__(self, wear="so101"):
-        super().__init__(ARM, [load_wear(wear, ARM)], seed=0, period=(0.020, 0.020))
+        super().__init__(ARM, [load_wear(wear, ARM)], period=(0.020, 0.020))
         self.history, self.frail = [], None
 
     def tune(self, gains):

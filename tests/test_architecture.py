@@ -30,7 +30,7 @@ def test_nothing_is_unpickled():
     allowed = {"json.loads", "tomllib.loads", "json.load", "msgspec.json.decode"} | ours
     calls = []
     for path in sorted((ROOT / "src").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call):
                 name = ast.unparse(node.func)
                 if name.rsplit(".", 1)[-1] in suspects and name not in allowed:
@@ -46,7 +46,7 @@ def test_the_page_draws_the_graph_that_is_kept():
     config.read(ROOT / ".importlinter")
     layers = config["importlinter:contract:layers"]["layers"].replace("rejoint.", "").split("\n")
     drawn = " -> ".join(", ".join(re.split(" [|:] ", layer)) for layer in layers if layer)
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "architecture.md").read_text()
     assert f"\n{drawn}\n" in page
     for room in drawn.replace(" -> ", ", ").split(", "):
         assert f"`{room}/`" in page or f"`{room}.py`" in page, room
@@ -85,7 +85,7 @@ def named(kind):
     return [
         (node.name, str(file))
         for file in files
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, kind)
     ]
 
@@ -104,7 +104,7 @@ def test_functions_and_classes_are_named_by_the_fields_words():
 
 def tokens(file):
     """Count a file's tokens without comments, docstrings, line ends and indentation: packed lines count as much."""
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text()
     bare = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     alone = {
         (node.value.lineno, node.value.col_offset)
@@ -117,7 +117,7 @@ def tokens(file):
 
 def test_every_room_keeps_its_budget():
     """A change that adds also deletes. A larger budget is a decision, with a sentence in the changelog."""
-    budgets = tomllib.loads((ROOT / "tests" / "budgets.toml").read_text(encoding="utf-8"))
+    budgets = tomllib.loads((ROOT / "tests" / "budgets.toml").read_text())
     used = Counter()
     for file in (ROOT / "src").rglob("*.py"):
         package, *rest = file.relative_to(ROOT / "src").parts

@@ -30,7 +30,7 @@ from rejoint_lab.plant.wear import load_wear
 def finished(tmp_path_factory):
     """A run with everything up to a policy that has hardly been trained."""
     path = tmp_path_factory.mktemp("runs") / "one"
-    run = Run.create(path, "emulated:worn", mycobot280(), 0)
+    run = Run.create(path, "emulated:worn", mycobot280())
     rejoint.diagnose("emulated:worn", run=run)
     twin = rejoint.identify(run=run)
     train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
@@ -45,7 +45,7 @@ def test_repair_goes_on_where_it_stopped(finished, cli):
     assert done.err.count("already done") == 3
     last = done.last
     assert last["recommended"]["controller"] == "integrator"
-    page = Path(last["report"]).read_text(encoding="utf-8")
+    page = Path(last["report"]).read_text()
     assert page.startswith("<!DOCTYPE html>")
     assert done.out.splitlines()[-2] == last["report"]
     before = rejoint.Run.open(finished.path).diagnosis.open_loop.error_mm.value
@@ -67,7 +67,7 @@ def test_a_twin_is_replayed_on_the_logs_it_came_from(finished, tmp_path, cli):
     words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--out", str(tmp_path), "--json")
     mean = cli(*words).last["mean"]
     assert mean["twin"]["all"]["tcp"] < mean["no twin"]["all"]["tcp"]
-    assert (tmp_path / "replay.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert (tmp_path / "replay.html").read_text().startswith("<!DOCTYPE html>")
 
 
 def test_deploy_logs_what_it_did(finished, tmp_path, cli):
@@ -118,7 +118,7 @@ repiar | 'repair', 'report', 'replay'? See
 @pytest.mark.parametrize("line", BAD.strip().splitlines())
 def test_bad_input_is_one_line_and_exit_code_2(line, tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280()).folder
     folder.policy.write_bytes(b"half a policy")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad_csv").write_text("x,y,z\n1,2\n")
@@ -156,7 +156,7 @@ def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):
     found = re.fullmatch(
         r"error: a bug in rejoint itself: ZeroDivisionError: made for this test; where it is: (.+)\n", line
     )
-    assert "raise ZeroDivisionError" in Path(found[1]).read_text(encoding="utf-8")
+    assert "raise ZeroDivisionError" in Path(found[1]).read_text()
 
 
 def test_a_start_that_fails_leaves_nothing_and_takes_nothing(tmp_path, cli):
@@ -167,7 +167,7 @@ def test_a_start_that_fails_leaves_nothing_and_takes_nothing(tmp_path, cli):
     repair = ("repair", "emulated:worn", "--run", words[-1], "--targets", str(far))
     cli(*repair, code=2)
     assert not (tmp_path / "runs" / "one").exists()
-    folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280()).folder
     write_json(folder.diagnosis, {"kept": True})
     cli(*words, code=2)
     assert {path.name for path in folder.path.iterdir()} >= {"run.json", "diagnosis.json"}
@@ -204,14 +204,16 @@ def test_the_newest_unfinished_run_is_resumed(tmp_path, monkeypatch):
         Run.open(first.parent.parent)
 
 
+DEPLOY = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
+
+
 @pytest.mark.parametrize("stream", ["stdout", "stderr", "both"])
 def test_a_reader_who_leaves_decides_nothing(stream):
     reading, writing = os.pipe()
     os.close(reading)  # as `head` does when it has seen enough
-    words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
     gone = {"stdout": {"stdout"}, "stderr": {"stderr"}, "both": {"stdout", "stderr"}}[stream]
     done = subprocess.run(
-        [sys.executable, "-m", "rejoint", *words],
+        [sys.executable, "-m", "rejoint", *DEPLOY],
         check=False,
         text=True,
         **{name: writing if name in gone else subprocess.PIPE for name in ("stdout", "stderr")},
@@ -226,8 +228,7 @@ def test_a_reader_who_leaves_decides_nothing(stream):
 def test_a_terminal_that_was_closed_decides_nothing():
     """A deployment, or a repair, ended at its first result with an input/output error, and exit code 2."""
     mine, its = pty.openpty()
-    words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
-    process = subprocess.Popen([sys.executable, "-m", "rejoint", *words], stdout=its, stderr=its)
+    process = subprocess.Popen([sys.executable, "-m", "rejoint", *DEPLOY], stdout=its, stderr=its)
     os.close(its)
     os.close(mine)
     assert process.wait(timeout=120) == 5

@@ -50,7 +50,7 @@ class Bench:
         return self._stack.enter_context(serial_line(answer, begins, rate))
 
     def run(self, robot):
-        return Run.create(self.folder / "run", robot, mycobot280(), 0).path
+        return Run.create(self.folder / "run", robot, mycobot280()).path
 
 
 def no_permission(bench):

@@ -21,7 +21,7 @@ from rejoint.twin.parameters import PARAMETERS
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = {
-    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    str(path.relative_to(ROOT)): path.read_text()
     for path in (*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *sorted(DOCS.glob("*.md")))
 }
 GROUP = typer.main.get_command(app)
@@ -88,7 +88,7 @@ def check_program(words):
         name = f"benchmarks.{words[3]}"
     place = name.removesuffix(".py").replace(".", "/")
     files = [ROOT / f"{place}.py", ROOT / f"src/{place}.py", ROOT / f"src/{place}/__main__.py"]
-    text = "".join(file.read_text(encoding="utf-8") for file in files if file.exists())
+    text = "".join(file.read_text() for file in files if file.exists())
     assert any(sign in text for sign in ('__name__ == "__main__"', "argparse", "def main(")), (
         f"{words}: there is no such program"
     )
@@ -124,7 +124,7 @@ def test_calls_take_what_they_are_given(page):
 
 @each_page
 def test_commands_are_known(page):
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text()
     for _, text in blocks(page, ""):
         assert not re.search(r"^(pip|rejoint|python) ", text, re.MULTILINE), f"{page}: commands stand in blocks of sh"
     found = [shlex.split(code) for code in inline(page) if re.match(r"(rejoint|make|python) ", code)]
@@ -144,7 +144,7 @@ def test_commands_are_known(page):
 def test_places_in_the_code_exist(page):
     for name in re.findall(r"^::: (\S+)", PAGES[page], re.MULTILINE):
         resolve(name)
-    tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
+    tests = "".join(path.read_text() for path in (ROOT / "tests").rglob("*.py"))
     for code in inline(page):
         if re.fullmatch(r"[\w/]+\.py", code):
             at = (ROOT, ROOT / "src" / "rejoint", ROOT / "src" / "rejoint_lab")
@@ -249,11 +249,11 @@ def test_links_lead_somewhere(page):
         goal = (ROOT / page).parent / path if path else ROOT / page
         assert goal.is_file(), f"{page}: there is no {link}"
         if anchor:
-            assert anchor in slugs(goal.read_text(encoding="utf-8")), f"{page}: there is no heading for {link}"
+            assert anchor in slugs(goal.read_text()), f"{page}: there is no heading for {link}"
 
 
 def test_every_page_is_in_the_navigation():
-    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    config = (ROOT / "mkdocs.yml").read_text()
     assert sorted(re.findall(r": ([\w-]+\.md)$", config, re.MULTILINE)) == sorted(p.name for p in DOCS.glob("*.md"))
 
 

@@ -38,7 +38,7 @@ def test_a_repair_is_five_lines_and_its_policy_drives(run):
     said = run("repair_an_arm.py", "--quick", "--run", "mine")
     assert "This arm misses its targets by 2" in said
     assert "Use: integrator" in said, "a policy that was trained for seconds is not handed over"
-    assert Path("mine/report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert Path("mine/report.html").read_text().startswith("<!DOCTYPE html>")
     said = run("deploy_a_policy.py", "mine/policy.onnx", "--dwell", "1")
     assert said.count(" mm off, ") == 3
     assert "of 3 targets reached" in said

@@ -150,7 +150,7 @@ def test_a_path_of_windows_is_no_address():
 
 
 def test_every_public_result_is_short_at_a_prompt(tmp_path):
-    run = rejoint.Run.create(tmp_path / "run", "emulated:worn", rejoint.load_arm("mycobot280"))
+    run = rejoint.Run.create(tmp_path, "emulated:worn", rejoint.load_arm("mycobot280"))
     found = rejoint.compare(
         "emulated:worn",
         ["default"],

@@ -133,7 +133,7 @@ def place(tmp_path_factory):
     (folder / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
     with zipfile.ZipFile(folder / "book.xlsx", "w") as book:
         book.writestr("xl/workbook.xml", "<workbook/>")
-    Run.create(folder / "run", "emulated:worn", mycobot280(), 0)
+    Run.create(folder / "run", "emulated:worn", mycobot280())
     return folder
 
 
@@ -175,7 +175,7 @@ def test_an_arm_has_a_name_that_every_command_takes(tmp_path, cli, monkeypatch):
 def test_a_named_arm_with_a_description_is_deployed_with_its_run(tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    Run.create("run", "emulated:worn", mycobot280(), 0)
+    Run.create("run", "emulated:worn", mycobot280())
     cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mycobot280")
     cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run")
     for robot in ("emulated:worn", "bench-3"):
@@ -187,7 +187,7 @@ def test_runs_are_listed_the_newest_first_and_their_reports_opened(tmp_path, cli
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     for name in ("one", "two"):
-        Run.create(f"runs/{name}", "emulated:worn", mycobot280(), 0)
+        Run.create(f"runs/{name}", "emulated:worn", mycobot280())
     (tmp_path / "runs" / "three").mkdir()
     (tmp_path / "runs" / "three" / "run.json").write_text("{")
     told = cli("runs", "--json")

@@ -49,7 +49,10 @@ def test_neighbours_never_count_and_every_other_pair_does():
     assert {(1, 3), (2, 4), (1, 6), (2, 6), (3, 6)} <= pairs
 
 
-@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+each_arm = pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+
+
+@each_arm
 def test_an_arm_is_free_at_rest_and_at_its_targets(arm):
     targets = arm.targets.sample(np.random.default_rng(0), (300,))
     solution = solve_position(arm, targets, np.broadcast_to(arm.rest, (300, arm.joints)))
@@ -57,7 +60,7 @@ def test_an_arm_is_free_at_rest_and_at_its_targets(arm):
     assert collides(arm, solution.q).mean() < 0.01
 
 
-@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+@each_arm
 def test_clearances_are_distances_and_contacts_are_those_below_zero(arm):
     postures = np.random.default_rng(2).uniform(arm.lower, arm.upper, (300, arm.joints))
     shape, f = collision_shape(arm), frames(arm, postures)
@@ -93,7 +96,7 @@ def test_the_reference_distance_is_the_smallest_over_all_points(a, b, c, d):
     assert exact >= sampled - (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 160 - tolerance
 
 
-@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+@each_arm
 def test_links_keep_out_of_boxes(arm):
     rng = np.random.default_rng(4)
     boxes = tuple(Box(lower=low, upper=low + rng.uniform(0.02, 0.2, 3)) for low in rng.uniform(-0.3, 0.3, (2, 3)))

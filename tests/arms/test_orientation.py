@@ -48,7 +48,10 @@ def test_the_tool_points_where_it_stands_off_the_arm():
     np.testing.assert_array_equal(tool_axis(bent), [0.0, 0.0, 1.0], "a tool that was told turns nothing")
 
 
-@pytest.mark.parametrize(("arm", "whole"), KINDS)
+each_kind = pytest.mark.parametrize(("arm", "whole"), KINDS)
+
+
+@each_kind
 def test_where_a_pose_is_reached_both_errors_are_zero(arm, whole):
     q = postures(arm, 40, 1)
     turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
@@ -60,7 +63,7 @@ def test_where_a_pose_is_reached_both_errors_are_zero(arm, whole):
     assert (np.median(off), np.median(angle)) < (1e-4, 1e-3)
 
 
-@pytest.mark.parametrize(("arm", "whole"), KINDS)
+@each_kind
 def test_rows_are_the_derivatives_of_the_error(arm, whole):
     q, h = postures(arm, 10, 3), 1e-6
     turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
@@ -71,7 +74,7 @@ def test_rows_are_the_derivatives_of_the_error(arm, whole):
         np.testing.assert_allclose(slope, -jacobian[..., j], atol=1e-7)
 
 
-@pytest.mark.parametrize(("arm", "whole"), KINDS)
+@each_kind
 def test_the_error_is_the_weighted_turn_that_scipy_finds(arm, whole):
     q, start = postures(arm, 10, 3), postures(arm, 10, 4)
     turn, place, f = shown(arm, q, whole), frames(arm, q).tcp_position, frames(arm, start)
@@ -120,7 +123,7 @@ def test_both_signs_of_a_quaternion_are_one_orientation():
     assert ((np.diff(same_side(unit), axis=0) ** 2).sum(axis=-1) <= 2.0 + 1e-12).all()
 
 
-@pytest.mark.parametrize(("arm", "whole"), KINDS)
+@each_kind
 def test_poses_that_an_arm_shows_are_found_from_rest_within_its_limits(arm, whole):
     q = postures(arm, 25, 8)
     turn, place = shown(arm, q, whole), frames(arm, q).tcp_position

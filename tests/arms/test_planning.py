@@ -55,7 +55,10 @@ def planned(name: str, count: int) -> list[JointTrajectory]:
     return found
 
 
-@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+each_name = pytest.mark.parametrize("name", ["mycobot280", "so101"])
+
+
+@each_name
 def test_no_planned_way_touches_in_mujoco(name):
     ways, judge = planned(name, 100), Judge(boxed(name))
     assert sum(len(way.moves) > 1 for way in ways) > 5
@@ -67,7 +70,7 @@ def test_no_planned_way_touches_in_mujoco(name):
         np.testing.assert_allclose(*np.maximum(found, 0.0), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+@each_name
 def test_chosen_postures_leave_room_for_the_judge(name):
     arm = boxed(name)
     places = tcp_position(arm, postures(name)[:60]) + np.random.default_rng(3).uniform(-0.05, 0.05, (60, 3))
@@ -77,7 +80,7 @@ def test_chosen_postures_leave_room_for_the_judge(name):
     assert (Judge(arm).distances(taken) > -TOUCH).all()
 
 
-@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+@each_name
 def test_speed_acceleration_and_jerk_keep_their_limits(name):
     arm = boxed(name)
     acceleration = np.minimum(arm.max_speed / 0.1, arm.servo_acceleration)
@@ -94,7 +97,7 @@ def test_speed_acceleration_and_jerk_keep_their_limits(name):
         )
 
 
-@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+@each_name
 def test_the_guard_shortens_no_planned_way(name):
     arm = boxed(name)
     limits = GuardLimits.of(arm)

@@ -1,6 +1,7 @@
 """A film tells what lies behind the encoders, names what does not belong to it, and comes back from its files."""
 
 from dataclasses import replace
+from functools import partial
 
 import camera_scenes
 import cv2
@@ -61,40 +62,38 @@ def test_what_does_not_belong_to_a_film_is_named(filmed):
 
 
 def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
-    t, film = taken(), film_of(3)
+    t, film, read = taken(), film_of(3), partial(read_folder, str(tmp_path), ARM, ON_TOOL)
     write_postures(tmp_path / POSTURES, ARM, film)
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"view-0{k}.png"), render(t.rig, tcp_pose(ARM, t.links[k]), k))
-    found = read_folder(str(tmp_path), ARM, ON_TOOL)
+    found = read()
     assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
     for one, other in zip(found.usable, film.shots, strict=False):
         np.testing.assert_allclose(one.position, other.position, atol=1e-7)
-    assert [shot.name for shot in read_folder(f"{tmp_path}/view-0[12].png", ARM, ON_TOOL).shots] == [
-        "view-01.png",
-        "view-02.png",
-    ]
+    some = read_folder(f"{tmp_path}/view-0[12].png", ARM, ON_TOOL).shots
+    assert [shot.name for shot in some] == ["view-01.png", "view-02.png"]
     (tmp_path / "view-02.png").write_bytes(b"no picture")
     (tmp_path / "notes.txt").write_text("skipped")
-    unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable
+    unreadable = read().unusable
     assert unreadable == (("view-02.png", "is no picture that OpenCV can read"),)
     first = (tmp_path / "view-00.png").read_bytes()
     (tmp_path / "view-00.png").write_bytes(b"no picture")
-    assert len(read_folder(str(tmp_path), ARM, ON_TOOL).usable) == 1
+    assert len(read().usable) == 1
     (tmp_path / "view-00.png").write_bytes(first)
     cv2.imwrite(str(tmp_path / "view-02.png"), np.zeros((480, 640), np.uint8))
     with pytest.raises(InputError, match=r"view-02.png has 640 x 480 px, those before it 1920 x 1080"):
-        read_folder(str(tmp_path), ARM, ON_TOOL)
+        read()
     cv2.imwrite(str(tmp_path / "view-09.png"), np.zeros((480, 640), np.uint8))
     with pytest.raises(FileError, match=r"no joint positions for view-09.png \(1 pictures\)"):
-        read_folder(str(tmp_path), ARM, ON_TOOL)
+        read()
     with pytest.raises(FileError, match="no such pictures"):
         read_folder(str(tmp_path / "*.jpg"), ARM, ON_TOOL)
     (tmp_path / POSTURES).write_text("picture,joint1\n")
     with pytest.raises(FileError, match=r"missing: position\.joint1_deg"):
-        read_folder(str(tmp_path), ARM, ON_TOOL)
+        read()
     (tmp_path / POSTURES).unlink()
     with pytest.raises(FileError, match="the joint positions of each picture are missing"):
-        read_folder(str(tmp_path), ARM, ON_TOOL)
+        read()
 
 
 def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():

@@ -90,12 +90,16 @@ def diagnosed():
     return SimpleNamespace(servo_gains=None, measurement=SimpleNamespace(balance=lambda _: balance))
 
 
-def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
+def save_logs(run):
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         recording.log(0, name).save(run.folder.log(name))
+
+
+def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
+    run = Run.create(tmp_path, "emulated:worn", ARM)
+    assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
+    save_logs(run)
     monkeypatch.setattr(Run, "diagnosis", diagnosed())
     bands = guard_limits(run, ARM, "emulated:worn").bands
     assert bands.width.shape == (6,)
@@ -114,10 +118,8 @@ def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(
 def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, monkeypatch, own, driven, used):
     """A real arm has many addresses."""
     monkeypatch.setattr(Run, "diagnosis", diagnosed())
-    run = Run.create(tmp_path / "run", own, ARM, 0)
-    recording, _ = drive(NEAR)
-    for name in ("excitation", "targets"):
-        recording.log(0, name).save(run.folder.log(name))
+    run = Run.create(tmp_path, own, ARM)
+    save_logs(run)
     limits = guard_limits(run, ARM, driven)
     assert (limits.bands is not None) == used
 

@@ -41,7 +41,7 @@ class Watching:
 
 
 def driven(make=IntegratorController, *, wear="worn?seed=701", believed=None, **seeing):
-    robot = EmulatedRobot(ARM, [load_wear(wear, ARM)], seed=0)
+    robot = EmulatedRobot(ARM, [load_wear(wear, ARM)])
     seen = Seen(ARM, believed or Displacement.none(ARM), eye=Watching(robot, **seeing))
     controller = Finishing(ARM, make(ARM), seen)
     states = []
@@ -62,7 +62,7 @@ def true_errors(recording, end=DWELL):
 
 
 def test_the_tool_of_a_worn_arm_comes_nearer_than_any_controller_brings_it():
-    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
+    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)])
     blind = true_errors(run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=DWELL)))
     recording, states, seen = driven()
     assert blind.mean() > 4e-3
@@ -87,7 +87,7 @@ def test_a_hidden_tool_leaves_the_controller_alone():
     recording, states, seen = driven(hidden=(0.0, np.inf))
     assert set(states) == {"far"}
     assert [count for count, _ in seen.visits] == [0] * TARGETS.shape[1]
-    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
+    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)])
     blind = run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=DWELL))
     np.testing.assert_array_equal(recording.command, blind.command)
 

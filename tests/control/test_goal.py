@@ -58,7 +58,7 @@ def test_a_servo_follows_a_way_by_the_lead_of_its_own_inverse():
 
 
 def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():
-    robot = open_robot("emulated:worn", seed=0)
+    robot = open_robot("emulated:worn")
     ways = with_ways(ARM, POSTURES, ARM.rest)
     targets = tcp_position(ARM, POSTURES)[None]
     recording = run(robot, FeedforwardController(ARM), TargetSequence(ARM, targets, ways=[ways]), Schedule(dwell=3.0))
@@ -74,7 +74,7 @@ def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():
 
 
 def test_an_arm_with_a_slow_joint_stays_on_its_way():
-    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], seed=0)
+    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)])
     robot.plant.set_speed_limit(np.array([[0.3, 9.0, 9.0, 9.0, 9.0, 9.0]]))
     goal = ARM.rest + np.radians([90.0, 20.0, -40.0, 30.0, 20.0, 10.0])
     ways = with_ways(ARM, goal[None], ARM.rest)

@@ -85,7 +85,7 @@ def test_a_picture_that_freezes_leaves_the_controller_to_the_model():
     targets = ARM.targets.sample(np.random.default_rng(11), (1, 2))
     commands = []
     for eye_of in (Frozen, Told):
-        robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
+        robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)])
         seen = Seen(ARM, Displacement.none(ARM), eye=eye_of(robot))
         controller = Finishing(ARM, IntegratorController(ARM), seen)
         commands.append(

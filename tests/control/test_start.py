@@ -134,7 +134,7 @@ def test_a_joint_may_stand_as_far_off_as_in_its_own_diagnosis_and_no_other_joint
 
 def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
     twin = SimpleNamespace(parameters=SimpleNamespace(stiffness=np.full(6, 8.0), offset=np.zeros(6), compensation=0.0))
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path, "emulated:worn", ARM)
     assert stance_of(None, run) is None
     assert np.all(stance_of(twin, run).off == 0.0)
     rows = np.repeat([[0.2, 0.0, 0.2], [0.15, 0.05, 0.2]], 3, axis=0)

@@ -223,7 +223,7 @@ def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path):
         read_calibration(path, so101())
     with pytest.raises(ContractError, match="differ in mass"):
         read_calibration(path, replace(ARM, mass=1.1 * ARM.mass))
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text()
     path.write_text(text.replace("used = true", "used = false"), encoding="utf-8")
     with pytest.raises(FileError, match="damaged"):
         read_calibration(path, ARM)

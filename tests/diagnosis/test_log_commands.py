@@ -51,7 +51,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path,
     assert list(judgement.mean) == [NO_TWIN, "fitted twin", "healthy twin", "the maker"]
     assert judgement.mean["fitted twin"].free.tcp < 0.3 * judgement.mean["the maker"].free.tcp
     assert "Trust “fitted twin”" in done.out
-    page = folder.report.read_text(encoding="utf-8")
+    page = folder.report.read_text()
     assert "Trust “fitted twin”" in page
     notes = done.last["notes"]
     assert REFITTED in notes
@@ -64,7 +64,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path,
     again = read_json(tmp_path / "again" / "replay.json", Judgement)
     assert done.last["page"] == "again/replay.html"
     assert len(again.motions) == 5
-    assert again.motions[0].motion in (tmp_path / "again" / "replay.html").read_text(encoding="utf-8")
+    assert again.motions[0].motion in (tmp_path / "again" / "replay.html").read_text()
 
 
 def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkeypatch):

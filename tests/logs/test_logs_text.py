@@ -90,7 +90,7 @@ def test_columns_without_titles_are_numbered(tmp_path: Path):
     assert log.command.tolist() == FOUND.command.tolist()
 
 
-PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text()
 
 
 def test_the_example_of_the_documentation_is_imported(tmp_path: Path):

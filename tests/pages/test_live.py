@@ -60,17 +60,10 @@ def test_virtual_time_is_slowed_down_to_the_pace_which_may_change(monkeypatch):
     monkeypatch.setattr(wallclock, "pause", lambda duration: wall.__setitem__(0, wall[0] + max(duration, 0.0)))
     pace = [1.0]
     robot = wallclock.WallClock(Passing(), lambda: pace[0])
-    robot.step(np.zeros((2, N)))
-    for _ in range(4):
-        robot.step(np.zeros((2, N)))
-    assert wall[0] == pytest.approx(4.0)
-    pace[0] = 10.0
-    for _ in range(5):
-        robot.step(np.zeros((2, N)))
-    assert wall[0] == pytest.approx(4.5)
-    pace[0] = np.inf
-    robot.step(np.zeros((2, N)))
-    assert wall[0] == pytest.approx(4.5)
+    for pace[0], steps, end in ((1.0, 5, 4.0), (10.0, 5, 4.5), (np.inf, 1, 4.5)):
+        for _ in range(steps):
+            robot.step(np.zeros((2, N)))
+        assert wall[0] == pytest.approx(end)
 
 
 def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monkeypatch):

@@ -9,15 +9,14 @@ from browser import CHROMIUM, chromium
 from hand import Hand
 
 from rejoint.studio import jobs
-from rejoint.studio.machine import Studio
 from rejoint.studio.page import TITLES, StudioView
 
+missing = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
 
-@pytest.fixture
-def studio(tmp_path):
-    machine = Studio(tmp_path / "runs")
-    yield machine
-    machine.leave()
+
+def seen(test):
+    """Mark a test that needs a browser, which takes its time."""
+    return pytest.mark.realtime(missing(test))
 
 
 def asked(address, **headers):
@@ -51,8 +50,7 @@ def test_other_computers_need_the_token(studio):
         assert asked(view.address)[0] == 200
 
 
-@pytest.mark.realtime
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
+@seen
 def test_clicks_alone_choose_an_arm_and_a_second_tab_sees_the_same(studio):
     with StudioView(studio, "127.0.0.1", 0) as view, chromium(1300, 850) as tab:
         hand = Hand(tab)
@@ -79,8 +77,7 @@ def test_clicks_alone_choose_an_arm_and_a_second_tab_sees_the_same(studio):
             hand.reads("stopped by the stop button")
 
 
-@pytest.mark.realtime
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
+@seen
 def test_the_job_ends_when_the_last_page_is_closed_unless_the_owner_wants_it_to_go_on(studio):
     with StudioView(studio, "127.0.0.1", 0) as view:
         for goes_on in (True, False):
@@ -99,8 +96,7 @@ def test_the_job_ends_when_the_last_page_is_closed_unless_the_owner_wants_it_to_
                 time.sleep(0.05)
 
 
-@pytest.mark.realtime
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
+@seen
 @pytest.mark.parametrize("width", [1300, 420])
 def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, width):
     title = """[...document.querySelectorAll('div')].filter((e) => e.childElementCount === 0

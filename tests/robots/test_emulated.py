@@ -66,7 +66,7 @@ def test_reading_takes_no_time_and_repeats_the_last_answer():
 
 
 def test_the_true_tcp_is_not_the_one_that_the_encoders_show():
-    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=0)
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)])
     apart = np.linalg.norm(robot.true_tcp() - tcp_position(ARM, robot.read().position))
     assert 0.004 < apart < 0.02
 

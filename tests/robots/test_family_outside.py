@@ -97,4 +97,4 @@ def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch)
     words = ("--run", folder.path, "--targets", points, "--controllers", "integrator,policy", "--json")
     assert cli("repair", ADDRESS, *words).last["recommended"]["controller"] in ("integrator", "policy")
     assert {row["controller"] for row in json.loads(folder.comparison.read_text())["rows"]} == {"integrator", "policy"}
-    assert ADDRESS in folder.report.read_text(encoding="utf-8")
+    assert ADDRESS in folder.report.read_text()

@@ -33,7 +33,7 @@ def serving(tmp_path, pty=False):
     arm = StsArm.build(ARM, "so101")
     with (TerminalServer if pty else on_port)(BusSession(arm)) as server:
         server.arm = arm
-        server.run = Run.create(tmp_path / "run", server.address, ARM).path
+        server.run = Run.create(tmp_path, server.address, ARM).path
         yield server
 
 

@@ -35,7 +35,7 @@ PACE = 6.0
 
 @pytest.fixture
 def run(tmp_path):
-    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    return Run.create(tmp_path, "emulated:worn", ARM).path
 
 
 @pytest.fixture(scope="module")

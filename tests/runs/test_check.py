@@ -94,7 +94,7 @@ def test_a_check_leaves_its_log_and_its_rows(checked):
 def test_guarded_and_in_batches_bit_for_bit(checked):
     """An arm in a batch does what it does alone, and neither a healthy nor a worn one trips the guard."""
     wears = [load_wear(name, ARM) for name in ("healthy?hours=5", "worn")]
-    robot = EmulatedRobot(ARM, wears, seed=0)
+    robot = EmulatedRobot(ARM, wears)
     (log, warm), (worn, _) = record_check(robot)
     alone = RunLog.load(checked[0].folder / "check.parquet")
     assert (log.position == alone.position).all()

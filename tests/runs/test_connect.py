@@ -49,7 +49,7 @@ def a_twin() -> Twin:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    return Run.create(tmp_path, "emulated:worn", ARM).path
 
 
 @contextmanager
@@ -441,7 +441,7 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
 
 
 def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path: Path) -> None:
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    run = Run.create(tmp_path, "emulated:worn", ARM).path
     with rejoint.connect("emulated:worn", run=run) as arm:
         assert "joint" in arm.diagnose(quick=True).verdict
         assert arm.identify(quick=True).arm == ARM.name

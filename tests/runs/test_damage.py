@@ -198,14 +198,14 @@ def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path, monkeypatch
 
 
 def test_a_folder_of_another_version_is_named(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path, "emulated:worn", ARM)
     assert read_json(run.folder.info, dict[str, Any])["format"] == FORMAT
     newer = {"format": FORMAT + 1, "version": "9.9", "robots": ["a", "b"]}
     write_json(run.folder.info, newer)
     with pytest.raises(FileError, match=r"run\.json: a run folder of format 3, made by rejoint 9\.9"):
         Run.open(run.folder.path)
     with pytest.raises(FileError, match=r"format 3"):
-        Run.create(run.folder.path, "emulated:worn", ARM, 0)
+        Run.create(run.folder.path, "emulated:worn", ARM)
     older = {"robot": "emulated:worn", "arm": "mycobot280", "seed": 0, "version": "0.0.9", "created": "", "format": 1}
     write_json(run.folder.info, older)
     with pytest.raises(FileError, match=r"format 1, made by rejoint 0\.0\.9"):
@@ -213,7 +213,7 @@ def test_a_folder_of_another_version_is_named(tmp_path):
 
 
 def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:worn", replace(ARM, name="mine"), 0)
+    run = Run.create(tmp_path, "emulated:worn", replace(ARM, name="mine"))
     assert Run.open(run.folder.path).arm.name == "mine"
     text = run.folder.description.read_text()
     run.folder.description.write_text(text.replace("mass_kg = 0.", "mass_kg = 1.", 1))

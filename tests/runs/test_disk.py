@@ -19,7 +19,7 @@ from rejoint.system.files import saving, write_json
 
 @pytest.fixture
 def folder(tmp_path):
-    return Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    return Run.create(tmp_path / "run", "emulated:worn", mycobot280()).folder
 
 
 @pytest.fixture

@@ -13,12 +13,10 @@ ARM = mycobot280()
 
 
 def test_time_and_travel_are_those_of_the_motion(tmp_path):
-    run, robot = Run.create(tmp_path / "run", "emulated:healthy", ARM), open_robot("emulated:healthy", seed=1)
-    posture = ARM.rest.copy()
-    posture[0] += 0.5
+    run, robot = Run.create(tmp_path, "emulated:healthy", ARM), open_robot("emulated:healthy", seed=1)
     first = move(robot, ARM.rest)
     with staged(run, "turn") as watch:
-        motion = move(watch(robot), posture, sent=first.command[-1])
+        motion = move(watch(robot), ARM.rest + 0.5 * np.eye(6)[0], sent=first.command[-1])
     robot.close()
     (spent,) = read_effort(run.folder).stages
     assert spent.moving == pytest.approx(motion.time[-1, 0] - first.time[-1, 0], rel=0.02)

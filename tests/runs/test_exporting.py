@@ -51,10 +51,14 @@ STARTED = 10
 """cycles after which all joints move, and the joint monitor bounds no command"""
 
 
+def begun(file):
+    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
+    return session, np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
+
+
 def differences(file, recording):
     """How far (T,) [rad] commands of a file are from recorded ones that guard and monitor left alone."""
-    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
-    memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
+    session, memory = begun(file)
     time, n = recording.time[:, 0], recording.position.shape[-1]
     found = []
     for k in range(len(time) - 1):  # in the last row nothing is decided any more
@@ -74,12 +78,12 @@ def differences(file, recording):
 
 @pytest.mark.parametrize(("arm", "address"), [(ARM, "emulated:worn"), (so101(), "emulated:so101")])
 def test_onnx_runtime_commands_what_our_controller_commands(arm, address, tmp_path):
-    about = Run.create(tmp_path / "run", address, arm, 0)
+    about = Run.create(tmp_path, address, arm)
     targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
     policy = write_policy(about.folder.policy, arm)
     given = ((None, policy.controller(arm)), (None, shelf_controller(arm)), ("feedforward", FeedforwardController(arm)))
     for name, controller in given:
-        recording = run(open_robot(address, arm=arm, seed=0), controller, targets, Schedule(dwell=2.5))
+        recording = run(open_robot(address, arm=arm), controller, targets, Schedule(dwell=2.5))
         file, _ = export_run(about, "onnx", controller=name)
         found = differences(file, recording)
         assert len(found) > 60
@@ -133,23 +137,23 @@ def ros(monkeypatch):
 
 
 def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(ros, tmp_path, monkeypatch):
-    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    about = Run.create(tmp_path, "emulated:worn", ARM)
     folder, _ = export_run(about, "ros2")
     needs = {one.text for one in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
-    launch = (folder / "launch/controller.launch.py").read_text(encoding="utf-8")
+    launch = (folder / "launch/controller.launch.py").read_text()
     used = {line.split()[1].partition(".")[0] for line in launch.splitlines() if line.startswith("from ")}
     assert used | {"controller_manager", "rclpy"} <= needs
-    parameters = YAML(typ="safe").load((folder / "config/controllers.yaml").read_text(encoding="utf-8"))
+    parameters = YAML(typ="safe").load((folder / "config/controllers.yaml").read_text())
     assert parameters["rejoint_forward"]["ros__parameters"]["joints"] == list(ARM.joint_names)
     for script in folder.rglob("*.py"):
-        compile(script.read_text(encoding="utf-8"), str(script), "exec")
+        compile(script.read_text(), str(script), "exec")
     assert not [
         path for path in folder.rglob("*") if path.is_file() and path.suffix != ".onnx" and b"@P" in path.read_bytes()
     ]
     monkeypatch.syspath_prepend(str(folder))
     node = importlib.import_module("rejoint_mycobot280.node").ControllerNode()
 
-    robot, target = open_robot("emulated:worn", arm=ARM, seed=0), np.array([0.18, 0.03, 0.21])
+    robot, target = open_robot("emulated:worn", arm=ARM), np.array([0.18, 0.03, 0.21])
     point, header = SimpleNamespace(x=target[0], y=target[1], z=target[2]), SimpleNamespace(frame_id="base_link")
     _, timer = node.timer
     timer()
@@ -189,19 +193,18 @@ def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(r
 
 @pytest.mark.skipif(not (JUDGE / "leapp").is_dir(), reason=f"LEAPP is not in {JUDGE}: `make judge` puts it there")
 def test_the_reader_of_nvidia_runs_the_bundle(tmp_path):
-    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    about = Run.create(tmp_path / "run", "emulated:worn", ARM)
     policy = write_policy(about.folder.policy, ARM)
     file, _ = export_run(about, "onnx")
     target = ARM.targets.sample(np.random.default_rng(0), (1, 1))
-    recording = run(open_robot("emulated:worn", arm=ARM, seed=0), policy.controller(ARM), target, Schedule(dwell=2.0))
+    recording = run(open_robot("emulated:worn", arm=ARM), policy.controller(ARM), target, Schedule(dwell=2.0))
     period = np.diff(recording.time[:, 0], prepend=recording.time[0, 0])[:, None]
     rows = np.concatenate([recording.position[:, 0], np.repeat(target[0], len(period), axis=0), period], axis=1)
     np.save(tmp_path / "states.npy", rows.astype(np.float32))
     script = Path(__file__).with_name("leapp_judge.py")
     words = (script, file.with_suffix(".yaml"), tmp_path / "states.npy", tmp_path / "out.npy")
     python(*words, env=os.environ | {"PYTHONPATH": str(JUDGE)}, timeout=120)
-    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
-    memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
+    session, memory = begun(file)
     for row, command in zip(rows.astype(np.float32), np.load(tmp_path / "out.npy"), strict=True):
         feed = {"joint_pos": row[None, :-4], "target": row[None, -4:-1], "period": row[None, -1:], "state_in": memory}
         expected, memory = session.run(None, feed)

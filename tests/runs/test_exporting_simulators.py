@@ -51,10 +51,10 @@ def rms(paths, measured):
 
 @pytest.mark.parametrize("address", ["emulated:worn", "emulated:so101"])
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
-    robot = open_robot(address, seed=0)
+    robot = open_robot(address)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
     twin = identify(arm, logs, iterations=8)
-    run = Run.create(tmp_path / "run", address, arm, 0)
+    run = Run.create(tmp_path, address, arm)
     twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
@@ -74,7 +74,7 @@ def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     parameters = replace(
         nominal_parameters(arm), stiction=np.full(5, 1.5), delay=np.array(0.021), offset=np.full(arm.joints, 0.01)
     )
-    run = Run.create(tmp_path / "run", "emulated:so101", arm, 0)
+    run = Run.create(tmp_path, "emulated:so101", arm)
     with pytest.raises(FileError, match="rejoint identify"):
         export_run(run, "isaaclab")
     made_twin(arm, parameters).save(run.folder.twin)
@@ -82,7 +82,7 @@ def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     stub.DelayedPDActuatorCfg = SimpleNamespace
     monkeypatch.setitem(sys.modules, "isaaclab.actuators", stub)
     found = {}
-    exec(export_run(run, "isaaclab")[0].read_text(encoding="utf-8"), found)
+    exec(export_run(run, "isaaclab")[0].read_text(), found)
     servos = found["ACTUATORS"]["arm"]
     assert servos.joint_names_expr == list(arm.joint_names)
     assert servos.min_delay == servos.max_delay == round(0.021 / found["PHYSICS_STEP"])
@@ -97,11 +97,11 @@ def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
 
 
 def test_gains_that_were_found_leave_in_the_words_of_lerobot(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:so101", so101())
+    run = Run.create(tmp_path, "emulated:so101", so101())
     with pytest.raises(InputError, match="rejoint gains ROBOT"):
         export_run(run, "lerobot")
     alone = found_by(run).alone
-    motors = json.loads(export_run(run, "lerobot")[0].read_text(encoding="utf-8"))
+    motors = json.loads(export_run(run, "lerobot")[0].read_text())
     assert [motors[name]["P_Coefficient"] for name in run.arm.joint_names] == [*alone["p"]]
     assert [motors[name]["I_Coefficient"] for name in run.arm.joint_names] == [*alone["i"]]
     assert motors["shoulder_lift"]["Minimum_Startup_Force"] == alone["startup"][1] + 256 * alone["limit"][1]

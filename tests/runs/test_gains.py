@@ -29,6 +29,7 @@ from rejoint_lab.emulator.servobus import BusSession
 from servorobot import ARM, ServoRobot
 
 FOUND = KIND.for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
+PLAN = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))
 SEEN = Round(error=np.zeros(5), unrest=np.zeros(5), tool=0.0)
 
 
@@ -53,7 +54,7 @@ def found_by(run, address="emulated:so101"):
 
 def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "TARGETS", 1)
-    robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    robot, run = ServoRobot(), Run.create(tmp_path, "emulated:so101", ARM)
     with pytest.raises(FileError, match=r"run `rejoint gains ROBOT"):
         rejoint.compare(
             robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, plan=rejoint.TrialPlan(sets=1, repetitions=1)
@@ -72,9 +73,8 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     np.testing.assert_array_equal(again.before.error, found.before.error)
     robot.history.clear()
     targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])
-    plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))
     names = ["default", "servo-gains", "servo-gains+integrator"]
-    compared = rejoint.compare(robot, names, targets, run=run, plan=plan)
+    compared = rejoint.compare(robot, names, targets, run=run, plan=PLAN)
     assert robot.servo_gains() == before
     assert all(gains in robot.history for gains in (found.alone, found.under))
     settled = {row.controller: row.settled.mean.value for row in compared.comparison.rows}
@@ -90,21 +90,20 @@ def test_gains_that_a_servo_does_not_bear_are_left_out_and_the_others_are_compar
                 )
             super().tune(gains)
 
-    robot, run = Weak(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    robot, run = Weak(), Run.create(tmp_path, "emulated:so101", ARM)
     found_by(run)
-    plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))
     point = [[0.33, 0.05, 0.22]]
-    found = rejoint.compare(robot, ["default", "servo-gains"], point, run=run, plan=plan).comparison
+    found = rejoint.compare(robot, ["default", "servo-gains"], point, run=run, plan=PLAN).comparison
     assert [row.controller for row in found.rows] == ["default"]
     assert "servo-gains" in found.left_out[0]
     assert "load 75 %" in found.left_out[0]
     with pytest.raises(OverloadedError):
-        rejoint.compare(robot, ["servo-gains"], point, run=run, plan=plan)
+        rejoint.compare(robot, ["servo-gains"], point, run=run, plan=PLAN)
 
 
 def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
     arm = replace(ARM, servos=())
-    run = Run.create(tmp_path / "run", "emulated:worn", arm)
+    run = Run.create(tmp_path, "emulated:worn", arm)
     found_by(run)
     assert not place_of("emulated:worn").tunable(arm)
     assert place_of("feetech:///dev/ttyACM0").tunable(arm)
@@ -117,7 +116,7 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, cli):
     arm = StsArm.build(ARM, "so101")
     with on_port(BusSession(arm)) as server:
-        run = Run.create(tmp_path / "run", server.address, ARM)
+        run = Run.create(tmp_path, server.address, ARM)
         found = found_by(run, server.address)
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):
             monkeypatch.setattr("sys.stdin", io.StringIO(answer))
@@ -140,7 +139,7 @@ def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatc
         asked.append(options.servo_gains)
         raise KeyboardInterrupt
 
-    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+    run = Run.create(tmp_path, "emulated:so101", ARM)
     monkeypatch.setattr("rejoint.training.train.train", learn)
     monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains=FOUND))
     with pytest.raises(rejoint.InputError, match=r"no twin.toml; run `rejoint identify .* --generic"):

@@ -138,7 +138,7 @@ def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path):
     assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
     assert shown["a1"][-1].endswith("--repeat 5")
     write_history(tmp_path / "told.html", told)
-    assert "<p>Nothing urgent on 2 arms.</p>" in (tmp_path / "told.html").read_text(encoding="utf-8")
+    assert "<p>Nothing urgent on 2 arms.</p>" in (tmp_path / "told.html").read_text()
 
 
 def history_of(hysteresis, tolerance=None):

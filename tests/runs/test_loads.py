@@ -36,7 +36,7 @@ TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21], [0.16, -0.05, 0.22]]
 
 @pytest.fixture
 def run(tmp_path):
-    path = Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    path = Run.create(tmp_path / "run", "emulated:worn", ARM).path
     a_twin().save(path / "twin.toml")
     return path
 

@@ -18,7 +18,7 @@ ARM = mycobot280()
 
 @pytest.fixture
 def run(tmp_path):
-    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    return Run.create(tmp_path, "emulated:worn", ARM)
 
 
 def test_motions_of_one_connection_come_in_pieces(run, monkeypatch):

@@ -41,13 +41,18 @@ def calibrate(run, hand, calibration=None, **options):
 
 @pytest.fixture
 def run(tmp_path):
-    return Run.create(tmp_path / "run", ROBOT, ARM)
+    return Run.create(tmp_path, ROBOT, ARM)
+
+
+def leave(run, last):
+    with pytest.raises(InputError, match="the answers ended") as stopped:
+        calibrate(run, Hand(last))
+    return stopped
 
 
 def test_what_was_typed_is_not_asked_for_again(run, caplog):
     caplog.set_level(logging.WARNING, logger="rejoint")
-    with pytest.raises(InputError, match="the answers ended") as stopped:
-        calibrate(run, Hand(3))
+    stopped = leave(run, 3)
     assert any("the same command goes on there" in note for note in stopped.value.__notes__)
     kept, session = read_interrupted(run.folder.measurements, ARM)
     assert (len(kept), session.answered, session.fresh) == (2, 3, False)
@@ -80,8 +85,7 @@ def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typ
 
 @pytest.mark.parametrize("other", [{"count": 4}, {"visits": 1}, {"gauge": Hand().gauge(frame="room")}])
 def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, other):
-    with pytest.raises(InputError, match="the answers ended"):
-        calibrate(run, Hand(3))
+    leave(run, 3)
     before = run.folder.measurements.read_bytes()
     with pytest.raises(InputError, match="begin again with --fresh"):
         rejoint.calibrate(ROBOT, run=run, **({"gauge": Hand(0).gauge(), "count": COUNT} | other))
@@ -92,16 +96,14 @@ def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, 
 
 
 def test_what_was_interrupted_can_be_fitted_as_it_is_and_is_at_its_end_then(run):
-    with pytest.raises(InputError, match="the answers ended"):
-        calibrate(run, Hand(5))
+    leave(run, 5)
     found = rejoint.calibrate(run=run, gauge=run.folder.measurements)
     assert found.calibration.points == 4
     assert read_interrupted(run.folder.measurements, ARM) is None
 
 
 def test_a_damaged_session_is_one_line_and_no_guess(run):
-    with pytest.raises(InputError, match="the answers ended"):
-        calibrate(run, Hand(3))
+    leave(run, 3)
     whole = run.folder.measurements.read_bytes()
     at = whole.index(b'"answered": 3')
     run.folder.measurements.write_bytes(whole[: at + 12] + b"5" + whole[at + 13 :])

@@ -27,13 +27,13 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path):
     path.mkdir()
     for name in (".lock", "arm.toml", ".run.json.abcd1234.partial"):
         (path / name).write_text("half")
-    assert Run.create(path, "emulated:worn", arm, 0).arm.name == "mine"
+    assert Run.create(path, "emulated:worn", arm).arm.name == "mine"
     assert Run.open(path).arm.name == "mine"
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").touch()
     with pytest.raises(InputError, match="not a run folder and not empty"):
-        Run.create(other, "emulated:worn", arm, 0)
+        Run.create(other, "emulated:worn", arm)
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]
 
 
@@ -106,7 +106,7 @@ def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path):
     with pytest.raises(FileError, match="nothing to work on"):
         stage(run)
     assert not run.folder.path.exists()
-    begun = Run.create(tmp_path / "begun", "logs:x", ARM, 0)
+    begun = Run.create(tmp_path / "begun", "logs:x", ARM)
     with pytest.raises(FileError, match="nothing to work on"):
         stage(begun)
     assert begun.folder.info.exists()

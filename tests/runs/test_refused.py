@@ -21,7 +21,7 @@ POSES = [rejoint.Pose(place_m=(0.17, 0.0, 0.2), direction=(0.0, 0.0, -1.0))]
 
 @pytest.fixture
 def run(tmp_path):
-    path = Run.create(tmp_path / "run", NOBODY, ARM, 0).path
+    path = Run.create(tmp_path, NOBODY, ARM).path
     a_twin().save(path / "twin.toml")
     return path
 
@@ -67,7 +67,7 @@ def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path, wrong, why):
 
 
 def test_a_training_that_cannot_be_is_no_quick_try(tmp_path):
-    run = Run.create(tmp_path / "run", NOBODY, mycobot280(), 0)
+    run = Run.create(tmp_path / "run", NOBODY, mycobot280())
     with pytest.raises(rejoint.InputError, match="no preset is called 'nope'"):
         rejoint.train(run=run, preset="nope", quick=True, settings=rejoint.TrainSettings(generic=True))
     assert not run.folder.quick.exists()
@@ -84,6 +84,6 @@ def test_no_logs_are_nothing_to_work_on(stage):
 
 
 def test_an_arm_without_the_wire_that_is_served(tmp_path):
-    run = Run.create(tmp_path / "run", "feetech://127.0.0.1:1", so101(), 0).path
+    run = Run.create(tmp_path, "feetech://127.0.0.1:1", so101()).path
     with pytest.raises(rejoint.InputError, match="not of so101; for joint goals line by line take --stdio"):
         rejoint.serve("feetech://127.0.0.1:1", run)

@@ -78,7 +78,7 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
             return cls(2026, 1, 1, 12, 0, 5, tzinfo=tz)
 
     monkeypatch.setattr(running, "datetime", Stopped)
-    run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+    run = Run.create(tmp_path, "emulated:worn", mycobot280())
     for _ in range(2):
         rejoint.deploy(
             "emulated:worn",

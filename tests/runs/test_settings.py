@@ -21,7 +21,7 @@ GIVEN = rejoint.Settings(payload=0.1, tool=[0.0, 0.0, 0.05], keep_out=[WALL], pe
 
 @pytest.fixture
 def run(tmp_path):
-    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    return Run.create(tmp_path, "emulated:worn", ARM)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
 
 
 def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path, "emulated:worn", ARM)
     told = rejoint.Settings(payload=0.05, keep_out=[WALL])
     with rejoint.connect("emulated:worn", run=run, settings=told) as arm:
         arm.diagnose(quick=True)

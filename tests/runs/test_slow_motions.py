@@ -38,7 +38,7 @@ def failing(robot, steps):
     ],
 )
 def test_what_an_arm_did_is_kept_where_a_stage_ends_early(tmp_path, steps, label, stage):
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path, "emulated:worn", ARM)
     a_twin().save(run.folder.twin)
     with pytest.raises(rejoint.RobotError, match="made for this test") as failed:
         stage(failing(open_robot("emulated:worn", arm=ARM), steps), run)

@@ -4,6 +4,7 @@ import re
 import threading
 import time
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -30,13 +31,6 @@ class RealTime(Observer):
 GO = partial(jobs.go_to, target=np.array([0.17, 0.0, 0.2]))
 
 
-@pytest.fixture
-def studio(tmp_path):
-    machine = Studio(tmp_path / "runs")
-    yield machine
-    machine.leave()
-
-
 def until(condition, seconds=120.0):
     end = time.monotonic() + seconds
     while not condition():
@@ -56,9 +50,17 @@ def do(studio, job, *answers):
     return studio.status
 
 
+def rest(studio):
+    until(lambda: not studio.status.busy, 5.0)
+
+
+def take(studio, address="emulated:worn"):
+    return do(studio, lambda machine: jobs.choose(machine, address))
+
+
 def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
     assert "emulated:worn" in do(studio, jobs.look).found["arms"].values()
-    status = do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    status = take(studio)
     assert (status.step, status.arm.name, status.error) == ("check", "mycobot280", "")
     assert not any(one.fix for one in status.found["checks"])
     assert do(studio, jobs.nudge, "no").step == "check"
@@ -81,7 +83,7 @@ def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
 
 
 def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
-    do(studio, lambda machine: jobs.choose(machine, "emulated:healthy"))
+    take(studio, "emulated:healthy")
     assert studio.do("calibration", lambda machine: jobs.calibrate(machine, jobs.RULER, 2, None, 0))
     asked = set()
     while studio.status.busy:
@@ -93,7 +95,6 @@ def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
         time.sleep(0.01)
     assert not studio.status.error, studio.status.error
     assert len(asked) == 4
-    assert not studio.status.error, studio.status.error
     assert rejoint.Run.open(studio.status.run).folder.calibration.exists()
 
 
@@ -103,7 +104,7 @@ def test_only_one_job_is_done_at_a_time_and_a_question_is_answered_once(studio):
     assert not studio.do("second", lambda _: heard.append("second"))
     until(lambda: studio.status.question)
     studio.answer("this")
-    until(lambda: not studio.status.busy)
+    rest(studio)
     studio.answer("late")
     assert heard == ["this"]
 
@@ -112,7 +113,7 @@ def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
     assert studio.do("asking", lambda machine: machine.ask("which one?"))
     until(lambda: studio.status.question)
     studio.stop()
-    until(lambda: not studio.status.busy, 5.0)
+    rest(studio)
     assert "stop" in studio.status.error
 
     def busy(machine):
@@ -122,14 +123,14 @@ def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
 
     assert studio.do("thinking", busy)
     studio.stop()
-    until(lambda: not studio.status.busy, 5.0)
+    rest(studio)
     assert studio.do("next", lambda _: None)
 
 
 @pytest.mark.realtime
 def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
     studio.observer = Observers(studio, RealTime())
-    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    take(studio)
     do(studio, GO)
     for number in range(5):
         side = 0.09 * (-1) ** number
@@ -138,29 +139,25 @@ def test_stop_holds_a_moving_arm_at_once_and_the_studio_goes_on(studio):
         assert studio.status.busy, studio.status.error
         pressed = time.monotonic()
         threading.Thread(target=studio.stop).start()
-        until(lambda: not studio.status.busy, 5.0)
+        rest(studio)
         assert time.monotonic() - pressed < 0.3
         assert "stopped" in studio.status.error
     assert not do(studio, GO).error
 
 
 def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio, monkeypatch):
-    status = do(studio, lambda machine: jobs.choose(machine, "tcp://127.0.0.1:9"))
+    status = take(studio, "tcp://127.0.0.1:9")
     assert status.error
     assert "\n" not in status.error
     assert (status.step, status.address) == ("find", "")
-    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    take(studio)
     session = studio.session()
-    monkeypatch.setattr(type(session), "move_to", lambda *_, **__: _off())
+    monkeypatch.setattr(type(session), "move_to", Mock(side_effect=AddressError("the arm is off")))
     status = do(studio, GO)
     assert status.error == "the arm is off"
     monkeypatch.undo()
     assert not do(studio, GO).error
     assert studio.session() is not session
-
-
-def _off():
-    raise AddressError("the arm is off")
 
 
 def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path, monkeypatch):
@@ -169,25 +166,24 @@ def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path
     name_arm("bench-3", address="emulated:worn?seed=5", description="mycobot280")
     label = next(iter(do(studio, jobs.look).found["arms"]))
     assert "bench-3" in label
-    status = do(studio, lambda machine: jobs.choose(machine, studio.status.found["arms"][label]))
+    status = take(studio, studio.status.found["arms"][label])
     assert (status.address, status.step) == ("emulated:worn?seed=5", "check"), status.error
 
 
 def test_a_known_arm_is_used_at_once(studio, tmp_path):
-    do(studio, lambda machine: jobs.choose(machine, "emulated:worn"))
+    take(studio)
     do(studio, lambda machine: jobs.diagnose(machine, quick=True))
     again = Studio(tmp_path / "runs")
-    status = do(again, lambda machine: jobs.choose(machine, "emulated:worn"))
+    status = take(again)
     assert status.run == studio.status.run
     assert status.found["diagnosis"] is not None
     again.leave()
 
 
 def test_an_arm_that_answers_at_a_port_is_offered_with_its_address(studio, monkeypatch):
-    monkeypatch.setattr(jobs, "ports", lambda: {"/dev/a": "one", "/dev/b": "other"})
-    monkeypatch.setattr(jobs, "arm_at", {"/dev/a": "feetech:///dev/a"}.get)
-    found = jobs.candidates(studio.home)
-    assert [found[next(label for label in found if port in label)] for port in jobs.ports()] == ["feetech:///dev/a", ""]
+    monkeypatch.setattr(jobs, "ports", lambda: dict.fromkeys("ab"))
+    monkeypatch.setattr(jobs, "arm_at", {"a": "feetech:///a"}.get)
+    assert {"feetech:///a", ""} <= {*jobs.candidates(studio.home).values()}
 
 
 def test_a_quick_try_in_a_folder_of_any_name_is_left_for_another(studio, tmp_path):

@@ -210,11 +210,8 @@ def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
 
 
 def test_ray_sets_no_handler_of_signals_while_it_starts(monkeypatch):
-    def started(*_):
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        return MagicMock()
-
-    monkeypatch.setattr(rayexecutor, "_started", started)
+    told = signal.SIGTERM, signal.SIG_IGN
+    monkeypatch.setattr(rayexecutor, "_started", lambda *_: MagicMock(old=signal.signal(*told)))
     before = signal.getsignal(signal.SIGTERM), signal.signal
     rayexecutor.RayExecutor([])
     assert (signal.getsignal(signal.SIGTERM), signal.signal) == before

@@ -84,7 +84,7 @@ print(*(speeds[1] - speeds[0]), sep=",")
 
 def documented_edits():
     """Edits that the page shows: file, the text that stands there, and that which takes its place."""
-    section = PAGE.read_text(encoding="utf-8").split("### A friction law", 1)[1].split("\n## ", 1)[0]
+    section = PAGE.read_text().split("### A friction law", 1)[1].split("\n## ", 1)[0]
     edits = []
     for block in section.split("```diff\n")[1:]:
         head, *lines = block.split("```", 1)[0].rstrip("\n").split("\n")
@@ -102,7 +102,7 @@ def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
     assert {file for file, _, _ in edits} == {"twin/parameters.py"}
     for file, old, new in edits:
         path = tmp_path / "rejoint" / file
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text()
         assert text.count(old) == 1, (file, old)
         path.write_text(text.replace(old, new), encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}

@@ -84,7 +84,7 @@ def test_a_baseline_is_handed_over(comparison, name):
 @pytest.fixture(scope="module")
 def before_policy(tmp_path_factory):
     """A run folder with everything that comes before the policy."""
-    run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM)
     rejoint.diagnose("emulated:worn", run=run)
     bad.softer_twin(ARM).save(run.folder.twin)
     return run.folder
@@ -103,6 +103,6 @@ def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, cli):
     assert said.last["recommended"]["controller"] == "integrator"
     sentence = "policy: 1 run ended early, because a command or a measured position was not a number."
     assert sentence in said.out
-    page = before_policy.report.read_text(encoding="utf-8")
+    page = before_policy.report.read_text()
     assert f"The learned policy was tried and failed. {sentence.capitalize()}" in page.replace("\n", " ")
     assert "What failed, and why" in page

@@ -251,8 +251,12 @@ def test_holds_tell_when_targets_are_crossed():
     assert row.cycle_time.mean.value == pytest.approx(other.cycle_time.mean.value, rel=0.2)
 
 
+def open_loop():
+    return run(SaggingRobot(1, 3), DefaultController(ARM), TWENTY[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
+
+
 def test_what_was_measured_open_loop_is_not_driven_again():
-    log = run(SaggingRobot(1, 3), DefaultController(ARM), TWENTY[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
+    log = open_loop()
     before = open_loop_trials(ARM, log, QUICK)
     found, order = in_blocks(factories("default", "integrator"), measured=before.driven)
     row = found.row("default")
@@ -265,8 +269,8 @@ def test_what_was_measured_open_loop_is_not_driven_again():
 
 
 def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_path):
-    log = run(SaggingRobot(1, 3), DefaultController(ARM), TWENTY[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
-    about = Run.create(tmp_path / "run", SaggingRobot.address, ARM, seed=2)
+    log = open_loop()
+    about = Run.create(tmp_path, SaggingRobot.address, ARM, seed=2)
     log.save(about.folder.log("targets"))
     quick = rejoint.TrialPlan(protocol=QUICK)
     found = rejoint.compare(SaggingRobot(), run=about, plan=quick).comparison

@@ -77,7 +77,7 @@ def test_the_tool_follows_though_a_wrist_joint_is_stuck_far_from_where_it_should
     guide, worn = standard_path("circle-8s", ARM), load_wear("worn", ARM)
     stuck = {name: np.where(np.arange(ARM.joints) == 3, 5.0, getattr(worn, name)) for name in ("coulomb", "stiction")}
     start = PathPostures(ARM, guide.place[:1]).last + np.radians([0.0, 0.0, 0.0, -60.0, 0.0, 0.0])
-    robot = EmulatedRobot(ARM, [replace(worn, **stuck)], seed=0, start=start)
+    robot = EmulatedRobot(ARM, [replace(worn, **stuck)], start=start)
     schedule = Schedule(dwell=2.0 + guide.duration, sent=start)
     seen = run(robot, Tracker(ARM, worn_servos()), PathReference(ARM, [guide], None), schedule)
     assert np.ptp(seen.position[:, 0, 3]) < np.radians(1.0)

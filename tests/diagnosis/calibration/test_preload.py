@@ -30,7 +30,7 @@ FLOATING = worn(play=[0.03] + [0.0] * 5)
 
 def lies(gravity):
     """Places (A, K) of the links of joint 1 after motions of worn arms, in units of half their play."""
-    robot = EmulatedRobot(ARM, [load_wear(f"worn?seed={seed}", ARM) for seed in range(5)], seed=0, gravity=gravity)
+    robot = EmulatedRobot(ARM, [load_wear(f"worn?seed={seed}", ARM) for seed in range(5)], gravity=gravity)
     targets, places = draw_targets(ARM, sets=5, count=2, seed=0), []
     half = 0.5 * robot.plant.joints["play"][:, 0]
     driven = run(

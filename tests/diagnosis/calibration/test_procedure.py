@@ -102,7 +102,7 @@ def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
 
 
 def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:worn?seed=5", ARM)
+    run = Run.create(tmp_path, "emulated:worn?seed=5", ARM)
     found = rejoint.calibrate("emulated:worn?seed=5", run=run)
     assert found.calibration.used
     assert found.before > 5e-3
@@ -130,7 +130,7 @@ def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
 
 
 def test_a_calibration_of_one_robot_is_not_used_for_another(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:worn?seed=5", ARM)
+    run = Run.create(tmp_path, "emulated:worn?seed=5", ARM)
     rejoint.calibrate("emulated:worn?seed=5", run=run, count=5)
     targets = ARM.targets.sample(np.random.default_rng(8), (1,))
     assert (

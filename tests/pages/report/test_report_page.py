@@ -17,13 +17,13 @@ from rejoint.pages.report.tables import columns, plain_table
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
 
-TEMPLATE = (files("rejoint.pages") / "templates" / "report.html").read_text(encoding="utf-8")
+TEMPLATE = (files("rejoint.pages") / "templates" / "report.html").read_text()
 
 
 def test_full_report(run_folder, comparison):
     path = write_report(run_folder.path)
     assert path == run_folder.report
-    source, page = path.read_text(encoding="utf-8"), Page(path)
+    source, page = path.read_text(), Page(path)
 
     # Self-contained: nothing is fetched, and no script runs but the one, without anything of the run, that copies.
     assert not re.search(r"(?:https?:)?//[a-z]", source, re.IGNORECASE)

@@ -34,7 +34,7 @@ def bench(tmp_path_factory):
 
 def test_every_experiment_finds_something_and_the_page_shows_it(bench):
     page = write_page(bench)
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text()
     for experiment in EXPERIMENTS.values():
         assert f"## {experiment.title}" in text
     assert "Not run yet" not in text
