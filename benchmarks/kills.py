@@ -127,7 +127,7 @@ def leftovers(folder: Path) -> list[str]:
 def undated(path: Path) -> list[str]:
     """Lines of a file without those that tell when the arm was calibrated, or what digest the whole has with them."""
     dated = ("# digest", "date =", '  "calibration":', '  "digest":')
-    return [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(dated)]
+    return [line for line in path.read_text().splitlines() if not line.startswith(dated)]
 
 
 def check_same(folder: Path, good: Path) -> None:
@@ -142,7 +142,7 @@ def check_same(folder: Path, good: Path) -> None:
             same = (folder / name).read_bytes() == (good / name).read_bytes()
         if not same:
             raise WrongError(f"{name} is another than that of the undisturbed repair")
-    if "</html>" not in (folder / "report.html").read_text(encoding="utf-8")[-20:]:
+    if "</html>" not in (folder / "report.html").read_text()[-20:]:
         raise WrongError("half a report")
     if not (folder / "finished.json").exists() or leftovers(folder):
         raise WrongError(f"not put right: {leftovers(folder)}")

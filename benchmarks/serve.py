@@ -249,7 +249,7 @@ def holds(client: Any, pace: float = 1.0) -> bool:
 
 def check_log(path: Path) -> int:
     """Return how many orders a log has; AssertionError unless every line is whole and no order is missing."""
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
     numbers = [line["number"] for line in lines if line["what"] == "order"]
     if lines[0]["what"] != "begin" or numbers != list(range(1, len(numbers) + 1)):
         raise AssertionError(f"{path}: orders are missing")
@@ -327,7 +327,7 @@ def anywhere(run: Path, count: int) -> None:
     robot: Any = open_robot("emulated:worn", seed=0)  # in virtual time
     with served(robot, run, said, listen="127.0.0.1:0") as (address, ends), connected(address) as client:
         worn = roam(client, count, lambda: robot.true_tcp()[0], 20.0)
-    lines = [json.loads(line) for line in Path(ends[0].log).read_text(encoding="utf-8").splitlines()]
+    lines = [json.loads(line) for line in Path(ends[0].log).read_text().splitlines()]
     encoders = np.array([line["error_mm"] for line in lines if line["what"] == "arrival"])
     for kind, bare, through in zip(("send_coords", "send_angles"), healthy(count), worn, strict=True):
         both = ~np.isnan(bare) & ~np.isnan(through)

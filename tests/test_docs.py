@@ -275,7 +275,7 @@ def test_arms_in_the_pages_can_be_loaded(tmp_path):
     found = [text for page in PAGES for _, text in blocks(page, "toml") if "[[joint]]" in text]
     assert found
     for text in found:
-        (tmp_path / "arm.toml").write_text(text, encoding="utf-8")
+        (tmp_path / "arm.toml").write_text(text)
         assert load_arm(str(tmp_path / "arm.toml")).joints == len(tomllib.loads(text)["joint"])
 
 

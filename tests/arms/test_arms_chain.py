@@ -48,7 +48,7 @@ AWKWARD = """<mujoco model="awkward"><compiler angle="radian" autolimits="true"/
 
 def written(folder: Path, text: str, name: str = "arm.xml") -> str:
     path = folder / name
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return str(path)
 
 

@@ -45,7 +45,7 @@ def fixed(parent: str, child: str, origin: str = "0 0 0") -> str:
 
 def written(folder: Path, text: str, name: str = "arm.urdf") -> Path:
     path = folder / name
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return path
 
 

@@ -40,7 +40,7 @@ position_m = [0, 0, 0.2]
 
 def write(folder: Path, text: str) -> str:
     path = folder / "arm.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return str(path)
 
 

@@ -224,10 +224,10 @@ def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path):
     with pytest.raises(ContractError, match="differ in mass"):
         read_calibration(path, replace(ARM, mass=1.1 * ARM.mass))
     text = path.read_text()
-    path.write_text(text.replace("used = true", "used = false"), encoding="utf-8")
+    path.write_text(text.replace("used = true", "used = false"))
     with pytest.raises(FileError, match="damaged"):
         read_calibration(path, ARM)
     for broken in ("", "format = 2", "format = 1\narm = 3"):
-        path.write_text(broken, encoding="utf-8")
+        path.write_text(broken)
         with pytest.raises(FileError, match="calibrat"):
             read_calibration(path, ARM)

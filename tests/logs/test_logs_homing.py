@@ -27,7 +27,7 @@ def source(tmp_path):
         }
         for i, name in enumerate(NAMES)
     }
-    path.write_text(json.dumps(motors), encoding="utf-8")
+    path.write_text(json.dumps(motors))
     return path
 
 

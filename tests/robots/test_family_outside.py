@@ -38,14 +38,12 @@ def install(folder):
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
     info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8"
-    )
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
     lines = [
         f"[{group}]\n" + "".join(f"{name} = {what}\n" for name, what in points.items())
         for group, points in project["entry-points"].items()
     ]
-    (info / "entry_points.txt").write_text("".join(lines), encoding="utf-8")
+    (info / "entry_points.txt").write_text("".join(lines))
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,7 @@ def wrong_twins(twins, factor):
 
 @pytest.mark.parametrize("fed", [0.0, 0.9])
 def test_with_the_right_model_the_plan_settles_at_the_target(fed):
-    draw, twins = (replace(one, twin=replace(one.twin, compensation=one.twin.offset * 0.0 + fed)) for one in drawn())
+    draw, twins = (replace(one, twin=replace(one.twin, compensation=fed + 0.0 * one.twin.offset)) for one in drawn())
     assert final_error(draw, PlanAlone(Planner(ARM, twins))).max() < 1.0e-3
 
 

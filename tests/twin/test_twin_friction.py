@@ -104,7 +104,7 @@ def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
         path = tmp_path / "rejoint" / file
         text = path.read_text()
         assert text.count(old) == 1, (file, old)
-        path.write_text(text.replace(old, new), encoding="utf-8")
+        path.write_text(text.replace(old, new))
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     names, *numbers = python("-c", USE, env=environment).out.split()
     assert names.split(",")[0] == "asymmetry.joint1"

@@ -162,7 +162,7 @@ def test_drawn_targets_are_inside_and_sets_do_not_depend_on_their_number():
 )
 def test_targets_from_a_file_are_metres(tmp_path, text):
     path = tmp_path / "targets.csv"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     np.testing.assert_allclose(read_targets(path, ARM)[0], [[0.15, 0.0, 0.2], [0.13, -0.1, 0.1505]])
 
 
