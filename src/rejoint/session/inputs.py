@@ -187,7 +187,7 @@ def arm_of_twin(twin: TwinLike) -> Arm:
 def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:
     """Return targets (S, K, 3) [m], given, read or drawn, and orientations (S, K) or None.
 
-    InputError or FileError for those out of reach, if ``reachable``.
+    InputError or FileError for those out of reach.
     """
     if given is None:
         return draw_targets(arm, sets=sets, seed=seed), None
