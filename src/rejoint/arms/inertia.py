@@ -181,7 +181,8 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
         return arm
     whole, places = float(arm.mass.sum()), f"x, y, z of at most {LONGEST_TOOL:g} m"
     if mass.shape or not 0.0 <= mass <= whole:
-        raise InputError(f"payload: {load.mass} kg, expected 0 to the {whole:.2g} kg of the arm itself")
+        told = " ".join(f"{one:g}" for one in mass.flat)
+        raise InputError(f"payload: {told} kg, expected 0 to the {whole:.2g} kg of the arm itself")
     com = as_place("payload: the centre of mass", load.com, places, most=LONGEST_TOOL)
     tip = arm.tip.copy()
     tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, places, most=LONGEST_TOOL)
