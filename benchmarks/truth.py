@@ -62,7 +62,7 @@ def main(arms: int = 12, masses: float = 0.15, seed: int = 100) -> None:
     """Print for each parameter of emulated worn arms how often its interval holds what was injected."""
     arm, rows = mycobot280(), []
     for logs, truth in emulated(arm, range(seed, seed + arms), masses):
-        twin = identify(arm, logs, threads=1)
+        twin = identify(arm, logs)
         off = pack(twin.parameters) - pack(truth)
         rows.append(np.stack([off, np.sqrt(np.diag(twin.covariance)), np.asarray(twin.identified)]))
         print(

@@ -105,7 +105,7 @@ class Arm(Readable):
             )
         if np.isnan([(box.lower, box.upper) for box in self.keep_out]).any():
             raise InputError(
-                "keep_out: a box has numbers that are not finite; give its lower and upper corner in metres"
+                "keep_out: a box has a corner that is no number; give its lower and upper corner in metres"
             )
         if (self.lower >= self.upper).any():
             raise InputError(f"arm {self.name}: every lower joint limit must be below the upper one")

@@ -159,7 +159,7 @@ class CameraGauge:
         """
         pictures, total = None if folder is None else folder.pictures, SCOUTS + count * visits
         film = Film(board=self.board, carried=self.carried)
-        if pictures is not None and any(pictures.glob("view-*.png")) and not fresh:
+        if pictures is not None and (pictures / POSTURES).exists() and any(pictures.glob("view-*.png")) and not fresh:
             begun = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
             if len(begun) < total:
                 log_resumed(pictures / POSTURES, f"{len(begun.usable)} pictures are there")

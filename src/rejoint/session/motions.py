@@ -107,7 +107,7 @@ def deploy(
         return session.deploy(targets)
 
 
-def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object], Deployed]:
+def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[ArmMotion], Deployed]:
     """Return what drives to ``targets``; InputError if impossible, before anything moves."""
     arm, settings = session.arm, session.settings
     points, turned = as_targets(targets, arm, sets=1, seed=session.seed)
@@ -126,7 +126,7 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
         target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
         session.progress((target + min(share, 1.0)) / len(points[0]), f"target {target + 1} of {len(points[0])}")
 
-    def drive(eye: Eye | None) -> Deployed:
+    def drive(motion: ArmMotion, eye: Eye | None) -> Deployed:
         correction, seen, driver = session.correction, None, controller
         session.begin("deploy", name, controller)
         if eye is not None:
@@ -146,13 +146,13 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
             return judge_targets(arm, recording, job, session.calibration, sightings=sightings, ended=ended)
 
         try:
-            recording = session.drive(driver, Schedule(dwell=job.dwell), reference, watch)
+            recording = session.drive(driver, Schedule(dwell=job.dwell, give_up=motion.give_up), reference, watch)
         except BaseException as error:
             so_far = recording_of(error)
             if so_far is not None and np.isfinite(so_far.target).any():
                 session.observer.partial(judged(so_far, ended=True))
             raise
-        found = judged(recording, ended=False)
+        found = judged(recording, ended=motion.ended.is_set())
         asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if turns else None
         found = replace(found, log=recording.log(0, f"deploy/{name}", asked))
         with saving(found):
@@ -160,9 +160,9 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[object
         session.progress(1.0, "done")
         return found
 
-    def work(_: object) -> Deployed:
+    def work(motion: ArmMotion) -> Deployed:
         with opened_eye(settings.eye, session.robot, session.run, session.seed) as eye:
-            done = drive(eye)
+            done = drive(motion, eye)
         session.say_noticed(done.log)
         return done
 

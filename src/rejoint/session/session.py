@@ -54,6 +54,8 @@ STARTING = 5.0
 EVERY = 0.02
 """[s] between readings of an arm that is recorded and not driven (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
+_MOVED = radians(1.0)
+"""[rad] from which a stage has moved the arm (chosen)"""
 _SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
 
@@ -108,8 +110,10 @@ class ArmSession(ArmDriver):
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
+        before = None
         if self._base is not None:
             self.take_up(None)
+            before = self.robot.read().position
         self._alone.close()
         try:
             return stage(*given, run=self.run, observer=self.observer, **options)
@@ -117,10 +121,15 @@ class ArmSession(ArmDriver):
             self._alone.enter_context(exclusive(self._named))
             for name in ("twin", "calibration", "correction"):
                 self.__dict__.pop(name, None)
-            self._sent, self._last, self._seen, self._rested = None, None, None, False  # the stage moved the arm
             self._chosen.clear()
             if self._base is not None:
                 self._limit(self.robot)
+                self._last = self._seen = None
+                moved = True
+                with suppress(RejointError):  # what ended the stage is raised
+                    moved = before is None or np.abs(self.robot.read().position - before).max() > _MOVED
+                if moved:  # the old command is not in force
+                    self._sent, self._rested = None, False
 
     @property
     def _moving(self) -> bool:

@@ -294,7 +294,7 @@ class Prior:
     """(k,) physical bounds"""
     upper: Array
     correlation: Array
-    """(k, k); None: uncorrelated"""
+    """(k, k)"""
     told: Array | None = None
     """(k,) sigma before the logs told a stiffness; None: ``sigma``"""
 
@@ -327,7 +327,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
 
 
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
-    """Correlation (k, k) of joints with equal servos; None without any."""
+    """Correlation (k, k) of joints with equal servos."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
     correlation = np.eye(layout.size)

@@ -36,6 +36,7 @@ PARTS = 6
 VELOCITY = 2
 """Rows on each side of a velocity; chosen"""
 THREADS = 2
+"""of the simulation; no effect on results"""
 
 
 @dataclass(frozen=True, kw_only=True, order=True)

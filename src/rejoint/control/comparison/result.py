@@ -300,7 +300,7 @@ def row_of(
 
     95 % intervals are over the clusters ``labels``, flat; None: of the shape.
     """
-    labels = cluster(found["crossed"].shape)[1] if labels is None else labels
+    alone, labels = labels is None, cluster(found["crossed"].shape)[1] if labels is None else labels
     crossed, held = found["crossed"].ravel(), found["held"].ravel() == 1.0
     stays = []
     for within, name in zip(protocol.within, protocol.stay_names, strict=True) if held.any() else ():
@@ -311,7 +311,7 @@ def row_of(
         stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
     names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
     spreads: dict[str, Any] = {name: spread(found[name].ravel(), labels) for name in names}
-    for whose in ("", "_true"):
+    for whose in ("", "_true") if alone else ():
         away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
         places = away.swapaxes(1, 2)  # (S, K, R, 3)
         off = np.linalg.norm(places.mean(axis=2), axis=-1).ravel()

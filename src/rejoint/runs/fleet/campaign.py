@@ -210,9 +210,8 @@ class Campaign:
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Newest check of an arm in this campaign."""
         places = (self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}")
-        newest = max(places, default=None)  # their folders are named after their times
-        row = newest and _summary(newest)
-        return row if row and row.time >= self.info.begun else None
+        rows = map(_summary, sorted(places, reverse=True))  # their folders are named after their times
+        return next((row for row in rows if row and row.time >= self.info.begun), None)
 
     def finish(self) -> bool:
         """Store whether nothing is left that the file allows, and return it."""

@@ -161,8 +161,6 @@ def _motions(run: Run) -> list[RunLog]:
 TWIN = "twin"
 """Name among the predictions"""
 
-"""of the simulation; no effect on results"""
-
 
 @entity
 class Replayed(Readable):
