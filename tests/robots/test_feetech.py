@@ -216,7 +216,7 @@ def zeros_of(homing, low, high, file=None, query=""):
     """What a bus makes of registers (5,)."""
     address = place_of(f"feetech://here{query}").detail
     told = {"homing": np.array(homing), "low": np.full(5, low), "high": np.full(5, high)}
-    return FeetechBus.find_zeros(SimpleNamespace(_arm=ARM, file=file, address=address, get_all=told.get))
+    return FeetechBus.find_zeros(SimpleNamespace(arm=ARM, file=file, address=address, get_all=told.get))
 
 
 def test_goals_are_clipped_to_what_the_servos_take():

@@ -129,7 +129,9 @@ APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
 """[m] by which a step may always bring measured bodies nearer; share of the rest to the least distance that it may
 take; [m] to it from which steps are looked at; share of a step below which there is none (chosen)"""
 
-_POSITION, _STEP, _LEAD, _FLOOR, _NOT_FINITE, _STALE, _OUT_OF_RANGE, *_, _ACCELERATION, _COLLISION = map(int, Reason)
+_NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
+_LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
+_ACCELERATION, _FLOOR, _COLLISION = int(Reason.ACCELERATION), int(Reason.FLOOR), int(Reason.COLLISION)
 
 
 @inner

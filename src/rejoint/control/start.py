@@ -16,7 +16,7 @@ from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
-from rejoint.control.robot import JointState, Robot
+from rejoint.control.robot import ControlInput, JointState, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.records import entity
 from rejoint.system.stopping import pause
@@ -205,12 +205,13 @@ def play(
     trajectory: Callable[[Array], Array],
     duration: float,
     *,
+    sent: Array | None = None,
     limits: GuardLimits | None = None,
+    give_up: Callable[[ControlInput], bool] | None = None,
     on_cycle: OnCycle | None = None,
-    **plan: Any,  # noqa: ANN401 - further fields of `Schedule`
 ) -> Recording:
     """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded; ``sent`` as in `Schedule`."""
-    reference, schedule = JointMotion(trajectory), Schedule(dwell=duration, **plan)
+    reference, schedule = JointMotion(trajectory), Schedule(dwell=duration, sent=sent, give_up=give_up)
     return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
 
 

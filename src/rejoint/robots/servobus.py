@@ -45,7 +45,7 @@ class ServoBus(TunedServos, Bus):
 
     def __init__(self, address: ServoAddress, arm: Arm) -> None:
         """Read the calibration, and find the servos' IDs; InputError."""
-        self.address, self.place, self._arm, kind, path = address, address.wire, arm, address.kind, address.calibration
+        self.address, self.place, self.arm, kind, path = address, address.wire, arm, address.kind, address.calibration
         self.file = None if path is None else read_calibration(path, arm, turned=self.turned)
         ids = address.ids or (counted(arm) if self.file is None else self.file.ids)
         if len(ids) != arm.joints:
@@ -201,7 +201,7 @@ class ServoBus(TunedServos, Bus):
 
     def call(self, servo: int) -> str:
         """Name of a servo in messages."""
-        name = self._arm.joint_names[self.joint[self.ids.index(servo)]] if servo in self.ids else "the gripper"
+        name = self.arm.joint_names[self.joint[self.ids.index(servo)]] if servo in self.ids else "the gripper"
         return f"{name} (servo {servo})"
 
     @contextmanager

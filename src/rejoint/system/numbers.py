@@ -1,4 +1,4 @@
-"""Checks of numbers that users give."""
+"""Checks of numbers that users give, and linear interpolation."""
 
 from __future__ import annotations
 

@@ -293,7 +293,7 @@ def test_trials_with_another_load_or_other_boxes_are_not_gone_on_from(tmp_path):
     jobs = [
         ComparisonJob(robot=run.robot, arm=arm, targets=TWENTY, settings=Settings(batched=True)) for arm in (*arms, ARM)
     ]
-    assert len({job._digest(run) for job in jobs}) == len(arms)
+    assert len({job.fingerprint(run) for job in jobs}) == len(arms)
 
 
 def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):

@@ -20,7 +20,7 @@ def test_error_over_time_draws_every_line_on_a_log_axis():
         logs[name] = RunLog.of(time, position, position, arm=arm, target=0 * tool + i)
     gallery = Gallery()
     gallery.error_over_time(arm, logs)
-    axes = gallery._figures["error-over-time"].axes[0]
+    axes = gallery.figures["error-over-time"].axes[0]
     drawn = {line.get_label(): line for line in axes.lines}
     for name, look in palette.CONTROLLERS.items():
         error = 1e3 * np.linalg.norm(tool - logs[name].target, axis=1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.linalg import norm
@@ -37,20 +36,17 @@ STANDS_FOR = 3.0
 
 
 def schedule(
-    kind: Kind,
-    protocol: Protocol,
-    *,
-    wait: bool = True,
-    **start: Any,  # noqa: ANN401 - fields of `Schedule`
+    kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
 ) -> Schedule:
     """Schedule after the last commands ``sent`` (B, n) [rad]."""
     if kind == "hold":
-        return Schedule(dwell=protocol.hold, **start)
+        return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
     return Schedule(
         dwell=protocol.dwell,
         stop_below=protocol.threshold,
         stands_for=None if wait else STANDS_FOR,
-        **start,
+        keep_going=keep_going,
+        sent=sent,
     )
 
 

@@ -298,7 +298,8 @@ def row_of(
 ) -> ControllerRow:
     """Statistics of results (S, R, K), and what the guard did while they were ``driven``.
 
-    95 % intervals are over the clusters ``labels``, flat; None: of the shape.
+    95 % intervals are over the clusters ``labels``, flat; None: of the shape, with accuracy and repeatability (ISO
+    9283) over the repetitions.
     """
     alone, labels = labels is None, cluster(found["crossed"].shape)[1] if labels is None else labels
     crossed, held = found["crossed"].ravel(), found["held"].ravel() == 1.0

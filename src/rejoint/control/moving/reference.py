@@ -188,24 +188,6 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
         return np.inf if bad else float((np.abs(gravity_torque(arm, way)) / loads[0]).max())
 
     usual = ways(arm.rest[None])[0]
-
-    def problem() -> str:
-        """Why ``arm`` cannot pass on the ``usual`` way."""
-        bad, off = _impossible(arm, usual, places, turns, loads)
-        k, at = int((off if off.max() > NEAR else bad).argmax()), [f"at {now:.2f} s" for now in time]
-        if bad[k]:
-            one = slice(k, k + 1)
-            return refused(arm, at[one], places[one], turns and turns[one]) or (
-                f"{at[k]}: {_why(arm, usual[k], places[k], loads)}; give other places, or another way to them"
-            )
-        share = _speeds(arm, usual, time)
-        k, j = divmod(int(share.argmax()), arm.joints)
-        speed, most = np.degrees(np.array([share[k, j], SPEED_SHARE]) * arm.max_speed[j])
-        return (
-            f"{at[k]}: {in_mm(places[k])} {arm.joint_names[j]} would have to turn at {speed:.0f} deg/s, {most:.0f} at "
-            "most were expected; give the path more time there"
-        )
-
     if weight(usual) <= 1.0:
         return arm.rest
     fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
@@ -216,7 +198,7 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
         found = np.array([weight(way) for way in ways(homes)])
         if found.min() < np.inf:
             return homes[found.argmin()]
-    raise InputError(f"path: {problem()}{unit_hint(places)}")
+    raise InputError(f"path: {_problem(arm, usual, time, places, turns, loads)}{unit_hint(places)}")
 
 
 def _loads(arm: Arm, motors: Motors | None) -> Array:
@@ -244,6 +226,27 @@ def _why(arm: Arm, posture: Array, place: Array, loads: Array) -> str:
     joint, why = too_heavy(arm, posture, loads[1])
     why = f"is too heavy: {why}" if joint is not None else "is out of reach on this way, or something would touch"
     return f"{in_mm(place)} {why}"
+
+
+def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
+    """Why ``arm`` cannot pass poses (T,) at ``time`` (T,) [s] on a ``way`` (T, n) [rad].
+
+    ``loads`` (2, n) [N m]: usual and largest torque.
+    """
+    bad, off = _impossible(arm, way, places, turns, loads)
+    k, at = int((off if off.max() > NEAR else bad).argmax()), [f"at {now:.2f} s" for now in time]
+    if bad[k]:
+        one = slice(k, k + 1)
+        return refused(arm, at[one], places[one], turns and turns[one]) or (
+            f"{at[k]}: {_why(arm, way[k], places[k], loads)}; give other places, or another way to them"
+        )
+    share = _speeds(arm, way, time)
+    k, j = divmod(int(share.argmax()), arm.joints)
+    speed, most = np.degrees(np.array([share[k, j], SPEED_SHARE]) * arm.max_speed[j])
+    return (
+        f"{at[k]}: {in_mm(places[k])} {arm.joint_names[j]} would have to turn at {speed:.0f} deg/s, {most:.0f} at most "
+        "were expected; give the path more time there"
+    )
 
 
 def read_path(given: FilePath | str, arm: Arm, seed: int = 0) -> Path:

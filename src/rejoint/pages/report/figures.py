@@ -199,16 +199,17 @@ class Gallery:
     """Draws the figures of a page and collects them; `save` writes them."""
 
     def __init__(self) -> None:
-        self._figures: dict[str, Figure] = {}
+        self.figures: dict[str, Figure] = {}
+        """by key"""
 
     def show(self, key: str, figure: Figure, *, alt: str, caption: str = "") -> Picture:
         """Add a figure under a unique ``key`` (its file name); returns it for the page."""
-        self._figures[key] = figure
+        self.figures[key] = figure
         return Picture(svg=inline_svg(figure, key, alt), caption=caption)
 
     def save(self, folder: Path) -> None:
         """Write figures as ``folder/KEY.png``."""
-        for key, figure in self._figures.items():
+        for key, figure in self.figures.items():
             write_png(folder / f"{key}.png", figure)
 
     def tool_places(self, found: Calibration, measured: Measurements) -> Picture | None:

@@ -153,10 +153,10 @@ class DynamixelBus(ServoBus):
     def check(self, servo: int) -> None:
         """Require the model of the arm's description, a mode with positions and no alert; switch a watchdog off."""
         model = self.found[servo].name
-        wanted = (self._arm.servos or (model,) * self._arm.joints)[self.joint[self.ids.index(servo)]]
+        wanted = (self.arm.servos or (model,) * self.arm.joints)[self.joint[self.ids.index(servo)]]
         if model not in wanted:
             raise RobotError(
-                f"{self.call(servo)} is of model {model}, and {self._arm.name} has {wanted} there; say which arm this "
+                f"{self.call(servo)} is of model {model}, and {self.arm.name} has {wanted} there; say which arm this "
                 "is with --arm, or which servos turn each joint with ids= in the address"
             )
         if servo in self.wire.alerts and self.address.reboot and not self._was_ready:
@@ -184,7 +184,7 @@ class DynamixelBus(ServoBus):
         homing, drive, mode, low, high, place = map(
             self.get_all, ("homing", "drive", "mode", "low", "high", "position")
         )
-        arm, file, lead = self._arm, self.file, self.leads
+        arm, file, lead = self.arm, self.file, self.leads
         middle = np.full(len(self.ids), float(MIDDLE))
         if file is None:
             say(f"No calibration= in the address: {MIDDLE} counts of each servo are taken for zero of {arm.name}")
@@ -297,7 +297,7 @@ class DynamixelBus(ServoBus):
         """Join the troubles of each joint's servos."""
         return [
             ", ".join(dict.fromkeys(word for word, of in zip(words, self.joint, strict=True) if word and of == j))
-            for j in range(self._arm.joints)
+            for j in range(self.arm.joints)
         ]
 
     def _restart(self, servo: int) -> None:

@@ -80,7 +80,7 @@ class FeetechBus(ServoBus):
 
     def find_zeros(self) -> Zeros:
         """Read zeros from servos, or a file; at mid-range 0 or what the address says. RobotError."""
-        arm, file = self._arm, self.file
+        arm, file = self.arm, self.file
         homing, low, high = map(self.get_all, ("homing", "low", "high"))
         zero = self.address.middle(arm)
         if file is not None:

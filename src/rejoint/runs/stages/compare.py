@@ -165,7 +165,7 @@ class ComparisonJob:
         if run is None:
             return self._drive(Ledger(), on_progress, helper)
         require_space(run.path)
-        ledger = Ledger(run.folder.trials, self._digest(run))
+        ledger = Ledger(run.folder.trials, self.fingerprint(run))
         try:
             found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
@@ -261,7 +261,8 @@ class ComparisonJob:
             )
         return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
 
-    def _digest(self, run: Run) -> str:
+    def fingerprint(self, run: Run) -> str:
+        """Return what the trials depend on: those of another one are driven again."""
         used = run.folder.policy, run.folder.twin, run.folder.gains
         files = [digest(path.read_bytes()) for path in used if path.exists()]
         turns = self.trials.get("turns")
