@@ -15,9 +15,6 @@ from numba import njit
 
 from rejoint.arms import Array, Index, Mask
 
-REACHED = 1e-12
-"""[rad] rounding"""
-
 
 @njit(cache=True, nogil=True)
 def move(position, velocity, goal, reach, acceleration, elapsed):
@@ -58,27 +55,16 @@ class ServoReference:
         return _sample(late, which, self._time, self._command, self._position, self._velocity, limits)
 
 
-@njit(cache=True, nogil=True)
-def _states(time, command, speed, acceleration):
-    """Position and velocity (T, u, n) when each command is sent, for speeds (u,)."""
-    rows, joints = command.shape
-    position, velocity = np.empty((rows, len(speed), joints)), np.zeros((rows, len(speed), joints))
-    position[0] = command[0]
-    reached = False  # by all: then they are at the command, without rounding
-    for k in range(rows - 1):
-        elapsed, goal = time[k + 1] - time[k], command[k]
-        if reached and np.abs(goal - command[k - 1]).max() <= speed[0] * elapsed:
-            position[k + 1] = goal
-            continue
-        gap = 0.0
-        for i in range(len(speed)):
-            for j in range(joints):
-                now, v = move(position[k, i, j], velocity[k, i, j], goal[j], speed[i] * elapsed, acceleration, elapsed)
-                if acceleration < np.inf and command[k + 1, j] == goal[j]:
-                    now, v = goal[j], 0.0
-                position[k + 1, i, j], velocity[k + 1, i, j] = now, v
-                gap = max(gap, abs(now - goal[j]))
-        reached = acceleration == np.inf and gap < REACHED
+def _states(time: Array, command: Array, speed: Array, acceleration: float) -> tuple[Array, Array]:
+    """Position [rad] and velocity [rad/s] (u, T, n) when each command is sent, for speeds (u,)."""
+    again, limits = np.diff(command, axis=0, prepend=np.nan) == 0.0, (speed, np.full(len(speed), acceleration))
+    rows = command[:-1], again[:-1], np.diff(time)
+    goals, same, steps = (np.broadcast_to(row, (len(speed), *row.shape)) for row in rows)
+    position, velocity = np.zeros((2, len(speed), *command.shape))
+    position[:, 0] = command[0]
+    position[:, 1:], velocity[:, 1:] = follow(position[:, 0], velocity[:, 0], goals, same, *limits, steps)
+    if acceleration < np.inf:
+        position[:, again], velocity[:, again] = command[again], 0.0
     return position, velocity
 
 
@@ -92,7 +78,7 @@ def _sample(late, which, time, command, position, velocity, limits):
             k, u = max(np.searchsorted(time, late[i, s], side="right") - 1, 0), which[i]
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
-                now, v = position[k, u, j], velocity[k, u, j]
+                now, v = position[u, k, j], velocity[u, k, j]
                 path[i, s, j] = move(now, v, command[k, j], speeds[u] * elapsed, acceleration, elapsed)[0]
     return path
 
@@ -112,26 +98,27 @@ class LiveReference:
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
         """Follow the commands in force at ``starts`` (N, s) [s], ``step`` (N,) [s] each: (N, s, n) [rad]."""
-        goals, again, reach = latency.in_force(starts), latency.sent_again(starts), self._speed * step
-        path, self.velocity = follow(self.position, self.velocity, goals, again, reach, self._acceleration, step)
-        self.position = path[:, -1].copy()
+        goals, again = latency.in_force(starts), latency.sent_again(starts)
+        steps = np.repeat(step[:, None], starts.shape[1], axis=1)
+        path, speed = follow(self.position, self.velocity, goals, again, self._speed, self._acceleration, steps)
+        self.position, self.velocity = path[:, -1].copy(), speed[:, -1].copy()
         return path
 
     def ahead(self, which: Index, goals: Array, step: float) -> Array:
         """Later references (m, s, n) [rad] of arms ``which`` (m,)."""
-        again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
-        position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
-        return follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0]
+        again, steps = np.zeros(goals.shape, dtype=bool), np.full(goals.shape[:2], step)
+        limits = self._speed[which], self._acceleration[which]
+        return follow(self.position[which], self.velocity[which], goals, again, *limits, steps)[0]
 
 
 @njit(cache=True, nogil=True, boundscheck=True)
-def follow(position, velocity, goals, again, reach, acceleration, step):
-    """Move references (N, n) towards ``goals`` (N, s, n); return them after each step, and speeds.
+def follow(position, velocity, goals, again, speed, acceleration, step):
+    """Move references (N, n) towards ``goals`` (N, s, n); return them and their velocities after each ``step`` (N, s).
 
-    By ``reach`` (N,) [rad] per ``step`` (N,) [s], or a finite ``acceleration`` (N,).
+    By ``speed`` (N,) [rad/s], or a finite ``acceleration`` (N,). Goals sent ``again`` (N, s, n) are then reached.
     """
     agents, steps, joints = goals.shape
-    path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
+    path, rate = np.empty(goals.shape), np.empty(goals.shape)
     for i in range(agents):
         for j in range(joints):
             now, v = position[i, j], velocity[i, j]
@@ -139,10 +126,9 @@ def follow(position, velocity, goals, again, reach, acceleration, step):
                 if again[i, k, j] and acceleration[i] < np.inf:
                     now, v = goals[i, k, j], 0.0
                 else:
-                    now, v = move(now, v, goals[i, k, j], reach[i], acceleration[i], step[i])
-                path[i, k, j] = now
-            speed[i, j] = v
-    return path, speed
+                    now, v = move(now, v, goals[i, k, j], speed[i] * step[i, k], acceleration[i], step[i, k])
+                path[i, k, j], rate[i, k, j] = now, v
+    return path, rate
 
 
 DEPTH, READINGS = 12, 4
@@ -157,8 +143,8 @@ class Latency:
         """(N,) [s]"""
         self.readback_delay = np.zeros(count)
         """(N,) [s]"""
-        self._commands = np.zeros((count, DEPTH, joints))  # newest first
-        self._sent = np.full((count, DEPTH), -np.inf)
+        self._commands = np.zeros((count, DEPTH + 1, joints))  # newest first
+        self._sent = np.full((count, DEPTH + 1), -np.inf)
         self._positions = np.zeros((count, READINGS * substeps + 1, joints))  # oldest first
         self._times = np.zeros((count, READINGS * substeps + 1))
 
@@ -178,13 +164,17 @@ class Latency:
 
     def in_force(self, time: Array) -> Array:
         """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
-        return _in_force(self._sent, self.command_delay, self._commands, time)
+        return self._commands[np.arange(len(time))[:, None], self._pending(time)]
 
     def sent_again(self, time: Array) -> Mask:
         """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
-        same = np.zeros(self._commands.shape)
-        same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]
-        return _in_force(self._sent, self.command_delay, same, time) > 0.0
+        before = self._commands[np.arange(len(time))[:, None], self._pending(time) + 1]
+        return self.in_force(time) == before
+
+    def _pending(self, time: Array) -> Index:
+        """Numbers (N, s) of later commands that have not arrived at ``time`` (N, s) [s]."""
+        arrival = self._sent[:, None, : DEPTH - 1] + self.command_delay[:, None, None]
+        return (arrival > time[..., None]).sum(axis=-1)
 
     def record(self, time: Array, position: Array) -> None:
         """Record positions (N, substeps, n) [rad] at ``time`` (N, substeps) [s]."""
@@ -195,35 +185,9 @@ class Latency:
 
     def read(self, time: Array) -> Array:
         """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated."""
-        return _read(self._times, self._positions, time, self.readback_delay)
-
-
-@njit(cache=True, nogil=True, boundscheck=True)
-def _in_force(sent, delay, commands, time):
-    agents, instants = time.shape
-    joints = commands.shape[2]
-    known = np.empty((agents, instants, joints))
-    for i in range(agents):
-        for s in range(instants):
-            pending = 0
-            for d in range(DEPTH - 1):  # the oldest is in force where no other is
-                pending += sent[i, d] + delay[i] > time[i, s]
-            for j in range(joints):
-                known[i, s, j] = commands[i, pending, j]
-    return known
-
-
-@njit(cache=True, nogil=True, boundscheck=True)
-def _read(times, positions, time, delay):
-    agents, instants, joints = positions.shape
-    seen = np.empty((agents, joints))
-    for i in range(agents):
-        then, later = time[i] - delay[i], 1
-        while later < instants - 1 and times[i, later] <= then:
-            later += 1
-        before, after = times[i, later - 1], times[i, later]
-        share = min(max((then - before) / (after - before), 0.0), 1.0)
-        for j in range(joints):
-            old = positions[i, later - 1, j]
-            seen[i, j] = old + share * (positions[i, later, j] - old)
-    return seen
+        then, arms = time - self.readback_delay, np.arange(len(time))
+        later = np.clip((self._times <= then[:, None]).sum(axis=1), 1, self._times.shape[1] - 1)
+        start, end = self._times[arms, later - 1], self._times[arms, later]
+        share = np.clip((then - start) / (end - start), 0.0, 1.0)[:, None]
+        old = self._positions[arms, later - 1]
+        return old + share * (self._positions[arms, later] - old)

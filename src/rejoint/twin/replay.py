@@ -189,15 +189,15 @@ class Replay:
     def references(self, parameters: TwinParameters) -> Array:
         """One twin's references (rows, n) [rad] at the readings."""
         one = parameters.repeat(1)
-        references = self._references(self._speed(one))
+        references = self._references(one.ramp_speed)
         times = [(w, self.logs[w.log].time[w.first : w.last]) for w in self.windows]
         return np.concatenate([references[w.log].sample(time, one.delay)[0] for w, time in times])
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n), means over each simulation step."""
-        limits = np.stack([parameters.delay, self._speed(parameters)])
+        limits = np.stack([parameters.delay, parameters.ramp_speed])
         (delay, speed), which = np.unique(limits, axis=1, return_inverse=True)
-        references, grid = self._references(speed if np.ptp(speed) else speed[:1]), self._grid
+        references, grid = self._references(speed), self._grid
         control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
             reference, times = references[w.log], self.logs[w.log].time[w.first] + grid
@@ -215,12 +215,8 @@ class Replay:
         log = self.logs[window.log]
         return gravity_torque(self.arm, interpolated(log.time[window.first] + self._grid, log.time, log.command))
 
-    def _speed(self, parameters: TwinParameters) -> Array:
-        """(m,) [rad/s] of references, of no effect if acceleration is limited."""
-        return parameters.ramp_speed if self.acceleration == np.inf else np.ones_like(parameters.ramp_speed)
-
     def _references(self, speed: Array) -> dict[int, ServoReference]:
-        """Return references by log for speeds (u,) or, of all twins, (1,) [rad/s]."""
+        """Return references by log for speeds (u,) [rad/s]."""
         return {i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()}
 
 
