@@ -49,18 +49,18 @@ _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chos
 
 @entity
 class Bands:
-    """Friction bands from `standing_bands`: pushes at which joints do not move; (n,) or (B, n).
+    """Friction bands from `standing_bands`: pushes at which joints do not move; (n,) or (B, n). By default unknown.
 
     Lead: command minus reading. Push: lead beyond the balance.
     """
 
-    slope: Array
+    slope: Array | float = 0.0
     """[rad/(N m)] lead per gravity torque"""
-    offset: Array
+    offset: Array | float = 0.0
     """[rad] lead without load"""
-    reach: Array
+    reach: Array | float = np.inf
     """[rad] lead of the largest torque"""
-    width: Array
+    width: Array | float = np.inf
     """[rad] largest push of a stationary joint; infinite: unknown"""
     lifted: Array | float = 0.0
     """[rad] largest lead against gravity at which the joint moved on; above it the motor may be too weak"""
@@ -76,16 +76,14 @@ class Following:
     def __init__(self, arm: Arm, state: JointState, sent: Array, bands: Bands | None = None) -> None:
         """Begin at ``state`` after ``sent`` (B, n) [rad]."""
         count, joints = state.position.shape
-        self._arm, self._bands, self._last = arm, bands, np.zeros(count)
+        self._arm, self._bands, self._last = arm, bands or Bands(), np.zeros(count)
         self._tracks = np.zeros((count, joints), compiled.TRACK)
         self._tracks["home"] = state.position
-        self._tracks["reach"] = self._tracks["width"] = np.inf
-        if bands is not None:
-            self._tracks["reach"], self._tracks["width"] = bands.reach, bands.width
+        self._tracks["reach"], self._tracks["width"] = self._bands.reach, self._bands.width
         self._sent_at, self._sent = np.zeros((count, compiled.HISTORY)), np.zeros((count, compiled.HISTORY, joints))
-        self._verdict, self._nothing = np.zeros((count, joints), dtype=np.int64), np.zeros((count, joints))
+        self._verdict = np.zeros((count, joints), dtype=np.int64)
         self._excused_since, self._excused_last = np.full((2, count), -np.inf)
-        self._anchor = self._nothing  # (B, n) [rad] where the joints came nearer their goals
+        self._anchor = state.position  # (B, n) [rad] where the joints came nearer their goals
         self.falling: Mask = np.full((count, joints), False)
         """(B, n) joints that move away against their commands"""
         self._restart(np.full(count, True), state, sent)
@@ -156,8 +154,7 @@ class Following:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
         tracks, load = self._tracks, self._loads(self._tracks["position"])
         push, width = tracks["push"], tracks["width"]
-        lifted = 0.0 if self._bands is None else self._bands.lifted
-        weak = joints & (push * load > 0.0) & (np.abs(load) > lifted)
+        weak = joints & (push * load > 0.0) & (np.abs(load) > self._bands.lifted)
         tracks["reach"] = np.where(weak, np.minimum(tracks["reach"], np.abs(load) + width), tracks["reach"])
         tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
         self._restart(np.logical_or.reduce(joints, axis=-1), state, sent)
@@ -179,7 +176,7 @@ class Following:
 
     def _loads(self, position: Array) -> Array:
         """Leads (B, n) [rad] against gravity at a ``position`` (B, n) [rad]."""
-        return self._nothing if self._bands is None else self._bands.balance(self._arm, position)
+        return self._bands.balance(self._arm, position)
 
     def describe(self, b: int, joints: Mask) -> str:
         """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
@@ -229,13 +226,10 @@ FEWEST = 50
 
 def commands_in_force(log: RunLog) -> tuple[Array, Array]:
     """Lowest and highest possible command in force (T, n) [rad]."""
-    rows = np.arange(len(log))
     oldest = np.searchsorted(log.time, log.time - compiled.SETTLE, side="right") - 1
-    low = high = log.command[np.maximum(rows - 1, 0)]
-    for back in range(2, compiled.HISTORY + 1):
-        command = log.command[np.maximum(np.maximum(rows - back, oldest), 0)]
-        low, high = np.minimum(low, command), np.maximum(high, command)
-    return low, high
+    rows = np.arange(len(log))[:, None] - np.arange(1, compiled.HISTORY + 1)
+    commands = log.command[np.maximum(np.maximum(rows, oldest[:, None]), 0)]
+    return commands.min(axis=1), commands.max(axis=1)
 
 
 def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> Mask:
@@ -270,8 +264,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     least the least reach; the reach minimises it.
     """
     logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
-    endless, slope, zero = np.full(arm.joints, np.inf), np.where(known, softness, 0.0), np.where(known, offset, 0.0)
-    found = Bands(slope=slope, offset=zero, reach=endless, width=endless)
+    found = Bands(slope=np.where(known, softness, 0.0), offset=np.where(known, offset, 0.0))
     if not logs or not known.any():
         return found
     balances = [found.balance(arm, log.position) for log in logs]
