@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import largest_loads, reach
 from rejoint.control.robot import Servos
-from rejoint.system.errors import InputError
 from rejoint.system.records import entity, value_type
 
 TIMESTEP = 0.005
@@ -81,21 +80,13 @@ class TwinParameters(Servos):
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
             array = np.array(getattr(self, parameter.name), dtype=float)
-            expected = self.stiffness_shape if parameter.per_joint else self.stiffness_shape[:-1]
-            if array.shape == () and parameter.per_joint:  # one value for all joints
-                array = np.full(expected, array)
-            if array.shape != expected:
-                raise InputError(f"twin: {parameter.name} has shape {array.shape}, expected {expected}")
-            array.setflags(write=False)
-            object.__setattr__(self, parameter.name, array)
+            shape = self.stiffness_shape if parameter.per_joint else self.shape
+            object.__setattr__(self, parameter.name, np.broadcast_to(array, shape))  # which is read-only
 
     @property
     def stiffness_shape(self) -> tuple[int, ...]:
         """Shape (..., n) of every per-joint array."""
-        shape = np.shape(self.stiffness)
-        if not shape:
-            raise InputError("twin: stiffness needs an axis of joints")
-        return shape
+        return np.shape(self.stiffness)
 
     @property
     def joints(self) -> int:

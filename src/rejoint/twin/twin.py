@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, field
 from functools import cached_property
 from itertools import compress
 from operator import methodcaller
@@ -13,7 +12,7 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
-from rejoint.system.errors import ContractError, InputError
+from rejoint.system.errors import ContractError
 from rejoint.system.files import array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
@@ -146,10 +145,6 @@ class TablePlane:
     friction: float
     """Coulomb coefficient of the tip"""
 
-    def __post_init__(self) -> None:
-        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
-            raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
-
 
 @entity
 class Twin(Readable):
@@ -177,7 +172,7 @@ class Twin(Readable):
     held_out: HeldOut
     fit_seconds: float
     """[s] of motion in the fit"""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     """for the user"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.control.servoreference`)"""
@@ -203,30 +198,6 @@ class Twin(Readable):
         for p in PARAMETERS:
             told[p.name] = {name: column[self.layout.at(p.name)] for name, column in columns.items()}
         write_sealed(Path(path), toml_of(told), _ABOUT)
-
-    def __post_init__(self) -> None:
-        k = len(self.names)
-        if self.parameters.shape or self.parameters.joints != len(self.joint_names):
-            expected = (len(self.joint_names),)
-            raise InputError(f"twin: parameters of shape {self.parameters.stiffness_shape}, expected {expected}")
-        shapes = {"covariance": (k, k), "lower": (k,), "upper": (k,), "narrowing": (k,), "identified": (k,)}
-        for name, shape in shapes.items():
-            array = np.array(getattr(self, name))
-            if array.shape != shape or not np.isfinite(array).all():
-                raise InputError(f"twin: {name} must be finite and of shape {shape}, got {array.shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        if not np.isfinite(pack(self.parameters)).all():
-            raise InputError("twin: parameters must be finite, and positive where a quantity is")
-        values, symmetric = np.linalg.eigvalsh(self.covariance), np.allclose(self.covariance, self.covariance.T)
-        if not symmetric or values.max() <= 0.0 or values.min() < -1e-6 * values.max():
-            raise InputError("twin: the covariance must be symmetric, without negative eigenvalues")
-        if (self.narrowing <= 0).any() or (self.lower >= self.upper).any():
-            raise InputError("twin: every narrowing must be positive, and every lower bound below the upper one")
-        if not self.acceleration > 0.0:
-            raise InputError(f"twin: acceleration {self.acceleration} not above 0")
-        if not (self.parameters.stiction >= 1.0).all():
-            raise InputError(f"twin: stiction {self.parameters.stiction.min():.3g}, expected at least 1")
 
     @cached_property
     def layout(self) -> Layout:
