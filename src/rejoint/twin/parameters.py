@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
-from rejoint.arms.workspace import largest_loads, reach
+from rejoint.arms.workspace import largest_loads, length_size
 from rejoint.control.robot import Servos
 from rejoint.system.records import entity, value_type
 
@@ -168,8 +168,8 @@ ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
 REFERENCE_LOAD = 0.838
 """[N m] largest gravity torque of the myCobot 280"""
 
-REFERENCE_REACH = 0.5216700000000001
-"""[m] its summed link lengths"""
+LEAST_LOAD = 1e-3
+"""[N m] such a torque of an arm without load; chosen"""
 
 REFERENCE_SPEED = np.radians(150.0)
 """[rad/s] its joint speed"""
@@ -302,8 +302,8 @@ class Prior:
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     """Prior by a table, the arm's largest gravity torque, reach, speed and link inertias."""
-    load = largest_gravity_torque(arm) / REFERENCE_LOAD
-    time = (reach(arm) / REFERENCE_REACH) ** 0.5
+    load = max(largest_loads(arm).max(), LEAST_LOAD) / REFERENCE_LOAD
+    time = length_size(arm) ** 0.5
     speed = arm.max_speed.min() / REFERENCE_SPEED
     wrist = _wrist(arm)
     rows = []
@@ -394,11 +394,6 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
     """Twin of an arm of hobby servos without wear."""
     worn = nominal_parameters(arm)
     return TwinParameters(**{p.name: p.healthy * getattr(worn, p.name) for p in PARAMETERS})
-
-
-def largest_gravity_torque(arm: Arm) -> float:
-    """[N m] about any joint, over all postures."""
-    return max(largest_loads(arm).max(), 1e-3)
 
 
 def _wrist(arm: Arm) -> Mask:
