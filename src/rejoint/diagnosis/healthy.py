@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -164,9 +164,7 @@ def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> Healthy
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
-    """Make a reference from the logs of at least three healthy arms; ``motors``: with their inertia."""
-    if len(logs) < 3:
-        raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
+    """Make a reference from the logs of healthy arms; ``motors``: with their inertia."""
     first = [measure(arm, entry.excitation) for entry in logs]
     inertia = tuple(
         _typical([m.joints[joint].motor_inertia_kg_m2 for m in first]) if motors else None
@@ -184,17 +182,13 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
 
 def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
     allowed = {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
-    ranges = {}
+    ranges: dict[str, Any] = {}
     for name in (*POSITIVE, *allowed):
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:
             ranges[name] = _range(known, allowed.get(name))
     return JointMetrics(
         joint=rows[0].joint,
-        saturated_share=max(row.saturated_share for row in rows),
-        motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
-        sweep_gain=min((row.sweep_gain for row in rows if row.sweep_gain is not None), default=None),
-        stuck_rad=max(row.stuck_rad for row in rows),
         offset_rad=NO_OFFSET,
         **ranges,
     )
@@ -218,11 +212,9 @@ def _range(found: Sequence[Estimate], allowed: float | None = None) -> Estimate:
     if len(ends) > 1:
         value, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
         low, high = value - half, value + half
-    if allowed is None:
-        margin = np.log1p(TOLERANCE)
-        return Estimate(np.exp(value), np.exp(low - margin), np.exp(high + margin))
-    margin = TOLERANCE * abs(value) + allowed
-    return Estimate(value, low - margin, high + margin)
+    margin = np.log1p(TOLERANCE) if allowed is None else TOLERANCE * abs(value) + allowed
+    range_ = value, low - margin, high + margin
+    return Estimate(*(np.exp(range_) if allowed is None else range_))
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s", "coulomb_effort")
