@@ -28,8 +28,8 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge, predict_logs
+from rejoint.twin.motionfit import cut_windows, thin
 from rejoint.twin.motionfit import folds as fold_numbers
-from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import OPTIONAL, Structure, rough_fit
@@ -87,7 +87,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     kept = {log.label for log in logs[::FOLDS]}
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
-    windows = thin(free_windows(seen, excluded, 8.0), seen, seconds)
+    windows = thin(cut_windows(seen, excluded, 8.0), seen, seconds)
     structure = Structure(belief=unknown_prior(arm))
     frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
     mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0

@@ -6,7 +6,7 @@ from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
-from rejoint.twin.motionfit import contact_windows, free_windows
+from rejoint.twin.motionfit import cut_windows
 from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
@@ -66,7 +66,7 @@ def test_dead_readings_are_found(free):
 def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
     logs = [touching, free]
     rows = find_exclusions(ARM, logs, TABLE.height)
-    windows = free_windows(logs, rows, 4.0)
+    windows = cut_windows(logs, rows, 4.0)
     for w in windows:
         assert rows[w.log].free[w.first : w.last].all()
         assert logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] < 4.3
@@ -76,6 +76,6 @@ def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
             covered[w.first : w.last] += 1
     np.testing.assert_array_equal(covered, rows[1].free)
     assert {w.log for w in windows} == {0, 1}
-    contacts = np.concatenate([np.arange(w.first, w.last) for w in contact_windows(logs, rows, 4.0)])
-    assert {w.log for w in contact_windows(logs, rows, 4.0)} == {0}
+    contacts = np.concatenate([np.arange(w.first, w.last) for w in cut_windows(logs, rows, 4.0, contact=True)])
+    assert {w.log for w in cut_windows(logs, rows, 4.0, contact=True)} == {0}
     assert set(np.flatnonzero(rows[0].contact)) <= set(contacts)

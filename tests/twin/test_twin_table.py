@@ -7,7 +7,7 @@ from motion_logs import ARM, TRUTH, pressing, record, surface
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import position_kinematics
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.twin.motionfit import contact_windows
+from rejoint.twin.motionfit import cut_windows
 from rejoint.twin.replay import Replay
 from rejoint.twin.table import TableBatch, fit_table
 from rejoint.twin.twin import TablePlane
@@ -52,7 +52,7 @@ def test_the_fit_finds_the_table():
     truth = TablePlane(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
     logs = [record("press", *pressing(), table=truth), record("aside", *pressing(18.0, 0.55), table=truth)]
     rows = find_exclusions(ARM, logs, truth.height)
-    replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01)
+    replay = Replay(ARM, logs, cut_windows(logs, rows, 8.0, contact=True), 0.01)
     found = fit_table(replay, TRUTH, height=-0.03)
     points = tcp_position(ARM, np.concatenate([log.position[r.contact] for log, r in zip(logs, rows, strict=True)]))
     assert np.abs(surface(found, points) - surface(truth, points)).max() < 0.002

@@ -24,9 +24,8 @@ from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
-    contact_windows,
+    cut_windows,
     fastest,
-    free_windows,
     part,
     repeated,
     thin,
@@ -296,7 +295,7 @@ class Motions:
     @cached_property
     def windows(self) -> list[Window]:
         """Free motion."""
-        return free_windows(self.logs, self.excluded, WINDOW)
+        return cut_windows(self.logs, self.excluded, WINDOW)
 
     @cached_property
     def fast(self) -> list[Window]:
@@ -338,7 +337,7 @@ class Motions:
 
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
         """Fit the table to the motion in contact; None where that is too little."""
-        windows = [] if self.height is None else contact_windows(self.logs, self.excluded, WINDOW)
+        windows = cut_windows(self.logs, self.excluded, WINDOW, contact=True)
         if self.height is None or durations(windows, self.logs).sum() < LEAST_CONTACT:
             return None
         from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo

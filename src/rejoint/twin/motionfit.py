@@ -25,23 +25,17 @@ LEAD = 1.0
 """[s] of free motion before a contact; chosen"""
 
 
-def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
-    """Cut free motion into windows of at most about ``length`` [s]."""
-    return _windows(logs, excluded, [rows.free for rows in excluded], length)
-
-
-def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
-    """Cut the surroundings of contacts into windows of about ``length`` [s]."""
-    return _windows(logs, excluded, [rows.contact & rows.readable for rows in excluded], length, LEAD)
-
-
-def _windows(
-    logs: Sequence[RunLog], excluded: Sequence[Exclusions], wanted: Sequence[Mask], length: float, lead: float = 0.0
+def cut_windows(
+    logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float, *, contact: bool = False
 ) -> list[Window]:
-    """Cut the ``wanted`` rows (T,) of each log into windows, with readable rows up to ``lead`` [s] before them."""
-    windows = []
-    for index, (log, rows, mask) in enumerate(zip(logs, excluded, wanted, strict=True)):
-        for first, last in free_runs(mask, log.time, SHORTEST_STRETCH):
+    """Cut free motion, or that in ``contact`` and readable rows up to `LEAD` before it, into windows.
+
+    Of at most about ``length`` [s].
+    """
+    windows, lead = [], LEAD if contact else 0.0
+    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+        wanted = rows.contact & rows.readable if contact else rows.free
+        for first, last in free_runs(wanted, log.time, SHORTEST_STRETCH):
             early = int(np.searchsorted(log.time, log.time[first] - lead))
             while not rows.readable[early:first].all():
                 early += 1
