@@ -229,10 +229,9 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int) -> Array:
     """Random search from ``starts`` (s, k), joint by joint; needed where saturation hides stiffness."""
-    prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
+    prior, candidates = problem.prior, starts
     for i in range(rounds):
-        tried = problem.residuals(candidates[len(known) :])
-        residuals = np.concatenate([known, tried])
+        residuals = problem.residuals(candidates)
         best = np.argmin(loss(residuals).sum(axis=(1, 2)))
         weights = problem.weights(residuals[best])
         x, _, _ = line_up(problem, candidates, residuals, weights)
@@ -241,13 +240,11 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         spread = np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * chosen
         around = x + spread * layout.normal(rng, count)
         candidates = np.clip(np.vstack([x, around]), prior.lower, prior.upper)
-        known = problem.residuals(x[None])
     return x
 
 
 def _alternating(problem: Problem, iteration: int) -> Array:
-    kind = np.where(problem.owner >= 0, problem.layout.kind, sum(p.fitted for p in JOINT_PARAMETERS))
-    parity = iteration + kind + np.maximum(problem.owner, 0)
+    parity = iteration + np.where(problem.owner >= 0, problem.layout.kind + problem.owner, 0)
     return np.where(parity % 2 == 0, 1.0, -1.0)
 
 
@@ -259,11 +256,10 @@ def _pressed(prior: Prior, x: Array, gradient: Array) -> Mask:
 def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: Mask) -> Array:
     """Return new vectors (d, k), one per damping, within bounds and a prior sigma of ``x``."""
     free = np.flatnonzero(~fixed)
-    block = curvature[np.ix_(free, free)]
+    block, sigma = curvature[np.ix_(free, free)], problem.prior.sigma[free]
+    damped = block + np.multiply.outer(DAMPINGS, np.diag(np.diag(block)))
     trial = np.tile(x, (len(DAMPINGS), 1))
-    for row, damping in enumerate(DAMPINGS):
-        step = -np.linalg.solve(block + damping * np.diag(np.diag(block)), gradient[free])
-        trial[row, free] += np.clip(step, -problem.prior.sigma[free], problem.prior.sigma[free])
+    trial[:, free] -= np.clip(np.linalg.solve(damped, gradient[free, None])[..., 0], -sigma, sigma)
     return np.clip(trial, problem.prior.lower, problem.prior.upper)
 
 
