@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.twin.fit import Problem, fit
+from rejoint.twin.fit import Problem, fit, limiting
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, number, pack, prior
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.uncertainty import limiting
 
 
 @pytest.fixture(scope="session")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, TRUTH, centre_of, record, wandering
 
+from rejoint.twin.fit import uncertainty
 from rejoint.twin.identify import FITTED, HEALTHY, IDENTIFIED, LogSettings, Motions, identify_logs, independent
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.twin import NO_TWIN
-from rejoint.twin.uncertainty import uncertainty
 from rejoint_lab.plant.wear import load_wear
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))

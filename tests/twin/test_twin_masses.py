@@ -3,12 +3,11 @@
 import numpy as np
 from motion_logs import ARM, STEP, TRUTH, record, wandering
 
-from rejoint.twin.fit import Fit, Problem, fit, influence
+from rejoint.twin.fit import COMMON, Fit, Problem, _central_differences, fit, fixed_covariance, influence, others
+from rejoint.twin.fit import STEP as CHANGE
 from rejoint.twin.parameters import Layout, pack, unknown_prior
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import Structure
-from rejoint.twin.uncertainty import COMMON, _central_differences, fixed_covariance, others
-from rejoint.twin.uncertainty import STEP as CHANGE
 
 LAYOUT = Layout(ARM.joints)
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]

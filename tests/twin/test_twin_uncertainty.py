@@ -4,8 +4,8 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from rejoint.twin.fit import jackknife
 from rejoint.twin.parameters import Prior
-from rejoint.twin.uncertainty import jackknife
 
 
 def linear(seed=0, clusters=7, parameters=3):

@@ -2,19 +2,29 @@
 
 One simulation perturbs one parameter of every joint. Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber
 loss (Charbonnier et al. 1997), Gaussian prior; residuals within `MEMORY` are one observation.
+
+Its uncertainty is the jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002;
+Cameron and Miller 2015), with Student's quantile. Clusters are motions, or stretches of an excitation. Curvature and
+scores alone (Huber 1967) are too narrow.
+
+What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8). A torque limit that
+explains no motion shows nothing, nor does that of a joint whose motion is not explained: the prior remains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from rejoint.arms import Array, Mask, gravity_torque, link_inertia
+from rejoint.arms import Array, Index, Mask, gravity_torque, link_inertia
+from rejoint.diagnosis.measurement import CENTRE, MASS
 from rejoint.logs.exclusions import UNPOWERED
 from rejoint.system.records import entity
-from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Prior, number, unpack
+from rejoint.system.statistics import NORMAL95, student95
+from rejoint.twin.parameters import PARAMETERS, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
@@ -23,7 +33,7 @@ HUBER = np.radians(1.7)
 POSTURES = 500
 """Rows for a mean gravity torque; chosen"""
 
-STIFFNESS = number("stiffness")
+STIFFNESS, TORQUE_LIMIT = number("stiffness"), number("torque_limit")
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
 """Tried factors of a joint's common scale; chosen"""
@@ -36,6 +46,9 @@ LEAST_GAIN = 0.5
 
 MEMORY = 1.0
 """[s] of one observation beside the prior; chosen"""
+
+LIMIT_GAIN = 0.15
+"""Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
 ROUNDS = 10
 """Rounds to find weights and scale of windows; chosen"""
@@ -293,3 +306,105 @@ def influence(residual: Array) -> Array:
 def explained(residual: Array) -> Mask:
     """(n,) whether the motion of each joint is explained, by rms residuals (rows, n) [rad]."""
     return np.asarray((residual**2).mean(axis=0) < HUBER**2)
+
+
+CLUSTER = 3.0
+"""[s]; chosen: longer than stick-slip and the slowest oscillation"""
+
+SCALE_STEP = SCALES[-2]
+"""Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
+
+
+def uncertainty(problem: Problem, found: Fit, clusters: Index) -> Array:
+    """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and what it holds fixed."""
+    prior = problem.prior
+    residual, jacobian = _central_differences(problem, found.vector)
+    weight = found.weights.precision * influence(residual)
+    rows = np.arange(clusters.max() + 1)[:, None] == clusters
+    parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
+    curvatures, scores = map(np.stack, zip(*parts, strict=True))
+    covariance = jackknife(prior, curvatures, scores) + _scale(problem, found.vector)
+    covariance += fixed_covariance(problem, found, residual, jacobian, weight, curvatures.sum(axis=0) + prior.precision)
+    covariance += np.diag(problem.layout.has("beside") ** 2)
+    return 0.5 * (covariance + covariance.T)
+
+
+def _scale(problem: Problem, x: Array) -> Array:
+    """Covariance (k, k) of each joint's common scale, by the ladder and by the prior's gravity."""
+    owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
+    up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
+    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0)])
+    return steps.T @ steps * (owner[:, None] == owner)
+
+
+def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
+    """Covariance (k, k) of a posterior from the curvatures (g, k, k) and scores (g, k) of g clusters."""
+    count, precision = len(scores), prior.precision
+    whole = curvatures.sum(axis=0)
+    without = np.linalg.solve(whole - curvatures + precision, scores[..., None])[..., 0]
+    inverse = np.linalg.inv(whole + precision)
+    factor = (student95(max(count - 1, 1)) / NORMAL95) ** 2
+    return (
+        factor * (count - 1) / count * without.T @ without
+        + factor * inverse @ whole @ inverse
+        + inverse @ precision @ inverse
+    )
+
+
+def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
+    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound."""
+    ones = np.ones(len(x))
+    up, down = problem.inward(x, ones), problem.inward(x, -ones)
+    residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up), problem.perturbations(x, down)]))
+    base, count = residuals[0], (len(residuals) - 1) // 2
+    forward = problem.jacobian(base, residuals[1 : 1 + count], up)
+    backward = problem.jacobian(base, residuals[1 + count :], down)
+    central = 0.5 * (forward + backward)
+    shown = limiting(problem, x)
+    lost = central[..., TORQUE_LIMIT] - np.where(shown, forward[..., TORQUE_LIMIT], 0.0)
+    central[..., TORQUE_LIMIT] -= lost
+    central[..., STIFFNESS] += lost  # the slope along the common scale stays what was simulated
+    return base, central
+
+
+def limiting(problem: Problem, x: Array) -> Mask:
+    """(n,) whether each joint's motion is explained, and worse without its torque limit in ``x`` (k,)."""
+    unlimited = np.where(problem.layout.kind == TORQUE_LIMIT, problem.prior.upper, x)
+    residuals = problem.residuals(np.array([x, unlimited]))
+    losses = loss(residuals).sum(axis=1)
+    return explained(residuals[0]) & (losses[0] < (1.0 - LIMIT_GAIN) * losses[1])
+
+
+COMMON = 0.10
+"""Sigma of the log mass of all links; chosen"""
+STEP = 0.05
+"""Finite-difference step of the logarithms; chosen"""
+
+
+def fixed_covariance(
+    problem: Problem, found: Fit, residual: Array, jacobian: Array, weight: Array, curvature: Array
+) -> Array:
+    """Covariance (k, k) of an estimate by what it holds fixed.
+
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q), ``weight`` (rows, n) and ``curvature`` (k, k), with
+    the prior, at the estimate.
+    """
+    moved = []
+    for other, sigma in others(problem.replay):
+        path = np.concatenate(other.predict(unpack(found.vector[None], problem.joints)), axis=1)[0]
+        change = (path - problem.measured - residual) * (sigma / STEP)
+        pull = problem.system(jacobian, weight, change)[1]
+        moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
+    by = np.linalg.solve(curvature, np.array(moved).T)
+    return by @ by.T
+
+
+def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
+    """Replays with one thing changed by `STEP` that a fit holds fixed, and its sigma."""
+    arm, every = replay.arm, np.ones(replay.arm.joints)
+    for factor, sigma in ((every, COMMON), *((row, MASS) for row in np.eye(arm.joints))):
+        change = np.exp(STEP * factor)
+        heavier = replace(arm, mass=arm.mass * change, inertia=arm.inertia * change[:, None, None])
+        yield replace(replay, arm=heavier), sigma
+    for row in np.eye(arm.joints):
+        yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE

@@ -19,7 +19,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, v
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import SCALES, Fit, Problem, explained, fit
+from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
     MOSTLY,
@@ -60,7 +60,6 @@ from rejoint.twin.structure import (
     rough_fit,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
-from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
 """Predictions besides `NO_TWIN`"""

@@ -17,7 +17,7 @@ from rejoint.diagnosis.segments import join_logs
 from rejoint.logs.exclusions import Exclusions
 from rejoint.logs.runlog import RunLog
 from rejoint.system.records import entity
-from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
+from rejoint.twin.fit import LIMIT_GAIN, SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import LEAST_FED, Prior, is_hobby, number, unknown_prior, unpack
 
 LIMITS = ("torque_limit", "ramp_speed")
@@ -36,8 +36,6 @@ EARLIER = 0.01
 
 GAIN = 0.02
 """Least first gain of a limit; chosen"""
-LIMIT_GAIN = 0.15
-"""Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
 EITHER, ABSENT = 2.0, 1e-3
 """Sigma of Coulomb friction beside load friction over that without, and of no load friction; chosen"""
