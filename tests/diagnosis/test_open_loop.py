@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.diagnosis.open_loop import open_loop_errors, settled_rows
+from rejoint.diagnosis.segments import open_loop_errors, settled_rows
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 

@@ -10,10 +10,18 @@ from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
-from rejoint.diagnosis.metrics import COARSEST
-from rejoint.diagnosis.open_loop import OpenLoop, Postures, open_loop_errors, resting_postures, settled_postures
+from rejoint.diagnosis.metrics import COARSEST, MANY_LOGS
 from rejoint.diagnosis.regression import mean_of
-from rejoint.diagnosis.segments import FREE, SHORTEST, join_logs
+from rejoint.diagnosis.segments import (
+    FREE,
+    SHORTEST,
+    OpenLoop,
+    Postures,
+    join_logs,
+    open_loop_errors,
+    resting_postures,
+    settled_postures,
+)
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints
@@ -53,9 +61,6 @@ class Evidence:
         named = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds >= 0.5]
         return f"; left out: {', '.join(named)}" if named else ""
 
-
-MANY = 8
-"""Logs from which each is one observation; chosen"""
 
 KINDS = {
     "stuck": "not following its commands",
@@ -284,7 +289,7 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
         of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [error.mean()] if len(logs) >= MANY else of_place.tolist()
+        means += [error.mean()] if len(logs) >= MANY_LOGS else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 

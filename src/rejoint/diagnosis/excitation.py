@@ -32,8 +32,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, move, play
-from rejoint.diagnosis.open_loop import DWELL, TARGETS
-from rejoint.diagnosis.segments import TARGETS_LABEL, Segment, attach_segments
+from rejoint.diagnosis.segments import DWELL, TARGETS, TARGETS_LABEL, Segment, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated

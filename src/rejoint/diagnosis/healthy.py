@@ -22,8 +22,8 @@ from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
-from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.regression import scaled
+from rejoint.diagnosis.segments import open_loop_errors
 from rejoint.robots import open_robot, usable
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json

@@ -176,7 +176,7 @@ _FEWEST = 8
 _LIGHT = 0.2
 """Share of least loaded windows to start from; chosen: keeps saturation out"""
 
-_MANY_LOGS = 8
+MANY_LOGS = 8
 """Logs from which each is one observation; chosen"""
 
 _VISIBLE = 1e-3
@@ -223,7 +223,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Av
     segment, piece = np.divmod(found.cluster, 1000)  # pieces of half of `_LONG`
     pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
     cluster = 1000 * segment + piece // pieces
-    if len(np.unique(logs)) >= _MANY_LOGS:
+    if len(np.unique(logs)) >= MANY_LOGS:
         cluster = logs[segment]
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
     return found._replace(cluster=cluster, gravity=found.gravity * loaded).at(chosen)

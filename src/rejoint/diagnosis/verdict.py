@@ -14,8 +14,8 @@ from rejoint.arms import Arm, Array, gravity_torque, levers
 from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, Measurement
-from rejoint.diagnosis.open_loop import Postures
 from rejoint.diagnosis.regression import mean_of
+from rejoint.diagnosis.segments import Postures
 from rejoint.system.records import entity, value_type
 from rejoint.system.statistics import Estimate
 

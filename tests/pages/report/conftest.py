@@ -22,7 +22,7 @@ from rejoint.arms import load_arm
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
-from rejoint.diagnosis.open_loop import OpenLoop, TargetError
+from rejoint.diagnosis.segments import OpenLoop, TargetError
 from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.system.files import write_json

@@ -27,7 +27,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration, read_calibrat
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
-from rejoint.diagnosis.open_loop import modelled_errors
+from rejoint.diagnosis.segments import modelled_errors
 from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, cost, read_info
 from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
