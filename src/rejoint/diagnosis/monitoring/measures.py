@@ -188,23 +188,22 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
     """Means at rest: command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m]."""
-    log, shape = data.log, (POSES, len(SIDES), CYCLES)
-    found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
+    log, n = data.log, data.arm.joints
+    values = np.column_stack([log.command, log.position, log.true_tcp])
+    found = np.full((POSES, len(SIDES), CYCLES, values.shape[1]), np.nan)
     for segment in data.of_kind("pose"):
         rows = data.rows(segment, last=SETTLED_LAST)
         _, pose, side, cycle = segment.name.split("/")
-        place = (int(pose), SIDES.index(side), int(cycle))
         if len(rows):
-            for array, values in zip(found, (log.command, log.position, log.true_tcp), strict=True):
-                array[place] = values[rows].mean(axis=0)
-    seen = np.isfinite(found[1]).all(axis=-1, keepdims=True)
+            found[int(pose), SIDES.index(side), int(cycle)] = values[rows].mean(axis=0)
+    seen = np.isfinite(found[..., :n]).all(axis=-1, keepdims=True)
     if seen.sum(axis=2).min() < LEAST_APPROACHES:
         raise InputError(
             f"run log {log.label} is not of a whole check: of {POSES} x {CYCLES} approaches from two sides it has "
             f"fewer than {LEAST_APPROACHES} to some pose; check the arm again"
         )
-    whole = [np.where(seen, part, part.mean(axis=2, where=seen, keepdims=True)) for part in found]
-    return whole[0], whole[1], whole[2]
+    whole = np.where(seen, found, found.mean(axis=2, where=seen, keepdims=True))
+    return whole[..., :n], whole[..., n : 2 * n], whole[..., 2 * n :]
 
 
 def _hysteresis(data: ExcitationLog, joint: int) -> float:
