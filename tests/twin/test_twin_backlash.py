@@ -16,12 +16,17 @@ FREE = (0.0, 0.0, 0.0)
 """Place, speed and flank of a motor at rest in the middle"""
 
 
+def motor(damping, armature, friction):
+    """Rows of `rejoint.twin.step`: 10 N m/rad, at most 5 N m."""
+    return np.array([10.0, 0.0, 5.0, damping, armature, 0.0, 0.0, friction, 0.0, 1.0])
+
+
 def push(lead, steps, state=FREE, half=0.01, armature=1e-6):
     """Ask a clamped joint to be ``lead`` [rad] further: 10 N m/rad, 2 N m s/rad, 0.2 N m of friction."""
-    states, speeds, free = [state], [], []
+    states, speeds, free, gear = [state], [], [], np.array([half, *state])
     for _ in range(steps):
-        *state, loose, speed = cross((half, *states[-1], 0.01), (10.0, 5.0, 2.0, armature), lead, 0.0, 0.2, MS)
-        states.append(tuple(state))
+        loose, speed = cross(gear, 0.01, motor(2.0, armature, 0.2), lead, 0.0, MS)
+        states.append(tuple(gear[1:]))
         speeds.append(speed)
         free.append(loose)
     return states, np.array(speeds), np.array(free)
@@ -38,11 +43,12 @@ def test_a_motor_crosses_the_play_at_the_speed_of_its_spare_torque():
 
 def test_where_they_meet_momentum_is_kept_and_half_of_the_closing_speed():
     rotor = 0.01  # as heavy as what it turns; no torque, no friction
-    place, motor, _, free, joint = cross((0.01, 0.0099999, 0.4, 0.0, rotor), (10.0, 5.0, 0.0, rotor), 0.0, 0.1, 0.0, MS)
+    gear = np.array([0.01, 0.0099999, 0.4, 0.0])
+    free, joint = cross(gear, rotor, motor(0.0, rotor, 0.0), 0.0, 0.1, MS)
     assert free
-    assert motor + joint == pytest.approx(0.5)
-    assert joint - motor == pytest.approx(RESTITUTION * 0.3)
-    assert place == pytest.approx(0.01)
+    assert gear[2] + joint == pytest.approx(0.5)
+    assert joint - gear[2] == pytest.approx(RESTITUTION * 0.3)
+    assert gear[1] == pytest.approx(0.01)
 
 
 def test_once_in_touch_a_motor_that_pushes_is_the_twin_s_and_one_that_brakes_lets_go():

@@ -15,12 +15,13 @@ import numpy as np
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, link_inertia, tcp_position
 from rejoint.arms.inertia import inertia_values
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import between_directions, turned
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
 from rejoint.control.servoreference import Latency, LiveReference
 from rejoint.system.records import entity
-from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms, nominal_parameters
-from rejoint.twin.step import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION, advance, workspace
+from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms
+from rejoint.twin.step import GAIN, GROUP, TERMS, advance, workspace
 
 ALL = slice(None)
 
@@ -38,16 +39,14 @@ class ChainBatch:
         self.timestep = np.full(nsim, float(timestep))
         """(nsim,) [s]"""
         self._links = chain_links(arm)
-        self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS) + 1, *shape))
-        self._terms = np.zeros((len(DRY), *shape))
-        self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
+        self._impulse, self._motors = np.zeros(shape), np.zeros((TERMS + len(DRY), *shape))
+        self._gravity, self._carried = np.zeros((nsim, 3)), link_inertia(arm, arm.rest)
         self._gear = np.zeros((5, *shape))
         """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
         groups = -(-nsim // GROUP)
         bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
         self._each = ThreadPoolExecutor(len(self._parts)).map if len(self._parts) > 1 else map
-        self.write(nominal_parameters(arm))
 
     def write(
         self,
@@ -60,12 +59,10 @@ class ChainBatch:
 
         ``gravity_scale``: a number or (m,).
         """
-        *rows, gain = self._parameters
-        for row, name in zip(rows, ROWS, strict=True):
-            row[ids] = getattr(parameters, name)
-        gain[ids] = parameters.damping - back_emf(self.arm, parameters)
-        for row, term in zip(self._terms, friction_terms(parameters), strict=True):
-            row[ids] = term
+        for row, name in enumerate(ROWS):
+            self._motors[row, ids] = getattr(parameters, name)
+        self._motors[GAIN, ids] = parameters.damping - back_emf(self.arm, parameters)
+        self._motors[TERMS:, ids] = friction_terms(parameters)
         self._gravity[ids] = np.multiply.outer(gravity_scale, GRAVITY)
 
     def loosen(self, backlash: Array, grease: Array, ids: Mask | slice = ALL) -> None:
@@ -73,10 +70,7 @@ class ChainBatch:
 
         ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
         """
-        half = np.zeros_like(backlash)
-        if backlash.any():
-            half = 0.5 * backlash * unloaded_joints(self.arm)
-            self._carried[:] = link_inertia(self.arm, self.arm.rest)
+        half = 0.5 * backlash * unloaded_joints(self.arm)
         still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
         self._gear[:, ids] = np.stack([half, still, still, flank, still + grease[:, None]])
 
@@ -84,9 +78,9 @@ class ChainBatch:
         """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
-        motors, state = (self._parameters, self._terms), (self.qpos, self.qvel, self._impulse)
+        state = self.qpos, self.qvel, self._impulse
         gears = (self._gear, self._carried, bool(self._gear[0].any()))
-        arrays = (self._links, motors, gears, (self._gravity, self.timestep), control, state, path)
+        arrays = (self._links, self._motors, gears, (self._gravity, self.timestep), control, state, path)
         list(self._each(lambda part: advance(*arrays, part), self._parts))
         return path
 
@@ -97,25 +91,15 @@ class ChainBatch:
 
 
 def chain_links(arm: Arm) -> Array:
-    """(n, LINK) the constants of each link, see `rejoint.twin.step`."""
-    links, before = np.zeros((arm.joints, LINK)), np.eye(3)
-    for j, row in enumerate(links):
-        turn = _z_frame(arm.axis[j])
-        place, com = before.T @ arm.offset[j, :3, 3], turn.T @ arm.com[j]
-        inertia = turn.T @ arm.inertia[j] @ turn + arm.mass[j] * (com @ com * np.eye(3) - np.outer(com, com))
-        row[ROTATION:PLACE] = (before.T @ arm.offset[j, :3, :3] @ turn).ravel()
-        row[PLACE:MASS] = place
-        row[MASS], row[MOMENT:INERTIA] = arm.mass[j], arm.mass[j] * com
-        row[INERTIA:CARRIED] = inertia_values(inertia)
-        row[CARRIED] = arm.mass[j:].sum()
-        before = turn
-    return links
-
-
-def _z_frame(axis: Array) -> Array:
-    away = np.eye(3)[np.argmin(np.abs(axis))]
-    x = np.cross(away, axis) / np.linalg.norm(np.cross(away, axis))
-    return np.stack([x, np.cross(axis, x), axis], axis=-1)
+    """(n, LINK) the constants of each link, see `rejoint.twin.step`: in frames with the joint as z axis."""
+    rows, before = [], np.eye(3)
+    for j, after in enumerate(turned(between_directions(np.eye(3)[2], arm.axis))):
+        place, com, mass = before.T @ arm.offset[j, :3, 3], after.T @ arm.com[j], arm.mass[j]
+        inertia = after.T @ arm.inertia[j] @ after + mass * (com @ com * np.eye(3) - np.outer(com, com))
+        rotation, carried = before.T @ arm.offset[j, :3, :3] @ after, arm.mass[j:].sum()
+        rows.append([*rotation.flat, *place, mass, *(mass * com), *inertia_values(inertia), carried])
+        before = after
+    return np.array(rows)
 
 
 SUBSTEPS = 6

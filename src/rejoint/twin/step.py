@@ -232,19 +232,20 @@ SOFTNESS = 1e-6
 """Softness of friction, relative to a free joint"""
 KEPT = 1.0 - 1.0 / 0.9999
 """Share of speed that a stopped joint keeps"""
-STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, GAIN, FRICTION = range(7)
-"""Rows of the parameters of servos; ``GAIN``: the part of ``DAMPING`` within the limit"""
+STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, GAIN, FRICTION, TERMS = range(8)
+"""Rows of the parameters of servos; ``GAIN``: the part of ``DAMPING`` within the limit; from ``TERMS`` on the terms of
+`dry_friction`, of which `step_block` makes ``FRICTION``"""
 
 
 _dry_friction = njit(inline="always")(parameters.dry_friction)
 
 
 @njit(**OPTIONS | {"cache": False})  # cached in `advance`, which knows the law of friction
-def step_block(lanes, links, timestep, servo, dry, reference, state, work):
+def step_block(lanes, links, timestep, servo, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
-    ``servo`` (7, n, lanes), ``dry`` (t, n, lanes) of `dry_friction`, ``reference`` (n, lanes) [rad]; changes
-    ``state``: position, speed, impulse (n, lanes).
+    ``servo`` (TERMS + t, n, lanes) with t terms, ``reference`` (n, lanes) [rad]; changes ``state``: position, speed,
+    impulse (n, lanes).
     ``work``: `workspace` with minus gravity in its first row, the base's.
     """
     position, speed, impulse = state
@@ -271,7 +272,7 @@ def step_block(lanes, links, timestep, servo, dry, reference, state, work):
             )  # the mean of what drives gears and what they drive
             free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - beside * speed[j, l]) + impulse[j, l]
         for l in range(lanes):  # a loop of its own: that above has no exponential function, and is vectorised
-            servo[FRICTION, j, l] = _dry_friction(dry[:, j, l], speed[j, l], scratch[l])
+            servo[FRICTION, j, l] = _dry_friction(servo[TERMS:, j, l], speed[j, l], scratch[l])
     invert(lanes, joints, inertia, inverse, column, scratch)
     for i in range(joints):
         row = next_speed[i]
@@ -329,20 +330,22 @@ SOFT = 0.01
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cross(gear, motor, lead, speed, friction, step):
-    """Move one motor for ``step`` [s]; return its place, speed and flank, whether it was free, and the joint's speed.
+def cross(gear, link, motor, lead, speed, step):
+    """Move one motor for ``step`` [s]; return whether it was free, and the joint's speed.
 
-    ``gear``: half the backlash [rad], place ahead of the joint [rad], speed [rad/s], flank (1, -1, or 0: between them)
-    and inertia [kg m^2] of what the joint turns. ``motor``: stiffness, torque limit, damping and armature. ``lead``
-    [rad] of the command, ``speed`` [rad/s] of the joint, dry ``friction`` [N m].
+    ``gear``: half the backlash [rad] and, changed, the motor's place ahead of the joint [rad], speed [rad/s] and flank
+    (1, -1, or 0: between them). ``link``: inertia [kg m^2] of what the joint turns. ``motor``: rows of its parameters.
+    ``lead`` [rad] of the command, ``speed`` [rad/s] of the joint.
     """
-    (edge, place, v, flank, link), (stiffness, limit, damping, armature) = gear, motor
-    torque = min(max(stiffness * lead, -limit), limit)
+    edge, place, v, flank = gear[0], gear[1], gear[2], gear[3]
+    limit, damping, armature = motor[LIMIT], motor[DAMPING], motor[ARMATURE]
+    friction = _dry_friction(motor[TERMS:], speed if flank != 0.0 else v, 0.0)
+    torque = min(max(motor[STIFFNESS] * lead, -limit), limit)
     if flank != 0.0:
         at_rest = abs(speed) < 1e-3
         net = torque - np.sign(torque if at_rest else speed) * friction - damping * speed
         if (at_rest and abs(torque) <= friction) or net * flank >= 0.0:
-            return place, v, flank, False, speed  # the motor pushes, or both stand still
+            return False, speed  # the motor pushes, or both stand still
         flank, v = 0.0, speed
     if v != 0.0 or abs(torque) > friction:
         against = np.sign(v) if v != 0.0 else np.sign(torque)
@@ -359,7 +362,8 @@ def cross(gear, motor, lead, speed, friction, step):
         speed = common + bounce * closing * armature / whole
         if bounce == 0.0:
             flank = np.sign(place)
-    return place, v, flank, True, speed
+    gear[1], gear[2], gear[3] = place, v, flank
+    return True, speed
 
 
 def _compiled(source):
@@ -368,12 +372,11 @@ def _compiled(source):
     @njit(**OPTIONS)
     def advance(links, motors, gears, world, control, state, path, part):
         """Advance the arms of a ``part``; copies of the last arm fill the last group."""
-        (parameters, terms), (qpos, qvel, impulse), (first, last, work) = motors, state, part
+        (qpos, qvel, impulse), (first, last, work) = state, part
         (gear, carried, geared), (gravity, timestep) = gears, world
         joints = len(links)
         h = np.empty(LANES)
-        servo = np.empty((len(parameters) + 1, joints, LANES))
-        dry = np.empty((len(terms), joints, LANES))
+        servo = np.empty((len(motors), joints, LANES))
         reference, position = np.empty((joints, LANES)), np.empty((joints, LANES))
         speed, push = np.empty((joints, LANES)), np.empty((joints, LANES))
         for begin in range(first, last, LANES):
@@ -385,10 +388,8 @@ def _compiled(source):
                 for axis in range(3):
                     work[0][0, ACCELERATION + LANES * axis + lane] = -gravity[i, axis]
                 for j in range(joints):
-                    for k in range(len(parameters)):
-                        servo[k, j, lane] = parameters[k, i, j]
-                    for k in range(len(terms)):
-                        dry[k, j, lane] = terms[k, i, j]
+                    for k in range(len(motors)):
+                        servo[k, j, lane] = motors[k, i, j]
                     position[j, lane], speed[j, lane], push[j, lane] = qpos[i, j], qvel[i, j], impulse[i, j]
             for k in range(control.shape[1]):
                 for lane in range(lanes):
@@ -399,30 +400,20 @@ def _compiled(source):
                     for lane in range(count):
                         for j in range(joints):
                             i = begin + lane
-                            half, place, v, flank, grease = gear[:, i, j]
-                            if half == 0.0:
+                            own, motor = gear[:, i, j], motors[:, i, j]
+                            if own[0] == 0.0:
                                 continue
-                            turned = speed[j, lane] if flank != 0.0 else v
-                            friction = _dry_friction(terms[:, i, j], turned, 0.0)
-                            motor = parameters[:, i, j]
-                            place, v, flank, free, speed[j, lane] = cross(
-                                (half, place, v, flank, carried[j]),
-                                (motor[STIFFNESS], motor[LIMIT], motor[DAMPING], motor[ARMATURE]),
-                                reference[j, lane] + motor[OFFSET] - position[j, lane],
-                                speed[j, lane],
-                                friction,
-                                h[lane],
-                            )
-                            gear[1, i, j], gear[2, i, j], gear[3, i, j] = place, v, flank
+                            lead = reference[j, lane] + motor[OFFSET] - position[j, lane]
+                            free, speed[j, lane] = cross(own, carried[j], motor, lead, speed[j, lane], h[lane])
                             if free:
                                 reference[j, lane] = position[j, lane] - motor[OFFSET]
-                            alone = flank == 0.0  # the joint, without its motor
+                            alone = own[3] == 0.0  # the joint, without its motor
                             servo[ARMATURE, j, lane] = 0.0 if alone else motor[ARMATURE]
-                            servo[DAMPING, j, lane] = motor[DAMPING] * (grease if alone else 1.0)
+                            servo[DAMPING, j, lane] = motor[DAMPING] * (own[4] if alone else 1.0)
                             servo[GAIN, j, lane] = 0.0 if alone else motor[GAIN]
-                            for t in range(len(terms)):
-                                dry[t, j, lane] = 0.0 if alone else terms[t, i, j]
-                step_block(lanes, links, h, servo, dry, reference, (position, speed, push), work)
+                            for t in range(TERMS, len(motors)):
+                                servo[t, j, lane] = 0.0 if alone else motor[t]
+                step_block(lanes, links, h, servo, reference, (position, speed, push), work)
                 for lane in range(count):
                     for j in range(joints):
                         path[begin + lane, k, j] = position[j, lane]
