@@ -8,7 +8,6 @@ AIChE Journal 49(2), 2003).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
 from rejoint.control.controllers.catalogue import PREDICTIVE
 from rejoint.control.controllers.classical import Pace, limit_lead, limit_position
-from rejoint.control.robot import ControlInput, Controller, JointState
+from rejoint.control.robot import ControlInput, Controller
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.simulation import ChainBatch, Draw, Simulation
 from rejoint.twin.twin import Twin
@@ -51,7 +50,7 @@ class PredictiveController:
 
     @classmethod
     def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
-        """Make it for B twins, all compiled; ContractError for other arms."""
+        """Make it for B twins, with their compiled simulation; ContractError for other arms."""
         for twin in twins:
             twin.require(arm)
         count = len(twins)
@@ -59,15 +58,9 @@ class PredictiveController:
             TwinParameters.stacked([twin.parameters for twin in twins]),
             np.array([twin.acceleration for twin in twins]),
         )
-        rest = np.tile(arm.rest, (count, 1))
-        state = JointState(time=np.zeros(count), position=rest, age=np.zeros(count))
-        place = np.tile(arm.targets.lower, (count, 1))
-        inputs = ControlInput(state=state, target=place, goal=rest, sent=rest, since_target=np.zeros(count))
-        trial = Planner(arm, draw)
-        trial.reset(inputs, np.ones(count, dtype=bool))
-        for time in (0.0, 0.02):  # at first the shadow does not move
-            trial.follow(replace(inputs, state=replace(state, time=np.full(count, time))))
-        trial.command(inputs)
+        trial, rest = Simulation(arm, count), np.tile(arm.rest, (count, 1))
+        trial.place(draw, rest, rest)
+        trial.advance(np.full(count, TIMESTEP))
         return cls(arm, draw, holder)
 
     def _begin(self, count: int) -> None:
@@ -134,33 +127,26 @@ LEAD, MOST_OFFSET = np.radians(20.0), np.radians(30.0)
 class Planner:
     """Plans for B arms, with their simulation ``shadow``."""
 
-    def __init__(self, arm: Arm, twins: Draw, seed: int = 0) -> None:
+    def __init__(self, arm: Arm, twins: Draw) -> None:
         """Take the twins of B arms, or one for all."""
         self._arm, self._given = arm, twins
         self._pace = Pace()
         self._offset: Array = np.zeros((0, arm.joints))
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
         if len(self._offset) != len(inputs.sent):
             self._begin(inputs)
-        self._take_goals(inputs, where)
-        self._plan[where] = (self._holding - self._offset)[where, None]
+        self._plan[where] = self._holding(inputs)[where, None]
 
-    def _take_goals(self, inputs: ControlInput, where: Mask) -> None:
-        goal = inputs.goal[where]
-        self._goal[where] = goal
-        self._jacobian[where] = position_kinematics(self._arm, goal)[1]
-        sag = gravity_torque(self._arm, goal) / self._twin.stiffness[where]
-        self._holding[where] = goal + (1.0 - self._twin.compensation[where]) * sag
-        self._holding[where] -= self._twin.offset[where]
+    def _holding(self, inputs: ControlInput) -> Array:
+        """Commands (B, n) [rad] that hold the goals."""
+        sag = gravity_torque(self._arm, inputs.goal) / self._twin.stiffness
+        return inputs.goal + (1.0 - self._twin.compensation) * sag - self._twin.offset - self._offset
 
     def command(self, inputs: ControlInput) -> Array:
         """Return the plan's first command (B, n) [rad], after `follow`."""
-        moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
-        if moved.any():  # on the way
-            self._take_goals(inputs, moved)
         candidates = self._candidates(inputs)
         costs = self._costs(inputs, candidates)
         best = costs.min(axis=1, keepdims=True)
@@ -197,15 +183,13 @@ class Planner:
         self._rollouts = ChainBatch(self._arm, count * SAMPLES, timestep=TIMESTEP)
         samples = arms.rows(np.repeat(np.arange(count), SAMPLES))
         self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
-        self._jacobian = np.zeros((count, 3, n))
-        self._goal, self._holding, self._offset = np.zeros((3, count, n))
+        self._offset = np.zeros((count, n))
         self._plan = np.zeros((count, 2, n))  # first command, and the one after `bend`
 
     def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
         measured = inputs.state.position
-        way = self._goal - self.shadow.twins.qpos
-        holding = self._holding - self._offset
+        way, holding = inputs.goal - self.shadow.twins.qpos, self._holding(inputs)
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
         count = SAMPLES - len(_OVERDRIVE) - 1
@@ -233,8 +217,8 @@ class Planner:
         control += self._offset[each, None]
         self._rollouts.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, SAMPLES, steps, n)
-        miss = passed - self._goal[:, None, None]
-        error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
+        miss = passed - inputs.goal[:, None, None]
+        error = np.einsum("bij,bktj->bkti", position_kinematics(self._arm, inputs.goal)[1], miss)
         distance = np.sqrt((error**2).sum(axis=-1))
         far = distance / (distance + NEAR) + 10.0 * distance
         rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
