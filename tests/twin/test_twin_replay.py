@@ -42,6 +42,6 @@ def test_a_joint_that_rests_beyond_its_friction_rests_in_a_prediction_too():
     still, slack = np.tile(ARM.rest, (200, 1)), 1.5 * TRUTH.stiction * TRUTH.coulomb / TRUTH.stiffness
     held = gravity_torque(ARM, still) / TRUTH.stiffness - TRUTH.offset
     log = as_log("rest", PERIOD * np.arange(200), still, still + held + slack)
-    found = predict_logs(ARM, [Candidate(name="truth", parameters=TRUTH)], [log])["truth"][0]
+    found = predict_logs(ARM, [Candidate(name="truth", parameters=TRUTH)], [log])[0]["truth"]
     np.testing.assert_allclose(found, still, atol=1e-4)
     assert (predict(ARM, TRUTH, log, PERIOD / 2) - still > 0.1 * slack)[-1].all()

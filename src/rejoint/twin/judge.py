@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.diagnosis.metrics import COARSEST
 from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
@@ -70,8 +71,8 @@ class Candidate:
         )
 
 
-def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog]) -> dict[str, list[Array]]:
-    """Predicted positions (T, n) [rad] in each log, no twin first.
+def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog]) -> list[dict[str, Array]]:
+    """Predicted positions (T, n) [rad] by name in each log, no twin first.
 
     InputError for equal names or another arm.
     """
@@ -80,18 +81,15 @@ def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLo
         raise InputError(
             f"replay: twins called {', '.join(names[1:])}; give each a name of its own, other than {NO_TWIN!r}"
         )
-    return {NO_TWIN: [in_force(log) for log in logs]} | {
-        c.name: [_path(arm, c, log) for log in at_gain(logs, c.gain)] for c in candidates
-    }
+    return [{NO_TWIN: in_force(log)} | {c.name: _path(arm, c, log) for c in candidates} for log in logs]
 
 
-def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None) -> Judgement:
+def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, table: float | None = None) -> Judgement:
     """Compare the result of `predict_logs` with whole logs; ``table`` [m] is its height, default: found."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
-    by_log = [{name: path[i] for name, path in paths.items()} for i in range(len(logs))]
-    found = tuple(_motion(arm, *one) for one in zip(logs, rows, by_log, strict=True))
-    names = list(paths)
+    found = tuple(_motion(arm, *one) for one in zip(logs, rows, paths, strict=True))
+    names = list(paths[0])
     first = [motion.errors[names[1]] for motion in found]
     worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
     return Judgement(
@@ -101,13 +99,14 @@ def judge(arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, ta
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
         doubts=tuple(_doubts(arm, logs, rows, found)),
-        worst=_trace(arm, logs[worst], rows[worst], by_log[worst]),
+        worst=_trace(arm, logs[worst], rows[worst], paths[worst]),
     )
 
 
 def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
-    replay = Replay(arm, [log], [Window(log=0, first=0, last=len(log))], TIMESTEP, candidate.acceleration)
+    logs, window = at_gain([log], candidate.gain), Window(log=0, first=0, last=len(log))
+    replay = Replay(arm, logs, [window], TIMESTEP, candidate.acceleration)
     return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0][0]
 
 
@@ -140,7 +139,7 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         joints, joint, tcp = (np.mean([getattr(one, f) for one in known], axis=0) for f in ("joints", "joint", "tcp"))
         return PredictionError(joint=float(joint), joints=tuple(joints.tolist()), tcp=float(tcp))
 
-    return Errors(free=mean("free"), contact=mean("contact"), all=mean("all"))
+    return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
 
 
 def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> Trace:
@@ -159,8 +158,6 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
 
 MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
-COARSEST = 0.1
-"""[s] between readings up to which friction and lag show; chosen"""
 
 
 def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:

@@ -231,7 +231,7 @@ def replay(
 
         named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
         page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
-    return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
+    return Replayed(logs=tuple(motions), positions=tuple(path[TWIN] for path in paths), judgement=judgement, page=page)
 
 
 QUICK: dict[str, Any] = {"iterations": 3, "agents": 16}
