@@ -33,7 +33,7 @@ from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import OPTIONAL, Structure, rough_fit
-from rejoint.twin.table import friction_solref, twin_spec
+from rejoint.twin.table import twin_spec
 
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
@@ -134,7 +134,7 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
     spec.option.timestep = TIMESTEP
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     for joint in arm.joint_names:
-        spec.joint(joint).solref_friction = friction_solref(np.array(TIMESTEP))
+        spec.joint(joint).solref_friction = [2.0 * TIMESTEP, 1.0]
         spec.add_sensor(
             name=f"{joint}_pos", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint
         )

@@ -89,8 +89,6 @@ class Replay:
     def __post_init__(self) -> None:
         for log in self._shown.values():
             log.require(self.arm)
-        if not self.windows:
-            raise InputError("replay: no windows; a run log needs at least three rows")
 
     @cached_property
     def _shown(self) -> dict[int, RunLog]:
@@ -292,12 +290,11 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
             off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)
         for first, last in spans_off(log):
             off |= (since >= first) & (since <= last)
-        extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
         for number, piece in enumerate(pieces, start=1):
             label = f"{log.label} ({number})" if len(pieces) > 1 else log.label
-            found.append(replace(piece, label=label, extra=extra))
+            found.append(replace(piece, label=label))
     return found
 
 

@@ -72,7 +72,7 @@ class TableBatch:
             "dof_damping": beside,
             "dof_frictionloss": twins.coulomb,
             "dof_armature": twins.armature,
-            "dof_solref": friction_solref(steps)[:, None],
+            "dof_solref": np.stack([2.0 * steps, np.ones_like(steps)], axis=-1)[:, None],
             "opt.timestep": steps,
             "opt.gravity": np.broadcast_to(gravity_scale, twins.shape)[:, None] * GRAVITY,
         }
@@ -97,7 +97,6 @@ class TableBatch:
     def restart(self, position: Array, velocity: Array | float = 0.0) -> None:
         """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without warm start."""
         self._batch.bind("qacc_warmstart")[:] = 0.0
-        self._batch.bind("time")[:] = 0.0
         self.qpos[:], self.qvel[:], self._ctrl[:] = position, velocity, position
 
     def rollout(self, control: Array) -> Array:
@@ -110,11 +109,6 @@ class TableBatch:
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path
-
-
-def friction_solref(timestep: Array) -> Array:
-    """Solref (..., 2) of friction for a time step (...) [s]."""
-    return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
 def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
