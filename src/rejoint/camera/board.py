@@ -17,7 +17,7 @@ from rejoint.system.files import MEGABYTE, read_bounded, read_toml, toml_of, wri
 from rejoint.system.records import entity, value_type
 
 DICTIONARY = "DICT_4X4_50"
-"""Markers of 4 x 4 cells"""
+"""Markers of 4 x 4 cells, by their name in OpenCV"""
 
 RULER = 100.0
 """[mm] (chosen)"""
@@ -38,8 +38,6 @@ class Board:
     """[m] as drawn"""
     marker: float = 0.022
     """[m] as drawn"""
-    dictionary: str = DICTIONARY
-    """name in OpenCV"""
     stretch_x: float = 1.0
     """print over drawing, along x"""
     stretch_y: float = 1.0
@@ -80,15 +78,12 @@ class Board:
         return np.asarray(self.opencv().generateImage((across, down)), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board; InputError for unknown markers."""
-        number = getattr(cv2.aruco, self.dictionary, None) if self.dictionary.startswith("DICT_") else None
-        if not isinstance(number, int):
-            raise InputError(f"board: OpenCV knows no markers {self.dictionary!r}; the usual ones are {DICTIONARY}")
-        markers = cv2.aruco.getPredefinedDictionary(number)
+        """OpenCV's board; InputError for too many squares."""
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
         needed, known = self.columns * self.rows // 2, len(markers.bytesList)
         if needed > known:
             raise InputError(
-                f"board: {self.columns} x {self.rows} squares need {needed} markers, {self.dictionary} has {known}; "
+                f"board: {self.columns} x {self.rows} squares need {needed} markers, {DICTIONARY} has {known}; "
                 "take fewer squares"
             )
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
@@ -178,7 +173,7 @@ def page_of(board: Board, page: str = "A4") -> Image.Image:
         pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
     caption = (
         f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
-        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        f"markers {1e3 * board.marker:g} mm, {DICTIONARY}. "
         "Print at 100 %, then measure both rulers between their first and last tick."
     )
     pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), caption, fill=0, font=font)
