@@ -11,7 +11,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Box, frames, tcp_position
 from rejoint.arms.collision import collision_shape
-from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard
+from rejoint.control.guard import MAX_LEAD, RAMP, TRIPS, Guarded, GuardLimits, Reason, guard
 from rejoint.control.robot import JointState
 from segments import segments_apart
 
@@ -224,8 +224,8 @@ def _check_motion(limits: GuardLimits, case: Case, out: Guarded) -> tuple[np.nda
     assert (np.abs(command - sent) <= arm.max_speed * time + STEP_ROUNDING * (1.0 + np.abs(sent))).all(), "step"
     low, high = np.minimum(limits.lower, sent), np.maximum(limits.upper, sent)
     assert ((command >= low) & (command <= high)).all(), "inside the limits, or no farther outside"
-    near = np.abs(sent - position) <= limits.max_lead
-    assert (np.abs(command - position) <= limits.max_lead + STEP_ROUNDING)[near].all(), "lead"
+    near = np.abs(sent - position) <= MAX_LEAD
+    assert (np.abs(command - position) <= MAX_LEAD + STEP_ROUNDING)[near].all(), "lead"
     step, way, gain = command - sent, speed * time, limits.max_acceleration * time**2
     rounding = STEP_ROUNDING * (1.0 + np.abs(sent) + np.abs(way))
     braking = (step * way >= 0.0) & (np.abs(step) <= np.abs(way) + rounding)
@@ -237,7 +237,7 @@ def _check_motion(limits: GuardLimits, case: Case, out: Guarded) -> tuple[np.nda
         quotient = np.clip(np.where(time > 0.0, step / time, 0.0), -arm.max_speed, arm.max_speed)
     np.testing.assert_array_equal(out.speed, quotient)
     bounds = [
-        (position - limits.max_lead, position + limits.max_lead),
+        (position - MAX_LEAD, position + MAX_LEAD),
         (limits.lower, limits.upper),
         (sent - arm.max_speed * time, sent + arm.max_speed * time),
         (sent + np.minimum(way - gain, 0.0), sent + np.maximum(way + gain, 0.0)),

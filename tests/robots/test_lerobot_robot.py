@@ -13,7 +13,7 @@ import pytest
 
 from commandline import JUDGE
 from rejoint.arms import load_arm
-from rejoint.control.guard import GuardLimits
+from rejoint.control.guard import MAX_PERIOD, GuardLimits
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
@@ -61,7 +61,7 @@ def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_p
         assert np.degrees(end - goal) == pytest.approx(np.zeros(5), abs=1.2)
         goals = [int.from_bytes(data, "little") for address, data in server.arm.servos[0].writes if address == 42]
         limits = GuardLimits.of(ARM)
-        longest = limits.max_speed[0] * limits.max_period / ARM.encoder_step  # never a leap: every command is guarded
+        longest = limits.max_speed[0] * MAX_PERIOD / ARM.encoder_step  # never a leap: every command is guarded
         assert np.abs(np.diff(goals)).max() <= longest + 1 < np.ptp(goals)
         assert never_dropped(server.arm)
     assert list((server.run / "logs").glob("joints-*.parquet"))

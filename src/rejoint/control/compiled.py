@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, from_dtype, int64, njit, types, uint16, void
 
 from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, compiled, gaps, inner, place
-from rejoint.control.guard import Reason, Rules
+from rejoint.control.guard import MAX_AGE, MAX_LEAD, MAX_PERIOD, RANGE_MARGIN, Reason, Rules
 
 HISTORY = 8
 """Stored commands (chosen: 160 ms at the shortest period)"""
@@ -119,7 +119,7 @@ def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN2
                 verdict[i, j] = OVERDUE
 
 
-RULES = types.NamedTuple((*[IN1] * 5, *[float64] * 4, int64), Rules)
+RULES = types.NamedTuple((*[IN1] * 5, int64), Rules)
 
 TOLERANCE = 1e-9
 """[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
@@ -140,14 +140,14 @@ def _between(value, low, high):  # noqa: ANN001, ANN202
 
 
 @inner
-def _trips(chain, rules, asked, age):  # noqa: ANN001, ANN202
+def _trips(chain, asked, age):  # noqa: ANN001, ANN202
     """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
-    found = 0 if age <= rules.max_age else _STALE  # NaN counts as stale
+    found = 0 if age <= MAX_AGE else _STALE  # NaN counts as stale
     for j in range(asked.shape[1]):
         for k in range(4):
             found |= 0 if np.isfinite(asked[k, j]) else _NOT_FINITE
         position, lower, upper = asked[3, j], chain.limits[0, j], chain.limits[1, j]
-        if np.isfinite(position) and not lower - rules.range_margin <= position <= upper + rules.range_margin:
+        if np.isfinite(position) and not lower - RANGE_MARGIN <= position <= upper + RANGE_MARGIN:
             found |= _OUT_OF_RANGE
     return found
 
@@ -167,7 +167,7 @@ def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
     found = 0
     for j in range(len(out)):
         command, last, speed, position = asked[0, j], asked[1, j], asked[2, j], asked[3, j]
-        near = _between(command, position - rules.max_lead, position + rules.max_lead)
+        near = _between(command, position - MAX_LEAD, position + MAX_LEAD)
         legal = _between(near, rules.lower[j], rules.upper[j])
         reach, way, gain = rules.max_speed[j] * elapsed, speed * elapsed, 0.0
         step = _between(legal, last - reach, last + reach)
@@ -240,11 +240,11 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
     for b in range(len(asked)):
         command, last = out[0, b], asked[b, 1]
         out[1, b] = 0.0
-        reasons[b] |= _trips(chain, rules, asked[b], times[0, b])
+        reasons[b] |= _trips(chain, asked[b], times[0, b])
         if reasons[b]:
             _hold(chain, rules, asked[b], command)
             continue
-        elapsed = min(times[1, b], rules.max_period) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
+        elapsed = min(times[1, b], MAX_PERIOD) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
         found = _limit(rules, asked[b], elapsed, command)
         found |= _keep_away(chain, shape, rules, asked[b], command)
         clear = gaps(place(chain, command), shape)

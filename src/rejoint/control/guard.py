@@ -37,6 +37,14 @@ MARGIN = np.radians(0.5)
 """[rad] inside the joint limits (chosen)"""
 RAMP = 0.018
 """[s] to full speed (chosen: the shortest trained period)"""
+MAX_LEAD = float(np.radians(20.0))
+"""[rad] largest following error (chosen: twice a worn arm's sag)"""
+MAX_PERIOD, MAX_AGE = 0.1, 0.5
+"""[s] longest counted cycle (chosen), and age of a reading (chosen: ten periods of the slowest wire)"""
+MAX_TEMPERATURE = 65.0
+"""[deg C] (chosen: 5 below the usual 70)"""
+RANGE_MARGIN = float(np.radians(10.0))
+"""[rad] of readings outside the limits (chosen)"""
 
 
 class Reason(IntFlag):
@@ -84,10 +92,6 @@ class Rules(NamedTuple):
     max_speed: Array
     max_acceleration: Array
     near: Array
-    max_lead: float
-    max_period: float
-    max_age: float
-    range_margin: float
     parts: int
 
 
@@ -110,16 +114,6 @@ class GuardLimits:
     """prevent contacts"""
     parts: int = 16
     """tried parts of a step (chosen)"""
-    max_lead: float = np.radians(20.0)
-    """[rad] largest following error (chosen: twice a worn arm's sag)"""
-    max_period: float = 0.1
-    """[s] (chosen)"""
-    max_age: float = 0.5
-    """[s] (chosen: ten periods of the slowest wire)"""
-    max_temperature: float = 65.0
-    """[deg C] (chosen: 5 below the usual 70)"""
-    range_margin: float = np.radians(10.0)
-    """[rad] of readings outside the limits (chosen)"""
     bands: Bands | None = None
     gains: Mapping[str, tuple[int, ...]] | None = None
     """of `bands`; None: any"""
@@ -200,7 +194,7 @@ def guard(
     """
     asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
     times, out = np.stack(np.broadcast_arrays(state.age, period), dtype=float), np.empty((2, *command.shape))
-    reasons, about = servo_trips(limits, state), (chain_of(limits.arm), limits.shape, limits.rules)
+    reasons, about = servo_trips(state), (chain_of(limits.arm), limits.shape, limits.rules)
     compiled.guard(*about, asked, times, reasons, out)
     touched = reasons & np.uint16(Reason.COLLISION.value)
     if way is not None and (cut := way[1] & (touched != 0)).any():
@@ -221,11 +215,11 @@ def warm_up(limits: GuardLimits) -> None:
     kinematics.compile_all()
 
 
-def servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
+def servo_trips(state: JointState) -> Reasons:
     """Flag hot and faulty servos, (B,)."""
     trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
-        trips[(state.temperature > limits.max_temperature).any(axis=-1)] |= Reason.TEMPERATURE.value
+        trips[(state.temperature > MAX_TEMPERATURE).any(axis=-1)] |= Reason.TEMPERATURE.value
     if state.fault is not None:
         trips[state.fault.any(axis=-1)] |= Reason.SERVO_FAULT.value
     return trips

@@ -18,6 +18,9 @@ from rejoint.arms.arm import frozen
 from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.correction import tool_error
 from rejoint.control.guard import (
+    MAX_AGE,
+    MAX_LEAD,
+    MAX_TEMPERATURE,
     TRIPS,
     Guarded,
     GuardLimits,
@@ -282,7 +285,7 @@ class RunState:
         self.period = np.where(where, FIRST_PERIOD, self.period)
         self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
         # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
-        far = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
+        far = where[:, None] & (np.abs(self.sent - self.state.position) > MAX_LEAD)
         told, self.sent = self.sent, np.where(far | moved[:, None], self.state.position, self.sent)
         self._ease(moved, told)
         self.speed = np.where(where[:, None], 0.0, self.speed)
@@ -298,7 +301,7 @@ class RunState:
         before, state, target, aim = self.inputs, self.state, self.place, self.aim
         fresh, index, turned = self.active, self.index, turned_off(self.robot.arm, before)
         if self.schedule.give_up is not None and self.schedule.give_up(before):
-            self.active = fresh & (servo_trips(self.limits, state) != 0)  # the guard says it
+            self.active = fresh & (servo_trips(state) != 0)  # the guard says it
         command, reasons, speed = self._decide(self._advance(self.active & self._finished(turned)))
         cycle = Cycle(
             time=state.time,
@@ -415,14 +418,12 @@ class RunState:
 def trip_error(b: int, run_state: RunState) -> GuardTripError:
     """Error of the arm ``b`` that tripped."""
     state, flags = run_state.state, Reason(int(run_state.tripped[b]))
-    limits, names = run_state.limits, run_state.limits.arm.joint_names
+    names = run_state.limits.arm.joint_names
     details = []
     if Reason.STALE in flags:
-        details.append(
-            f"the joint state is {state.age[b]:.2f} s old, limit {limits.max_age:.2f} s; check the connection"
-        )
+        details.append(f"the joint state is {state.age[b]:.2f} s old, limit {MAX_AGE:.2f} s; check the connection")
     if Reason.TEMPERATURE in flags and state.temperature is not None:
-        details.append(say_hot(names, state.temperature[b], limits.max_temperature))
+        details.append(say_hot(names, state.temperature[b], MAX_TEMPERATURE))
     if Reason.SERVO_FAULT in flags and state.fault is not None:
         details.append(say_faulty(names, state.fault[b], state.trouble))
     if Reason.OUT_OF_RANGE in flags:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque
 from rejoint.control.controllers.classical import DefaultController
-from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.guard import MAX_LEAD, MAX_TEMPERATURE, GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
@@ -35,7 +35,7 @@ STANCE = np.radians(15.0)
 """[rad] from the twin's rest posture"""
 FARTHER = np.radians(5.0)
 """[rad] more than in the diagnosis"""
-FALL = GuardLimits.max_lead + np.radians(5.0)
+FALL = MAX_LEAD + np.radians(5.0)
 """[rad] of falling off the first motion"""
 ASTRAY = np.radians(8.0)
 """[rad] of leaving it without or against weight"""
@@ -160,7 +160,7 @@ def _problem(arm: Arm, first: JointState, state: JointState) -> str:
         return ""
     if not ((state.temperature > COLDEST) & (state.temperature < HOTTEST)).all():
         return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
-    hottest, limit = state.temperature.max(axis=0), GuardLimits.max_temperature - WARMTH
+    hottest, limit = state.temperature.max(axis=0), MAX_TEMPERATURE - WARMTH
     return f"{say_hot(arm.joint_names, hottest, limit)} before the start" if (hottest > limit).any() else ""
 
 
