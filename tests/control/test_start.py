@@ -47,7 +47,7 @@ def heat(joint, degrees):
     [
         (Standing(np.where(np.arange(6) == 1, ARM.upper + 0.2, ARM.rest)), "joint2 stands at .* outside its limits"),
         (Standing(drift=np.eye(6)[3] * 0.1), "joint4 is moving by itself"),
-        (Standing(temperature=heat(2, 62.0)), "joint3 is at 62 deg C, limit 60; let it cool before the start"),
+        (Standing(temperature=heat(2, 62.0)), "joint3 is at 62 deg C, limit 60"),
         (Standing(temperature=heat(2, 255.0)), "not believed"),
         (Standing(fault=np.eye(6, dtype=bool)[4:5]), "joint5 reports a servo fault"),
     ],

@@ -161,7 +161,7 @@ def _problem(arm: Arm, first: JointState, state: JointState) -> str:
     if not ((state.temperature > COLDEST) & (state.temperature < HOTTEST)).all():
         return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
     hottest, limit = state.temperature.max(axis=0), MAX_TEMPERATURE - WARMTH
-    return f"{say_hot(arm.joint_names, hottest, limit)} before the start" if (hottest > limit).any() else ""
+    return say_hot(arm.joint_names, hottest, limit) if (hottest > limit).any() else ""
 
 
 class Symptom(NamedTuple):
