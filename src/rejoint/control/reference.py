@@ -23,6 +23,7 @@ from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.control.correction import Modelled
 from rejoint.control.robot import ControlInput
+from rejoint.control.targets import in_mm
 from rejoint.system.errors import InputError
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
@@ -58,8 +59,11 @@ def with_ways(arm: Arm, posture: Array, start: Array, *, motors: Motors | None =
     The ``motors`` lift the arm. Where no way is clear, a joint goes a turn farther or less, else InputError.
     """
     ways: list[JointTrajectory] = []
-    for goal in posture:
-        ways.append(_clear_way(arm, start, goal, motors))
+    for number, goal in enumerate(posture, start=1):
+        try:
+            ways.append(_clear_way(arm, start, goal, motors))
+        except PlanningError as error:
+            raise PlanningError(f"target {number} {in_mm(tcp_position(arm, goal))}: {error}") from error
         start = ways[-1].goal
     return tuple(ways)
 
