@@ -214,7 +214,7 @@ def read_targets(path: Path, arm: Arm) -> Poses:
     targets, turns = placed(arm, poses)
     problem = refused(arm, [f"line {number}" for number in lines], targets, turns)
     if problem:
-        raise FileError(path, problem, f"{unit_hint(targets).lstrip()} give places that the arm reaches".lstrip())
+        raise FileError(path, problem, f"give places that the arm reaches{unit_hint(targets)}")
     return targets, turns
 
 
@@ -234,4 +234,4 @@ def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None
 
 def unit_hint(places: Array) -> str:
     """Hint for places (..., 3) [m] that look like metres."""
-    return " they look like metres, and millimetres are expected;" if in_metres(places) else ""
+    return "; they look like metres, and millimetres are expected" if in_metres(places) else ""
