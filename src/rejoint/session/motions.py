@@ -313,7 +313,9 @@ def along(
             away = np.abs(session.robot.read().position[0] - start)
             if away.max() > STUCK[0] and not motion.ended.is_set():
                 far = f"{arm.joint_names[away.argmax()]} is {np.degrees(away.max()):.0f} deg from the start of its path"
-                raise NotReachedError(f"{far}, and the arm holds; clear its way, or send it to a point first")
+                raise NotReachedError(
+                    f"{far}, and the arm holds: it is blocked or too weak; clear its way, or give other places"
+                )
             if repeat > 1:
                 session.recorder.begin(session.robot, f"follow-{number + 1:02d}", label)
             schedule = Schedule(dwell=lasts, give_up=motion.give_up)

@@ -191,9 +191,13 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
     if weight(usual) <= 1.0:
         return arm.rest
     fold = _FOLD * np.eye(arm.joints)[joint_weights(arm) > 1.0]
+    folds = np.vstack([0.0 * arm.rest, fold, -fold])
+    if motors is not None:  # a joint that may not lift itself is folded down
+        torque = gravity_torque(arm, arm.rest)
+        folds = folds[((np.abs(torque) <= motors.usable) | (folds * torque <= 0.0)).all(axis=-1)]
     pool = pool_of(arm)
     near = np.linalg.norm(pool.place - places[0], axis=-1).argsort()[: _HOMES if turns is None else _HOMES // 4]
-    for homes in arm.rest + np.vstack([0.0 * arm.rest, fold, -fold]), pool.posture[near]:
+    for homes in arm.rest + folds, pool.posture[near]:
         homes = np.clip(homes, arm.lower, arm.upper)
         found = np.array([weight(way) for way in ways(homes)])
         if found.min() < np.inf:
@@ -224,8 +228,9 @@ def _speeds(arm: Arm, way: Array, time: Array) -> Array:
 def _why(arm: Arm, posture: Array, place: Array, loads: Array) -> str:
     """Why an impossible ``posture`` (n,) [rad] is it."""
     joint, why = too_heavy(arm, posture, loads[1])
-    why = f"is too heavy: {why}" if joint is not None else "is out of reach on this way, or something would touch"
-    return f"{in_mm(place)} {why}"
+    if joint is None:
+        return f"{in_mm(place)} is out of reach on this way in its time, or something would touch"
+    return f"{in_mm(place)} is too heavy: {why}"
 
 
 def _problem(arm: Arm, way: Array, time: Array, places: Array, turns: Orientation | None, loads: Array) -> str:
@@ -267,7 +272,7 @@ def read_path(given: FilePath | str, arm: Arm, seed: int = 0) -> Path:
             raise InputError("path: orientations, of one weight, are on every line or on none")
         return Path(time=time, place=places, name=file.stem, turn=turn)
     except InputError as error:
-        raise FileError(file, str(error), "give at least two lines of increasing time") from error
+        raise FileError(file, str(error), "correct its lines") from error
 
 
 STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
