@@ -59,6 +59,8 @@ UNLOADED = 0.03
 """Least torque that counts, over the largest joint's"""
 SURE = 0.95
 """Share of torque limits at the nearest possible place (chosen)"""
+INSIDE = 0.001
+"""[m] of that place inside what is possible, so that it may be rounded (chosen)"""
 _STEPS, _TRIED = 0.5 ** np.arange(1, 8), 4
 NEAR, TURNED = 1e-3, float(np.radians(0.5))
 """[m], [rad] largest misses of a reachable pose (chosen)"""
@@ -276,6 +278,9 @@ def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Ar
             found = _choose(arm, load, trial, works, False)
             if found is not None:
                 share, works = share + step, found
+        trial[:3] = pool.place[k] + max(share - INSIDE / max(away[k], INSIDE), 0.0) * (goal[:3] - pool.place[k])
+        found = _choose(arm, load, trial, works, False)
+        works = works if found is None else found
         missed = float(np.linalg.norm(tcp_position(arm, works) - goal[:3]))
         if missed < least:
             best, least = works, missed
