@@ -9,6 +9,7 @@ import numpy as np
 
 import rejoint
 from rejoint.arms import Array
+from rejoint.arms.rotations import REACHED_TURN
 from rejoint.cli.console import Shown
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
@@ -168,7 +169,8 @@ def followed(done: rejoint.Followed) -> Shown:
     title = f"{done.path}, {done.controller}: errors along the way by the encoders"
     yield title, headers, rows
     if not done.followed:
-        yield f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected."
+        turned = f" and {np.degrees(REACHED_TURN):g} deg" * (done.passes[-1].turned is not None)
+        yield f"Not followed: at most {1e3 * done.within:g} mm{turned} root mean square after the lag were expected."
     yield from _gaps(done.gaps)
 
 
