@@ -356,8 +356,8 @@ APART = 0.5
 """[rad] median following error beyond any sag"""
 
 
-def check_agreement(motion: RecordedMotion) -> Iterator[Remark]:
-    """Check states against the commands in force.
+def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator[Remark]:
+    """Check states against the commands in force, but those of joints that are ``off``.
 
     FileError for exchanged joints; doubts for duplicates, implausible lags and scales.
     """
@@ -366,6 +366,8 @@ def check_agreement(motion: RecordedMotion) -> Iterator[Remark]:
     error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     yield from _check_copies(motion, command)
     for joint, name in enumerate(motion.columns):
+        if joint in off:
+            continue
         own, best = highest[joint, joint], int(np.argmax(highest[joint]))
         other = highest[joint, best]
         better = best != joint and other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)

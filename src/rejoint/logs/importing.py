@@ -121,11 +121,12 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         notes.append(NO_COMMANDS)
     else:
         powered = (motion.more.get("gain", np.ones((rows, 1))) != 0).any(axis=-1)
-        take(check_agreement(motion.take(powered)))
+        off = [joint for joint, name in enumerate(arm.joint_names) if name in options.torque_off]
+        take(check_agreement(motion.take(powered), off))
         if not powered.all():
             notes.append(f"state: {int((~powered).sum())} rows without torque")
-    off, unknown = options.torque_off, np.full((rows, 3), np.nan)
-    told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(off)}
+    unknown = np.full((rows, 3), np.nan)
+    told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(options.torque_off)}
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -138,7 +139,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         units=dict(motion.units),
         **{"target": unknown, "true_tcp": unknown, **motion.more},
     )
-    silent = [joint for joint in unpowered_joints(log) if joint not in off]
+    silent = [joint for joint in unpowered_joints(log) if joint not in options.torque_off]
     notes.extend(
         f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent
     )
