@@ -10,7 +10,7 @@ from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
-from rejoint.diagnosis.metrics import COARSEST, MANY_LOGS
+from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import (
     FREE,
@@ -61,6 +61,12 @@ class Evidence:
         named = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds >= 0.5]
         return f"; left out: {', '.join(named)}" if named else ""
 
+
+MANY = 8
+"""Logs from which each is one observation; chosen"""
+
+IN_MOTION = ("low_damping", "lag")
+"""Kinds that move no joint from where it rests"""
 
 KINDS = {
     "stuck": "not following its commands",
@@ -228,17 +234,19 @@ def _verdict_of(
     if not findings:
         return nothing
     felt = [finding for finding in findings if finding.felt] or findings
+    missed = error is not None and error.value > ((healthy and healthy.error_mm and healthy.error_mm.high) or 0.0)
+    standing = [finding for finding in felt if missed and finding.kind not in IN_MOTION]
+    felt = standing or felt
     joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
-    missed = error is not None and error.value > ((healthy and healthy.error_mm and healthy.error_mm.high) or 0.0)
     ringing, rings = ringing_most(findings), ""
     if ringing is not None and ringing not in worst:
         worst.append(ringing)
         rings = f" {ringing.joint} rings (damping ratio {ringing.measured.value:.2f})."
     others = len({f.joint for f in findings} - {f.joint for f in worst})
     more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
-    return f"{'Because' if missed else 'What is worn'}: {named}.{rings}{more}"
+    return f"{'Because' if standing else 'What is worn'}: {named}.{rings}{more}"
 
 
 def _usual(healthy: HealthyReference | None) -> str:
@@ -289,7 +297,7 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
         of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [error.mean()] if len(logs) >= MANY_LOGS else of_place.tolist()
+        means += [error.mean()] if len(logs) >= MANY else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 
