@@ -195,10 +195,12 @@ def stuck(case: _Case) -> Found:
     follows = gain is not None and FOLLOWS < gain < 1.0 / FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
     if follows or far < STUCK_ERROR:
         return None
+    other = ""
+    if case.row.torque_limit_nm is None:
+        other = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
     return (case.levers * case.errors).mean(), (
-        f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
-        "no power, is blocked or too weak to lift the arm, or its reading is another joint's, turned round, or has "
-        "another zero or scale; at its targets this costs"
+        f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
+        f"load or blocked{other}; at its targets this costs"
     )
 
 
