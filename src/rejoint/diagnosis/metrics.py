@@ -176,9 +176,6 @@ _FEWEST = 8
 _LIGHT = 0.2
 """Share of least loaded windows to start from; chosen: keeps saturation out"""
 
-MANY_LOGS = 8
-"""Logs from which each is one observation; chosen"""
-
 _VISIBLE = 1e-3
 """Least relative effect of masses that shows; chosen"""
 
@@ -222,11 +219,10 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Av
     logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
     segment, piece = np.divmod(found.cluster, 1000)  # pieces of half of `_LONG`
     pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
-    cluster = 1000 * segment + piece // pieces
-    if len(np.unique(logs)) >= MANY_LOGS:
-        cluster = logs[segment]
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
-    return found._replace(cluster=cluster, gravity=found.gravity * loaded).at(chosen)
+    found = found._replace(cluster=1000 * segment + piece // pieces, gravity=found.gravity * loaded).at(chosen)
+    by_log = found._replace(cluster=logs[segment[chosen]])  # each log one observation, where enough of them tell
+    return by_log if by_log.enough else found
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
