@@ -111,7 +111,7 @@ class Following:
             self._sent_at,
             self._sent,
             np.array([state.time, self._last]),
-            np.array([state.position, sent, state.known_load, self._loads(state.position)]),
+            np.array([state.position, sent, state.known_load, self._bands.balance(self._arm, state.position)]),
             self._verdict,
         )
         self._last = state.time.copy()
@@ -152,7 +152,7 @@ class Following:
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
-        tracks, load = self._tracks, self._loads(self._tracks["position"])
+        tracks, load = self._tracks, self._bands.balance(self._arm, self._tracks["position"])
         push, width = tracks["push"], tracks["width"]
         weak = joints & (push * load > 0.0) & (np.abs(load) > self._bands.lifted)
         tracks["reach"] = np.where(weak, np.minimum(tracks["reach"], np.abs(load) + width), tracks["reach"])
@@ -172,11 +172,7 @@ class Following:
         width = np.where(overdue, tracks["width"], 0.0)
         pull = PULL * (compiled.MOST * width + np.minimum(compiled.AND, width)) * np.sign(tracks["push"])
         position = tracks["position"]
-        return np.where(overdue, position + self._loads(position) - pull, self.balance(joints, sent))
-
-    def _loads(self, position: Array) -> Array:
-        """Leads (B, n) [rad] against gravity at a ``position`` (B, n) [rad]."""
-        return self._bands.balance(self._arm, position)
+        return np.where(overdue, position + self._bands.balance(self._arm, position) - pull, self.balance(joints, sent))
 
     def describe(self, b: int, joints: Mask) -> str:
         """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
@@ -213,10 +209,10 @@ class Following:
         )
         if self._verdict[b, j] == compiled.OVERDUE:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
-            seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
+            seen += f", at a push of {push:.1f} deg, and by its diagnosis it stands up to {width:.1f}"
         return (
-            f"{seen}; it is held or stuck, too weak for its load, or its encoder is dead: support the arm, "
-            f"switch it off, turn {name} by hand and see whether its reading changes"
+            f"{seen}; it is held or stuck, its load is too heavy or not the declared one, or its encoder is dead: "
+            f"support the arm, switch it off, turn {name} by hand and see whether its reading changes"
         )
 
 
