@@ -98,12 +98,6 @@ def test_the_shadow_of_the_right_model_is_the_arm(changed):
     assert np.mean(missed) < np.radians(0.25)
 
 
-def test_the_plan_repeats():
-    draw, twins = drawn()
-    commands = [drive(draw, PlanAlone(Planner(ARM, twins)), dwell=0.2).command for _ in range(2)]
-    np.testing.assert_array_equal(*commands)
-
-
 class Spy:
     """Notes when it is left the arm, and what it said then."""
 

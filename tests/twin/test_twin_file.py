@@ -7,6 +7,7 @@ import pytest
 
 from madetwin import made_twin
 from rejoint.arms import mycobot280
+from rejoint.system.errors import FileError
 from rejoint.twin.parameters import pack, prior, unpack
 from rejoint.twin.twin import HeldOut, PredictionError, read_twin
 
@@ -22,7 +23,7 @@ def make_twin(seed=0):
     errors = [PredictionError(joints=tuple(rng.uniform(0, 0.1, 6).tolist()), joint=0.03, tcp=0.002) for _ in range(3)]
     return made_twin(
         ARM,
-        unpack(belief.mean + 0.3 * belief.sigma * rng.standard_normal(k), ARM.joints),
+        unpack(np.clip(rng.normal(belief.mean, 0.3 * belief.sigma), belief.lower, belief.upper), ARM.joints),
         covariance=covariance,
         narrowing=np.sqrt(np.diag(covariance)) / belief.sigma,
         identified=rng.random(k) < 0.7,
@@ -52,3 +53,11 @@ def test_digest_follows_what_decides_the_draws():
     assert replace(twin, arm="other").digest() != twin.digest()
     assert replace(twin, identified=~twin.identified).digest() != twin.digest()
     assert replace(twin, notes=()).digest() == twin.digest()
+
+
+def test_impossible_values_in_a_file_are_refused(tmp_path):
+    twin = make_twin()
+    wrong = replace(twin.parameters, stiction=0.5 * twin.parameters.stiction)
+    replace(twin, parameters=wrong).save(tmp_path / "twin.toml")
+    with pytest.raises(FileError, match="stiction"):
+        read_twin(tmp_path / "twin.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from functools import cached_property
 from itertools import compress
 from operator import methodcaller
@@ -12,7 +13,7 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
-from rejoint.system.errors import ContractError
+from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
@@ -33,6 +34,8 @@ FEWEST = 3
 """Motions that an interval needs; chosen"""
 CLEARLY = 0.8
 """Relative error that is clearly smaller in fewer motions; chosen"""
+ROUNDING = 1e-6
+"""Of values at their bounds and of eigenvalues, relative to the largest; chosen"""
 NO_TWIN = "no twin"
 """The prediction that the arm is at its command"""
 
@@ -144,6 +147,10 @@ class TablePlane:
     """[N/m] of tip, links and table together, vertical"""
     friction: float
     """Coulomb coefficient of the tip"""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0.0 or self.friction < 0.0:
+            raise InputError(f"table: expected finite values, stiffness above 0 and friction from 0 on, got {self}")
 
 
 @entity
@@ -287,7 +294,22 @@ def read_twin(path: Path, arm: Arm | None = None) -> Twin:
         for name in ("value", *_COLUMNS):
             kind = bool if name == "identified" else float
             own[name] = np.concatenate([np.array(data[p.name][name], dtype=kind) for p in PARAMETERS])
-        return Twin(parameters=shaped(own.pop("value"), len(own["joint_names"])), **own)
+        twin = Twin(parameters=shaped(own.pop("value"), len(own["joint_names"])), **own)
+        with np.errstate(all="ignore"):  # logarithms of what is wrong
+            values = pack(twin.parameters)
+        good = (twin.lower - ROUNDING <= values) & (values <= twin.upper + ROUNDING) & (twin.narrowing > 0.0)
+        variances = np.linalg.eigvalsh(twin.covariance)
+        sound = dict(
+            zip(twin.names, good, strict=True),
+            covariance=np.allclose(twin.covariance, twin.covariance.T) and variances[0] >= -ROUNDING * variances[-1],
+            acceleration=twin.acceleration > 0.0,
+        )
+        if wrong := [name for name, fine in sound.items() if not fine]:
+            raise InputError(
+                f"wrong are {', '.join(wrong)}; expected values between lower and upper, narrowing and acceleration "
+                "above 0, and a symmetric covariance without negative eigenvalues"
+            )
+        return twin
 
     twin = read_sealed(path, build, name="twin", version=FORMAT, again="identify the arm")
     if arm is not None:
