@@ -25,11 +25,6 @@ def test_the_zero_pose_is_the_one_of_the_vendors_table():
     assert packed[:6] == bytes.fromhex("01C8 FD86 101E")
 
 
-@given(st.lists(st.integers(-32768, 32767), min_size=1, max_size=14))
-def test_int16_round_trip(numbers):
-    assert values.unpack_int16(values.pack_int16(numbers)).tolist() == numbers
-
-
 def test_numbers_too_large_for_the_wire_saturate():
     assert values.pack_int16([1e9, -1e9]) == bytes.fromhex("7FFF 8000")
     assert values.pack_bytes([300, -5, 12.9]) == bytes([255, 0, 12])
