@@ -9,8 +9,6 @@ costs is measured on all forty holds: how much farther off it settles than the b
 within 2 mm. ``--sets 2`` goes to twenty targets.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ Every arm is filmed from its own start, fitted, and sent to fresh targets by the
 corrected (where the gate allows it), 8 s at each: mean and 95th percentile of the true error at the end [mm].
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import nullcontext
 

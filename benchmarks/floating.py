@@ -9,8 +9,6 @@ chance, and no calibration from measured points leaves less. Printed [mm], mean 
 miss, what the links of joint 1 and of all joints add by chance, and encoders and links together.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

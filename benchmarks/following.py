@@ -11,8 +11,6 @@ positions.
 other draws than those that judge them.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from itertools import product

@@ -6,8 +6,6 @@ LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so
 environment variable REJOINT_SO101. Times are processor seconds of the whole process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import tempfile

@@ -3,8 +3,6 @@
 Each arm is diagnosed and identified first. Errors are root mean squares by the encoders, in mm, mean over the arms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -9,8 +9,6 @@ motion of the product, the arm first goes to its rest posture: one that is put t
 may stick there for good (arm 50000 with its load missed the first target by 17 mm, after `begin` by 1.3 mm).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path as FilePath

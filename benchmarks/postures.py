@@ -8,8 +8,6 @@ fastest joint, the guard cycle by cycle. Driven ways are the readings of worn em
 by the gravity feed-forward on a twin of each. Times are the processor's, so that other programs do not count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace

@@ -8,8 +8,6 @@ the prior, and without it; and the first one is used as it is. True error at fre
 and the share of targets whose error lies in the interval of the calibration with the prior.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -6,8 +6,6 @@ Every emulated worn arm is calibrated from ten measured points, then goes to tar
 mean / 95th percentile over all targets [mm], each the mean of the last 0.2 s before a time since the target was set.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

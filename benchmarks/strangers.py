@@ -9,8 +9,6 @@ FOLDER (or the environment variable REJOINT_REAL) holds one folder per arm, with
 does not contain them.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

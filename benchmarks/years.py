@@ -6,8 +6,6 @@ owner of a real arm would see: the encoders alone, with the true error hidden. T
 same warmth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """Pages as a reader finds them: every word with its place, so that tests can say which places show which number."""
 
-from __future__ import annotations
-
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path

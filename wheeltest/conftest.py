@@ -3,8 +3,6 @@
 Everything but that environment runs from the one that `make` has set up. Package index, cache and pins are pip's own.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -5,8 +5,6 @@ that would have to be compiled there fails; a package of Python alone has a whee
 conditions on the processor (``platform_machine``) for the machine it runs on: none of the packages has such a one.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

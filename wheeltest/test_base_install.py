@@ -1,7 +1,5 @@
 """What the base installation does: it deploys, compares and diagnoses, and for the rest says what it lacks."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -4,8 +4,6 @@ The stages of a repair as functions (`repair` is all of them), the objects that 
 that they raise. Each name is loaded at its first use. Positions are in radians, lengths in metres, times in seconds.
 """
 
-from __future__ import annotations
-
 import ast
 import pathlib
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Where the program begins: what asks it to end is heard from the first moment on."""
 
-from __future__ import annotations
-
 import sys
 
 from rejoint.system.stopping import Interrupted, ignore, install

@@ -3,8 +3,6 @@
 Each pixel is traced back to the drawing, so that images can test the detection.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The robot family `emulated:`, which the product finds by its entry point as it finds those of other packages."""
 
-from __future__ import annotations
-
 from dataclasses import field, replace
 from importlib.resources import files
 

@@ -3,8 +3,6 @@
 Used by the tests, and by `python -m benchmarks guard` for millions of cases.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration: the fit knows its derivatives and what was put in, the gate knows noise, the file knows its arm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """A headless Chromium, driven by its own protocol: opens a page, asks it in JavaScript, takes pictures."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """A hand that only clicks and types on a page of viser, in a headless Chromium."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -4,8 +4,6 @@ Joint i has the frame ``offset[i] @ Rot(axis[i], q[i])`` in the frame of joint i
 with joint i. ``tip`` is the tool centre point (TCP) in the last frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path

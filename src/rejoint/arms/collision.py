@@ -4,8 +4,6 @@ Pairs of links that meet in a joint, overlap at rest or at a target (Coleman et 
 count. Distances: Ericson 2005, section 5.1.9.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 A solid cylinder along the link replaces impossible values, with a note.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ docs/files.md lists the TOML keys. In a URDF, errors of zeros and links go into 
 ``<calibration>`` tags.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET

@@ -3,8 +3,6 @@
 Meshes may be missing. Joints outside the chain are frozen.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import xml.etree.ElementTree as ET

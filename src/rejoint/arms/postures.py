@@ -4,8 +4,6 @@ Cost: torque over what the motor surely lifts, joint limits, clearance, joint tr
 by damped least squares; the best lower their cost in the null space. A comfortable posture of `solve_position` is kept.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any, NamedTuple
 

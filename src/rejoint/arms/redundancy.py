@@ -5,8 +5,6 @@ RRT-Connect: Kuffner and LaValle 2000.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

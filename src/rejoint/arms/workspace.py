@@ -5,8 +5,6 @@ heading and holding torque. Targets: the largest box that inverse kinematics rea
 0.2 of the reach (Park et al. 2024, section IV-A). Constants in N m or mm are a myCobot 280's.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from itertools import permutations, product

@@ -1,7 +1,5 @@
 """The ChArUco board: its PDF, and its corners in images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path

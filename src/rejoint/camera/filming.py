@@ -1,7 +1,5 @@
 """Taking an image sequence: the first pictures locate the camera, which decides the other postures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace

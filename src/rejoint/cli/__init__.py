@@ -6,8 +6,6 @@ reached; 128 and the number of the signal (130 Ctrl-C, 143 SIGTERM). Results go 
 standard error.
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import os

@@ -1,7 +1,5 @@
 """What hinders a repair: `rejoint doctor` goes through a table of checks, each with its remedy."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

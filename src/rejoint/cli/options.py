@@ -1,7 +1,5 @@
 """The options that commands share, each declared once, and the call of a command that receives them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping

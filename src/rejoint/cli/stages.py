@@ -1,7 +1,5 @@
 """One command per stage, the whole chain as one command, and commands that open a page."""
 
-from __future__ import annotations
-
 import math
 import os
 import secrets

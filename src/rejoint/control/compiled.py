@@ -4,8 +4,6 @@ Arrays are contiguous float64. Constants without a source are chosen.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-from __future__ import annotations
-
 import numpy as np
 from numba import float64, from_dtype, int64, njit, types, uint16, void
 

@@ -3,8 +3,6 @@
 Constants without a source are chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ A way is a joint trajectory along which goal and target move: controllers work c
 `rejoint.control.moving`.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The interfaces of robots and controllers: B arms, each with its own clock; arrays lead with B."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ those nearest to the tool dither while an integrator removes the error. Results:
 Constants without a source are chosen.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, Protocol, runtime_checkable

@@ -4,8 +4,6 @@ Whole numbers in servo units per joint, by name (``p``, ``i``, ``d``, ``dead``, 
 time; each joint keeps a value that reduces its error without unrest. Constants without a source are chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 Constants without a source are chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 

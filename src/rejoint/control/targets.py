@@ -5,8 +5,6 @@ perhaps ``weight`` [mm] per degree. A line with an empty orientation is a point.
 Another unit stands in a title: ``x_m``, ``rx [rad]``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

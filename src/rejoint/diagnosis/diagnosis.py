@@ -1,7 +1,5 @@
 """The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

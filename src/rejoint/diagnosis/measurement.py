@@ -1,7 +1,5 @@
 """All measurements of an arm by joint."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

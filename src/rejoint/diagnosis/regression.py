@@ -4,8 +4,6 @@ The covariance is clustered by motion (Liang and Zeger 1986, with the small-samp
 quantiles are Student's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rejoint.arms import Array, Index, Mask

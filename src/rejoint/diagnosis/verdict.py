@@ -4,8 +4,6 @@ A finding's 95 % interval lies outside the healthy range, on the bad side. Witho
 count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -3,8 +3,6 @@
 Impossible numbers raise an error; unlikely ones are doubts; others give a note. Thresholds are chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 

@@ -4,8 +4,6 @@ A tip at rest above its command is held up: by a table if only at the bottom of 
 of its travel, far from its command, is at a stop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress, pairwise

@@ -3,8 +3,6 @@
 MCAP holds ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition, which all three read.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

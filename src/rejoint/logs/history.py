@@ -1,7 +1,5 @@
 """Summary rows of runs and checks: one for the arm, one for each joint."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Import foreign logs: detect, read, split, check, write all or none."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Iterable, Iterator

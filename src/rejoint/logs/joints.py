@@ -3,8 +3,6 @@
 Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence

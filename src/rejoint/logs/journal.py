@@ -5,8 +5,6 @@ with its CRC-32. A thread writes it. After ``kill -9`` `recover` restores all bu
 fails, the run goes on.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import threading

@@ -10,8 +10,6 @@ Messages of bags are ``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.
 what was commanded: the controller's state does.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager

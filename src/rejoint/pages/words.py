@@ -1,7 +1,5 @@
 """Numbers for readers: rounded, with units, never `nan`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from datetime import datetime

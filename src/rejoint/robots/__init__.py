@@ -1,7 +1,5 @@
 """Robots by families."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rejoint.arms import CATALOGUE, Arm, load_arm

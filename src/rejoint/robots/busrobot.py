@@ -1,7 +1,5 @@
 """One arm behind its bus."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace

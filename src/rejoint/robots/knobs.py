@@ -1,7 +1,5 @@
 """Kinds of servos: registers, gains as options of an address (``?p=48&i=4``), and their change in small steps."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field

@@ -1,7 +1,5 @@
 """Serial ports of this computer, why one cannot be opened, and which kind of arm answers there."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

@@ -1,7 +1,5 @@
 """Values in the memory of servos: all that drivers and emulators share."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 COMPLEMENT = -1

@@ -1,7 +1,5 @@
 """The families of this package, imported when opened."""
 
-from __future__ import annotations
-
 import re
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb

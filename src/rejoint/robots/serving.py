@@ -5,8 +5,6 @@ orders. Clients see a perfect arm whose tool is where this one's is. Orders that
 zeros are refused. When a client goes, the arm holds.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The wire of servos on a bus, through whatever client of their maker."""
 
-from __future__ import annotations
-
 import os
 import time
 from abc import ABC, abstractmethod

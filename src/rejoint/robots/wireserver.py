@@ -1,7 +1,5 @@
 """Servers of a robot's wire: TCP port or pseudo-terminal, one client at a time."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

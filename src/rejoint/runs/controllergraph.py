@@ -1,7 +1,5 @@
 """A controller as one ONNX graph: PyTorch traces its law; its memory is a tensor."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any

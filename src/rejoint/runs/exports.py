@@ -1,7 +1,5 @@
 """Results about an arm for other programs: models, joint zeros, servo gains, data sheet, controller."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path

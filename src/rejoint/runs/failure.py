@@ -1,7 +1,5 @@
 """What the user is told of an error that ended a command, a job or a step."""
 
-from __future__ import annotations
-
 import tempfile
 import traceback
 from typing import NamedTuple

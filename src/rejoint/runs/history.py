@@ -1,7 +1,5 @@
 """The history: rows of checks and runs, table, page, Prometheus metrics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace

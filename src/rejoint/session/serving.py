@@ -1,7 +1,5 @@
 """Serving an arm to programs of the vendor's client."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """What the studio is doing: one job at a time, in one thread. Every page shows the same `Status`."""
 
-from __future__ import annotations
-
 import logging
 import queue
 import threading

@@ -3,8 +3,6 @@
 Each panel shows the status, and offers what one can do next.
 """
 
-from __future__ import annotations
-
 import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence

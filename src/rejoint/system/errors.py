@@ -1,7 +1,5 @@
 """Errors by name, with exit codes: 2 unusable input, 3 the guard stopped, 4 the robot failed."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import ClassVar

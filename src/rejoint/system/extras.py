@@ -1,7 +1,5 @@
 """Extras of `pyproject.toml`: their modules, and how to install them."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Files: written whole or not at all, read with limits on size; TOML, sealed if the program writes it."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

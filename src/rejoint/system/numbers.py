@@ -1,7 +1,5 @@
 """Checks of numbers that users give, and linear interpolation."""
 
-from __future__ import annotations
-
 import operator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frozen dataclasses; how results look at a prompt and in a notebook, and how they become tables of pandas."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, is_dataclass
 from html import escape
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Command lines of ours, memory, and sockets."""
 
-from __future__ import annotations
-
 import ctypes
 import shlex
 import socket

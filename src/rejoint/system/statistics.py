@@ -4,8 +4,6 @@ Means: bootstrap over clusters (Davison and Hinkley 1997, section 3.8). Shares: 
 22, 1927) with trials reduced by the design effect (Kish, Survey Sampling, 1965, section 8.2).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Text with columns, as programs, spreadsheets and people write it: of logs, targets and measurements."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re

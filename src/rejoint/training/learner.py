@@ -3,8 +3,6 @@
 Workers act at the same time, each with its own random numbers.
 """
 
-from __future__ import annotations
-
 import itertools
 import sys
 import time

@@ -7,8 +7,6 @@ push of stuck joints: with it, policies settle farther away.
 Returns are bootstrapped from the last state of a target, also after a collision: else a policy would crash on purpose.
 """
 
-from __future__ import annotations
-
 from dataclasses import field, replace
 from functools import lru_cache
 from typing import NamedTuple

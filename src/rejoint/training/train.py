@@ -1,7 +1,5 @@
 """Train a policy for an arm: ``policy.onnx``, a network with its contract in the metadata, and its curves."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Callable, Sequence

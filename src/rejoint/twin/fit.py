@@ -11,8 +11,6 @@ What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierm
 explains no motion shows nothing, nor does that of a joint whose motion is not explained: the prior remains.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property

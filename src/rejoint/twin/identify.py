@@ -5,8 +5,6 @@ counts, whole motions are held out, and priors are wide. Part of the motion deci
 (`rejoint.twin.structure`); after the judgement all motions are fitted, the table last.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Windows of the free and of the touching motion in several logs, and the motions that are held out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

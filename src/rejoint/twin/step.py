@@ -9,8 +9,6 @@ The physics of `rejoint.twin.table`; dry friction is an impulse per joint by pro
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201, ANN202, E741 - compiled functions take their types from their arguments; l is a lane
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 So fits to the same windows are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

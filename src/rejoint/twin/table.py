@@ -8,8 +8,6 @@ MuJoCo 4.0.0 has a fault), the solver projected Gauss-Seidel (Newton's method st
 Only the TCP touches the table, with a soft sphere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import mujoco

@@ -4,8 +4,6 @@ Sources: ROBOTIS' e-manual (protocol 2, control tables); LeRobot, Interbotix and
 software leaves in the servos). Where the manual is silent, a comment says what was chosen.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from itertools import takewhile

@@ -4,8 +4,6 @@ Sources: Feetech's protocol manual and memory table of the STS/SMS series (in
 ``plant/sts3215.csv`` with LeRobot's names), and recorded LeRobot packets.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

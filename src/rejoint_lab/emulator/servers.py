@@ -1,7 +1,5 @@
 """Server of an emulated robot in wall-clock time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, TypeVar
 

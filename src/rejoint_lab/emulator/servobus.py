@@ -1,7 +1,5 @@
 """What the emulated buses of servos share: registers, an arm behind them, and a conversation with its timing."""
 
-from __future__ import annotations
-
 import struct
 import termios
 import time

@@ -5,8 +5,6 @@ Sources: Feetech's STS register table; friction: LuGre (Canudas de Wit et al. 19
 SplitMix64 (Steele, Lea, Flood 2014).
 """
 
-from __future__ import annotations
-
 import csv
 from importlib.resources import files
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, a measured sag (lerobot, PR 4310), Feetech's memory table.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rejoint.arms.compiled import inner

@@ -4,8 +4,6 @@ Sources: ROBOTIS' e-manual (PID, profiles, protection); Rhoban/bam (the XL330's 
 those of MX-64 and MX-106, scaled, for XM430 and XM540).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SAC by skrl on the task of PPO, with privileged critics (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

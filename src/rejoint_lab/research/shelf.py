@@ -7,8 +7,6 @@ write `rejoint.control.controllers.catalogue.shelf_path` again, with targets in 
 processors give other files; compare by `python -m benchmarks shelf`.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """A run folder with every file, from made-up but complete results."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Made-up but complete results of every stage."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page: self-contained, honest about what is missing, and safe against hostile text."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from importlib.resources import files

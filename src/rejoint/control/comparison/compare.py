@@ -5,8 +5,6 @@ controllers leave after three misses in a row, or by a paired t-test on logarith
 (Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's level).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import closing

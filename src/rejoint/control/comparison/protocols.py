@@ -4,8 +4,6 @@
 ``hold``: every target lasts the same time. Accuracy: ISO 9283:1998 (30 cycles) and ISO 230-2:2014.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 

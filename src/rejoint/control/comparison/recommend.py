@@ -4,8 +4,6 @@ Criteria in order: targets reached, settled encoder error, time to stay within t
 ones. A 95 % interval that contains zero is a tie. Eliminated controllers are out, unless all are.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 

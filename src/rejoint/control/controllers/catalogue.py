@@ -1,7 +1,5 @@
 """Controllers by name, and the generic policies of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

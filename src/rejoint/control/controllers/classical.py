@@ -4,8 +4,6 @@ Base law: Park et al. 2024, equation 17, with theta_t read as the last command: 
 `limit_lead` and joint limits. Default: one posture per target (section IV-F).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

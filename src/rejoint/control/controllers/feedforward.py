@@ -5,8 +5,6 @@ the next target. A stuck joint is pushed harder until its reading changes; then 
 without a source are chosen.
 """
 
-from __future__ import annotations
-
 from dataclasses import field
 from typing import Annotated, Any, Literal
 

@@ -5,8 +5,6 @@ cycles. ``equation-16`` (3n + 10): Park et al. 2024 without theta_target; Delta 
 ``equation-16-action`` the last action.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, NamedTuple

@@ -4,8 +4,6 @@ The law of the feed-forward controller, with joint errors as steps. Other joints
 motor may hold a joint and not start it: then the joint moves where its load helps (`unloaded_way`).
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress

@@ -5,8 +5,6 @@ The posture nearest to the arm's home depends on the place alone, so nothing dri
 x, x' and the disturbance d. The command subtracts d, and adds stiffness and damping.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

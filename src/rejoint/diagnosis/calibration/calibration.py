@@ -5,8 +5,6 @@ Torques and compliances scale with the arm's size, lengths with its reach (`rejo
 The play of an unloaded joint is scatter, not a shift.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_type_hints

@@ -7,8 +7,6 @@ Wear is a Brownian motion with drift, its first-passage time inverse Gaussian (F
 40, 1978).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta

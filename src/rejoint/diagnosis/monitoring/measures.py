@@ -6,8 +6,6 @@ ISO 9283: *accuracy* AP is the distance of the mean position from the command, *
 vAP the distance between directions of approach. ISO 230-2: *reversal value* B, a joint's difference between directions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,5 @@
 """The page itself, made by viser: a scene and a panel. The only module that knows it."""
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 A stage that was not run has no content: None.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Results as cells of words, for a page or the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np

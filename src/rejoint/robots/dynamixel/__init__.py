@@ -1,7 +1,5 @@
 """Arms on ROBOTIS Dynamixel X servos (protocol 2.0): Koch, WidowX, ViperX, OpenMANIPULATOR; their addresses."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any, ClassVar

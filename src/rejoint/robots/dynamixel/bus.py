@@ -4,8 +4,6 @@ Registers that outlast the power are never written. What the driver changes in t
 but for the bus watchdog, which would trip as soon as the bus is quiet. With it off, a servo holds its last goal.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial

@@ -3,8 +3,6 @@
 Duty: P / 4 per mille per count beyond the dead zone, plus the startup force.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

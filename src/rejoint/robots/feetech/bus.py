@@ -4,8 +4,6 @@ A joint is at zero in mid-range, as in LeRobot's degrees, or at the address's ``
 the servos' memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

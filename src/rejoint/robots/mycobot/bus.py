@@ -4,8 +4,6 @@ Over TCP pymycobot never resynchronises: after a late answer every call returns 
 asked while bytes wait, and failures resynchronise both sides.
 """
 
-from __future__ import annotations
-
 import contextlib
 import locale
 import logging

@@ -3,8 +3,6 @@
 A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from math import ceil, radians
 from typing import NamedTuple

@@ -5,8 +5,6 @@ A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [de
 18-communication, and pymycobot 4.0.7.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """Checks or repairs of many arms: the steps left for each, read from files, and the result, the worst first."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress

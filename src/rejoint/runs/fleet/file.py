@@ -1,7 +1,5 @@
 """The fleet file: arms, and when they may move."""
 
-from __future__ import annotations
-
 import os
 import re
 from contextlib import suppress

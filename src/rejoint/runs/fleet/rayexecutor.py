@@ -1,7 +1,5 @@
 """An executor on Ray: tasks on a cluster, those that move a real arm at its computer. Ray retries nothing."""
 
-from __future__ import annotations
-
 import logging
 import os
 import secrets

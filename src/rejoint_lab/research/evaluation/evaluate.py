@@ -4,8 +4,6 @@ Intervals resample whole arms. Calibrations take part like controllers. Along mo
 and identified; the twins are kept.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence

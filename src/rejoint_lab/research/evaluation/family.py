@@ -4,8 +4,6 @@ Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 
 and gains are chosen on others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path

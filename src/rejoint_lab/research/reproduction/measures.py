@@ -5,8 +5,6 @@ policies at the paper's task, on randomised twins that no training has seen. Fig
 a healthy and on a worn arm, by the trials of all evaluations.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
