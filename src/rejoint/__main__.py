@@ -1,5 +1,6 @@
 """Where the program begins: what asks it to end is heard from the first moment on."""
 
+import os
 import sys
 
 from rejoint.system.stopping import Interrupted, ignore, install
@@ -8,6 +9,7 @@ from rejoint.system.stopping import Interrupted, ignore, install
 def main() -> None:
     """Run the command line."""
     install()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait, measured 2 to 20 times
     try:
         from rejoint.cli import main as run  # takes half a second
     except Interrupted as error:
