@@ -71,7 +71,8 @@ def main(
     for start, count in product(starts.split(","), map(int, (updates or str(usual)).split(","))):
         files = [twins / str(one) / f"{start}-{count}-{seed}.onnx" for one in seeds]
         times = [trained(twin, start, count, seed, file) for twin, file in zip(own, files, strict=True)]
-        size = count * DEFAULT.ppo.agents * DEFAULT.ppo.rollout / 1e6
+        recipe = PRESETS[start].warm or PRESETS[start].ppo
+        size = count * recipe.agents * recipe.rollout / 1e6
         found = together([held(file, one) for file, one in zip(files, seeds, strict=True)])
         holds(f"{start}, {count} updates, {size:.2f} million", *found, shelf)
         if spent := [one for one in times if one is not None]:

@@ -347,6 +347,7 @@ ANYWHERE = 0.5
 """Share of targets drawn in the whole workspace"""
 
 WARM = PpoSettings(
+    agents=512,
     iterations=49,
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
