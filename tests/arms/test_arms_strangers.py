@@ -66,10 +66,12 @@ def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
     assert "joint j1 slides (100 to 400 mm) and is not driven" in notes
     assert "fixed at 100 mm" in notes  # zero is outside of its limits
     assert "--hold j1=100mm" in notes
-    low, high = (read_tree(path, {"j1": place}) for place in (0.1, 0.35))
+    low, high = (read_tree(path, {"j1": place}) for place in (0.1, "350mm"))
     first = [cut(tree, None, None).arm.offset[0, :3, 3] for tree in (low, high)]
     np.testing.assert_allclose(first[0], [0.05, 0, 0.445], atol=1e-12)
     np.testing.assert_allclose(first[1] - first[0], [0, 0, 0.25], atol=1e-12)
+    with pytest.raises(InputError):
+        read_tree(path, {"j1": "10deg"})
 
 
 def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:

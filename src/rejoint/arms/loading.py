@@ -7,7 +7,7 @@ docs/files.md lists the TOML keys. In a URDF, errors of zeros and links go into 
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from rejoint.arms.arm import MODELS, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
 from rejoint.arms.inertia import inertia_matrix, inertia_values, plausible
 from rejoint.arms.kinematics import Displacement, tcp_position
-from rejoint.arms.modelfile import cut, read_tree
+from rejoint.arms.modelfile import Places, cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
@@ -348,9 +348,7 @@ SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf", ".xacro")
 """The last one gets the advice to make a URDF"""
 
 
-def load_arm(
-    source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Mapping[str, float] | None = None
-) -> Arm:
+def load_arm(source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Places | None = None) -> Arm:
     """Load an arm by name, or from a TOML, URDF or MJCF file.
 
     Parameters
@@ -360,7 +358,7 @@ def load_arm(
     base, tip
         first and last body or site of a URDF or MJCF file; default: its root, the end of its only chain
     hold
-        joints that stay, with their positions [rad], of slides [m]
+        joints that stay, with their positions [rad], of slides [m], or as text: ``200mm``, ``30deg``
 
     Returns
     -------
@@ -381,7 +379,7 @@ def load_arm(
 
 
 def read_arm(
-    source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Mapping[str, float] | None = None
+    source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Places | None = None
 ) -> Loaded:
     r"""Load an arm as `load_arm` does, with notes on assumptions.
 

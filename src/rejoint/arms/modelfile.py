@@ -78,7 +78,11 @@ class Tree(NamedTuple):
         return ", ".join(self.names[place] for place in places)
 
 
-def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
+Places = Mapping[str, float | str]
+"""Positions [rad] or [m] of joints, or text with a unit"""
+
+
+def read_tree(path: Path, hold: Places | None = None) -> Tree:
     """Read a URDF or MJCF file, with ``hold`` at positions [rad] or [m].
 
     FileError; InputError for a joint that cannot be held.
@@ -113,8 +117,9 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         joints.append(Joint(j, joint, kind, int(model.jnt_bodyid[j]), coupled.get(joint, "")))
     for joint, position in (hold or {}).items():
         j = _index(joint, "joint", [one.name for one in joints])
-        notes.append(f"joint {joint}: held at {_holdable(model, j, joint, position)}, as given")
-        data.qpos[model.jnt_qposadr[j]], joints[j] = position, joints[j]._replace(kind="held")
+        data.qpos[model.jnt_qposadr[j]], told = _held(model, j, joint, position)
+        notes.append(f"joint {joint}: held at {told}, as given")
+        joints[j] = joints[j]._replace(kind="held")
     mujoco.mj_kinematics(model, data)
     return Tree(
         name=name,
@@ -175,15 +180,26 @@ def _repair(spec: Any, notes: list[str], urdf: bool) -> None:  # noqa: ANN401
         body.iquat = (1.0, 0.0, 0.0, 0.0)
 
 
-def _holdable(model: Any, j: int, name: str, position: float) -> str:  # noqa: ANN401
-    """Text of a ``position`` [rad] or [m] of a joint that can be held there; InputError."""
+_UNITS = {"hinge": {"deg": np.pi / 180.0, "rad": 1.0}, "slide": {"mm": 1e-3, "m": 1.0}}
+
+
+def _held(model: Any, j: int, name: str, place: float | str) -> tuple[float, str]:  # noqa: ANN401
+    """Position [rad] or [m] of a joint that can be held there, and its text; InputError."""
     kind, (low, high) = _KINDS[model.jnt_type[j]], model.jnt_range[j]
-    if kind not in ("hinge", "slide"):
+    if kind not in _UNITS:
         raise InputError(f"joint {name} is a {kind} joint; only hinges and slides can be held")
-    if model.jnt_limited[j] and not low - 1e-9 <= position <= high + 1e-9:
-        unit = "m" if kind == "slide" else "rad"
-        raise InputError(f"joint {name} cannot be held at {position:g} {unit}: it goes from {low:g} to {high:g}")
-    return f"{1e3 * position:g} mm" if kind == "slide" else f"{np.degrees(position):.4g} deg"
+    if isinstance(place, str):
+        number = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*([a-z]+)", place)
+        if number is None or number[2] not in _UNITS[kind]:
+            raise InputError(
+                f"joint {name} is a {kind}: expected a place in {' or '.join(_UNITS[kind])}, got {place!r}"
+            )
+        place = float(number[1]) * _UNITS[kind][number[2]]
+    unit, scale = next(iter(_UNITS[kind].items()))
+    if model.jnt_limited[j] and not low - 1e-9 <= place <= high + 1e-9:
+        ends = f"it goes from {low / scale:.4g} to {high / scale:.4g} {unit}"
+        raise InputError(f"joint {name} cannot be held at {place / scale:.4g} {unit}: {ends}")
+    return place, f"{place / scale:.4g} {unit}"
 
 
 def _index(name: str, kind: str, names: list[str]) -> int:

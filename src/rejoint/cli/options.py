@@ -1,6 +1,5 @@
 """The options that commands share, each declared once, and the call of a command that receives them."""
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -176,19 +175,12 @@ class Call(Terminal, Observer):
             self.message("Other machines can drive it too, without a password.")
 
 
-_HOLD_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
-
-
-def held_positions(text: str | None) -> dict[str, float]:
-    """Read ``torso_lift_joint=200mm,waist=30deg`` as positions in metres and radians; InputError for anything else."""
-    found = {}
-    for part in text.split(",") if text else []:
-        name, _, place = part.strip().partition("=")
-        number = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(mm|m|deg|rad)", place)
-        if not name or number is None:
-            raise InputError(f"--hold {text!r}: expected joints with places, as torso_lift_joint=200mm,waist=30deg")
-        found[name] = float(number[1]) * _HOLD_UNITS[number[2]]
-    return found
+def held_positions(text: str | None) -> dict[str, float | str]:
+    """Read ``torso_lift_joint=200mm,waist=30deg`` as places with units; InputError for anything else."""
+    pairs = [part.strip().partition("=") for part in text.split(",")] if text else []
+    if not all(name and place for name, _, place in pairs):
+        raise InputError(f"--hold {text!r}: expected joints with places, as torso_lift_joint=200mm,waist=30deg")
+    return {name: place for name, _, place in pairs}
 
 
 def period_seconds(text: str) -> tuple[float, float]:
