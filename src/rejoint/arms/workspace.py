@@ -15,6 +15,7 @@ import numpy as np
 from rejoint.arms.arm import Arm, Array, Box, Mask, frozen, mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.kinematics import (
+    GRAVITY,
     Frames,
     Solution,
     frames,
@@ -259,10 +260,19 @@ def moves_tool(arm: Arm) -> Mask:
     return frozen(lever > LEAST_LEVER * reach(arm))
 
 
+LEVEL = 0.02
+"""Least share of weight times reach that motors can carry, also where gravity does not load them; chosen"""
+
+
+def least_load(arm: Arm) -> float:
+    """Torque [N m] that the motors of any such arm can carry."""
+    return LEVEL * float(arm.mass.sum() * np.linalg.norm(GRAVITY)) * reach(arm)
+
+
 @lru_cache
 def torque_size(arm: Arm) -> float:
     """Largest load over that of a myCobot 280."""
-    return float(heaviest_load(arm).max() / heaviest_load(mycobot280()).max())
+    return float(max(heaviest_load(arm).max(), least_load(arm)) / heaviest_load(mycobot280()).max())
 
 
 @lru_cache

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
-from rejoint.arms.workspace import largest_loads, length_size
+from rejoint.arms.workspace import largest_loads, least_load, length_size
 from rejoint.control.robot import Servos
 from rejoint.system.records import entity, value_type
 
@@ -168,9 +168,6 @@ ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
 REFERENCE_LOAD = 0.838
 """[N m] largest gravity torque of the myCobot 280"""
 
-LEAST_LOAD = 1e-3
-"""[N m] such a torque of an arm without load; chosen"""
-
 REFERENCE_SPEED = np.radians(150.0)
 """[rad/s] its joint speed"""
 
@@ -302,7 +299,7 @@ class Prior:
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     """Prior by a table, the arm's largest gravity torque, reach, speed and link inertias."""
-    load = max(largest_loads(arm).max(), LEAST_LOAD) / REFERENCE_LOAD
+    load = max(largest_loads(arm).max(), least_load(arm)) / REFERENCE_LOAD
     time = length_size(arm) ** 0.5
     speed = arm.max_speed.min() / REFERENCE_SPEED
     wrist = _wrist(arm)
