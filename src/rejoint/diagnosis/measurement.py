@@ -226,6 +226,7 @@ def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate
         return [_slope(law, SAG, ratio) if law else None for law in loaded]
     value, sigma = _uncertain_masses(arm, loaded)
     told = [law is not None and law.follows >= FOLLOWS for law in loaded] & (2.0 * NORMAL95 * sigma < np.log(ratio))
+    told &= value < np.log(USUAL * torque_size(arm)) + NORMAL95 * VARIED  # stiffer: gravity is fed forward
     ends = np.exp(value + NORMAL95 * sigma * np.array([[0.0], [-1.0], [1.0]])).T.tolist()
     return [product(Estimate(*one), MODELLED) if known else None for one, known in zip(ends, told, strict=True)]
 
