@@ -111,8 +111,10 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     order = np.argsort(height)
     # Held-up tips count for, others against a table no lower than themselves.
     gain = np.cumsum(np.where(up, seconds, -seconds)[order])
-    best = int(np.argmax(gain))
-    return float(height[order][best]) if gain[best] > LEAST_HELD else None
+    best = np.argmax(gain)
+    found = height[order][best]  # a table is flat: most of what it holds lies there
+    near = seconds[up & (np.abs(height - found) < 2 * MARGIN)].sum()
+    return float(found) if gain[best] > LEAST_HELD and near > 0.5 * seconds[up & (height <= found)].sum() else None
 
 
 def correlations(time: Array, position: Array, command: Array) -> tuple[Array, Array]:
