@@ -152,8 +152,8 @@ SETTLED_LAST = 0.4
 _WINDOW = 0.3
 """[s] of a window; chosen"""
 
-COARSEST = 0.1
-"""[s] most between readings; chosen"""
+COARSEST = 0.101
+"""[s] most between readings: 10 Hz, with rounded stamps; chosen"""
 
 _SETTLING = 0.2
 """[s] left out at the start of free stretches; chosen"""
