@@ -228,13 +228,12 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         converged = gained + rescaling < LEAST_GAIN
-    weights = problem.weights(residual)
     return Fit(
         vector=x,
         iterations=iteration,
         converged=converged,
         at_bound=fixed & ~problem.frozen,
-        weights=weights,
+        weights=problem.weights(residual),
     )
 
 
@@ -331,7 +330,9 @@ def _scale(problem: Problem, x: Array) -> Array:
     """Covariance (k, k) of each joint's common scale, by the ladder and by the prior's gravity."""
     owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
     up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
-    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0)])
+    sag = np.zeros_like(x)  # gravity that is fed forward, or of other masses, looks like an offset
+    sag[problem.layout.at("offset")] = sigma * problem.gravity / np.exp(x[problem.layout.at("stiffness")])
+    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0), sag])
     return steps.T @ steps * (owner[:, None] == owner)
 
 

@@ -207,8 +207,8 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(
-            f"it predicts motion like this, but no torques: only the ratios of stiffness, damping, friction, inertia "
-            f"and torque limit are known, not their common scale: {', '.join(twin.unknown_scale)}"
+            f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
+            f"scale, so no torques: {', '.join(twin.unknown_scale)}"
         )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
@@ -258,8 +258,8 @@ def identify_logs(
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
     if settings.hold_out != ():
-        alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
-        note, missing = REFITTED, [*judgement.doubts, *[REPEATED] * alike]
+        alike = [REPEATED] if np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY else []
+        note, missing = REFITTED, [*judgement.doubts, *alike]
         motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")

@@ -223,4 +223,4 @@ def _losses(problem: Problem, x: Array) -> Array:
 
 def _ratio(losses: Array, reference: Array) -> float:
     least = np.finfo(float).tiny  # a joint that stands still is predicted without any loss
-    return np.exp(np.mean(np.log(np.maximum(losses, least) / np.maximum(reference, least))))
+    return np.exp(np.mean(np.log((losses + least) / (reference + least))))

@@ -243,7 +243,7 @@ class Twin(Readable):
         `LEAST_SPREAD` widens logarithms. Delays are not negative.
         """
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ self._root.T
-        lower = np.where(np.array(self.names) == "delay", np.maximum(self.lower, 0.0), self.lower)
+        lower = np.where(np.array(self.names) == "delay", 0.0, self.lower)
         return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
 
     @cached_property
