@@ -63,6 +63,9 @@ class Evidence:
 MANY = 8
 """Logs from which each is one observation; chosen"""
 
+EXPLAINED = 0.5
+"""Share of the error above which findings are its cause; chosen"""
+
 IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
 
@@ -200,7 +203,7 @@ def diagnose_logs(
         verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
         findings=findings,
         unseen=(
-            *(f"{joint} does not answer in {label}: without power, or stuck." for joint, label in silent.items()),
+            *(f"{joint} does not answer in {label}: unpowered, too weak or stuck." for joint, label in silent.items()),
             *_untold(measurement),
             LAG_ALONE,
             BEHIND,
@@ -232,7 +235,8 @@ def _verdict_of(
     if not findings:
         return nothing
     felt = [finding for finding in findings if finding.felt] or findings
-    missed = error is not None and error.value > ((healthy and healthy.error_mm and healthy.error_mm.high) or 0.0)
+    value = error.value if error else 0.0
+    missed = value > ((healthy and healthy.error_mm and healthy.error_mm.high) or 0.0)
     standing = [finding for finding in felt if missed and finding.kind not in IN_MOTION]
     felt = standing or felt
     joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
@@ -244,7 +248,8 @@ def _verdict_of(
         rings = f" {ringing.joint} rings (damping ratio {ringing.measured.value:.2f})."
     others = len({f.joint for f in findings} - {f.joint for f in worst})
     more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
-    return f"{'Because' if standing else 'What is worn'}: {named}.{rings}{more}"
+    enough = standing and sum(f.tcp_mm for f in standing) > EXPLAINED * value
+    return f"{'Because' if enough else 'What is worn'}: {named}.{rings}{more}"
 
 
 def _usual(healthy: HealthyReference | None) -> str:
@@ -335,7 +340,7 @@ def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: Health
         return f"No joint shows wear that its encoder can see{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
-        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
+        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:.1g} s"
     return f"Whether the arm is worn cannot be told: {why}."
 
 

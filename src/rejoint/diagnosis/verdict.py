@@ -294,7 +294,7 @@ def offset(case: _Case) -> Found:
     if not max(case.low("offset_rad"), -case.high("offset_rad")) > OFFSET_ALLOWED + doubt:
         return None
     return case.lever * abs(case.value("offset_rad")), (
-        "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,"
+        "has an offset or a dead band: it rests beside its command by about the same angle everywhere,"
     )
 
 

@@ -139,7 +139,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     )
     silent = [joint for joint in unpowered_joints(log) if joint not in options.torque_off]
     notes.extend(
-        f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent
+        f"state: {one} never answers its command: unpowered, too weak or stuck (--torque-off {one})" for one in silent
     )
     return log, [*notes, *(f"imported by force, although {reason}" for reason in reasons)]
 
