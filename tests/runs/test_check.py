@@ -84,7 +84,7 @@ def test_a_check_leaves_its_log_and_its_rows(checked):
     assert tool.line == found.line
     assert tool.state == "learning"
     assert tool.error_mm == found.measures.error_mm
-    assert tool.true_error_mm == found.outlook.error_mm > tool.error_mm
+    assert tool.true_error_mm > tool.error_mm == found.outlook.error_mm
     log = RunLog.load(found.folder / "check.parquet")
     again = measure_check(ARM, log, None)
     assert again.error_mm == found.measures.error_mm

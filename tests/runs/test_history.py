@@ -187,7 +187,6 @@ def test_prometheus_reads_every_line():
         newest=BEGIN,
         changes=(change,),
         error_mm=2.5,
-        error_known=False,
         tolerance_mm=3.0,
         due=Due(early=BEGIN, middle=None, late=None),
     )

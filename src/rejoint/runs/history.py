@@ -141,7 +141,7 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     ends, epoch = {} if seen.due is None else asdict(seen.due), datetime(1970, 1, 1)
     samples = [
         *(("state", seen.state == state, {"state": state}) for state in _STATES),
-        ("error_mm", seen.error_mm, {"by": "tool" if seen.error_known else "encoders"}),
+        ("error_mm", seen.error_mm, {"by": "encoders"}),
         ("controlled_error_mm", seen.controlled_mm, {}),
         ("tolerance_mm", seen.tolerance_mm, {}),
         ("repeatability_mm", measures.repeatability_mm, {}),

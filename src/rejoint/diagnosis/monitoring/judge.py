@@ -220,6 +220,11 @@ class Change:
     """median of the last three, as `cusum`"""
 
     @property
+    def moved_mm(self) -> float:
+        """How far it is from the baseline."""
+        return abs(self.now_mm - self.usual_mm)
+
+    @property
     def better(self) -> bool:
         """Whether the quantity fell: wear never does that."""
         return abs(self.now_mm) < abs(self.usual_mm)
@@ -261,9 +266,7 @@ class Outlook:
     changes: tuple[Change, ...]
     """worst state first, then the largest; the tool last"""
     error_mm: float
-    """in the five poses, without a controller"""
-    error_known: bool
-    """whether the tool's; else by encoders"""
+    """in the five poses by encoders, without a controller"""
     tolerance_mm: float | None
     due: Due | None
     """None: unknown, no wear, or moved zeros"""
@@ -292,9 +295,7 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
     zeros = (_moved_zero(visits, j) for j in range(len(visits[0].measures.joints)))
     moved = tuple(sorted(filter(None, zeros), key=lambda one: -abs(one.degrees)))
     state: State = "drifting" if moved and changes[0].state == "steady" else changes[0].state
-    bare = _series(visits, "true_error_mm")
-    known = bool(np.isfinite(bare).all())
-    bare = bare if known else _series(visits, "error_mm")
+    bare = _series(visits, "error_mm")
     counts = bare if left_mm is None else left_mm + bare - bare[:FEWEST].mean()
     found = Outlook(
         state=state,
@@ -303,7 +304,6 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
         newest=visits[-1].time,
         changes=changes,
         error_mm=float(bare[-1]),
-        error_known=known,
         tolerance_mm=tolerance_mm,
         due=None,
         moved=moved,
@@ -347,8 +347,8 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     order = ("alarm", "drifting", "steady", "learning")
 
     def rank(one: Change) -> tuple[object, ...]:
-        most = max(abs(other.away) for other in drawn if (other.state, other.joint) == (one.state, one.joint))
-        return order.index(one.state), not one.joint, -most, one.quantity == "deviation", -abs(one.away)
+        most = max(other.moved_mm for other in drawn if (other.state, other.joint) == (one.state, one.joint))
+        return order.index(one.state), not one.joint, -most, one.quantity == "deviation", -one.moved_mm
 
     return tuple(sorted(drawn, key=rank))
 
@@ -475,7 +475,7 @@ def cause_of(found: Outlook) -> str:
 
 
 def _error(found: Outlook) -> str:
-    text = f"Tool error at the five poses {found.error_mm:.1f} mm{'' if found.error_known else ' by the encoders'}"
+    text = f"Tool error at the five poses {found.error_mm:.1f} mm by the encoders"
     if found.controlled_mm is not None:
         text = f"{text} without a controller, at most {found.controlled_mm:.1f} mm with that of its repair"
     if found.tolerance_mm is None:
