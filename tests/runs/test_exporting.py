@@ -27,6 +27,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
+from rejoint.system.errors import InputError
 from rejoint.training.task import DEFAULT
 from rejoint.training.train import export_policy, policy_contract
 
@@ -89,6 +90,8 @@ def test_onnx_runtime_commands_what_our_controller_commands(arm, address, tmp_pa
         assert len(found) > 60
         assert found.max() < BOUND
         about.folder.policy.unlink(missing_ok=True)  # then the run takes the generic policy
+    with pytest.raises(InputError):
+        export_run(about, "onnx", controller="integrator")
 
 
 class StubNode:

@@ -140,6 +140,8 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
 
     name, why = ControllerMaker(run.arm, run=run).choice() if wanted is None else (wanted, "as asked for")
     design = design_of(run, name)
+    if wanted is not None and design.instead:
+        raise InputError(f"--controller {wanted}: cannot be written; the run's {design.name} can")
     # lower case, digits and underscores
     package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())
     place = out or run.path / ("ros2" if kind == "ros2" else "controller.onnx")
