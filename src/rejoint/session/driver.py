@@ -286,6 +286,8 @@ class GoalStream(Reference):
         self.apparent = apparent
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
+        self.reached: Array | None = None
+        """the last goal at which it rested"""
         self._mean, self._posture = np.full_like(position, np.nan), position
         self._time, self._changed = np.inf, -np.inf
 
@@ -304,6 +306,8 @@ class GoalStream(Reference):
         reach = self.apparent.arm.max_speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         arrived = rested and bool((self._posture == aim).all())
+        if arrived:
+            self.reached = goal
         return replace(now, goal=self._posture[None], arrived=np.array([arrived]))
 
 
@@ -353,7 +357,7 @@ class ArmDriver:
         """the robot or its address, as the user gave it"""
         self._stack, self._alone, self._gains = ExitStack(), ExitStack(), ExitStack()
         self._stack.enter_context(self._alone)
-        self._alone.enter_context(exclusive(about))
+        self._alone.enter_context(exclusive(None if self.settings.dry_run else about))
         self._named = about  # as the user knows it, also where a copy is worked on
         self.rehearsal: RehearsedRobot | None = None
         self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))

@@ -411,16 +411,18 @@ class ArmSession(ArmDriver):
         return recorder.log
 
     def wait(self, timeout_s: float | None = None) -> ArmState:
-        """Wait for the end of the motion and return the state; raises what ended it.
+        """Wait for the end of the motion, or for a stream to rest, and return the state; raises what ended it.
 
         NotReachedError after ``timeout_s``; the motion goes on. Ctrl-C stops the arm.
         """
-        motion, waited = self._motion, 0.0
+        motion, goals, waited = self._motion, self._goals, 0.0
         if motion is None:
             return self.state
         try:
             with noted():
                 while not motion.done() and (timeout_s is None or waited < timeout_s):
+                    if goals is not None and goals.reached is goals.goal:  # it rests where its stream stopped
+                        return self.state
                     pause(_LOOK)
                     waited += _LOOK
         except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
