@@ -37,9 +37,6 @@ CUT = 4.0
 PRIOR_CHECKS = 6.0
 """Checks that the prior scatter counts for; chosen"""
 
-LATELY = 3
-"""Checks whose median is the recent change; chosen"""
-
 State = Literal["learning", "steady", "drifting", "alarm"]
 """Too few checks; as at the beginning; moving away; surely changed"""
 
@@ -54,8 +51,6 @@ class Chart:
     """mean of the baseline, at its own temperature"""
     change: float
     """newest value, at the baseline's temperature, less `usual`"""
-    lately: float
-    """the same, median of the last `LATELY` checks"""
     state: State
     since: int | None
     """index of the last check before the change, by the CUSUM"""
@@ -91,7 +86,6 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
         cusum=cusum,
         usual=usual,
         change=float(changes[-1]),
-        lately=float(np.median(changes[-LATELY:])),
         state=state,
         since=since if state in ("drifting", "alarm") else None,
     )
@@ -216,8 +210,6 @@ class Change:
     """last check before it, if any"""
     cusum: float
     """signed, in standard deviations"""
-    away: float = 0.0
-    """median of the last three, as `cusum`"""
 
     @property
     def moved_mm(self) -> float:
@@ -392,7 +384,6 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
         now_mm=drawn.usual + drawn.change,
         since=None if drawn.since is None else visits[drawn.since].time,
         cusum=float(drawn.cusum[-1]),
-        away=drawn.lately / _scatter(name, value),
     )
 
 
