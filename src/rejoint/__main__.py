@@ -9,7 +9,7 @@ from rejoint.system.stopping import Interrupted, ignore, install
 def main() -> None:
     """Run the command line."""
     install()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait, measured 2 to 20 times
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads make small matrices 2 to 3 times slower
     try:
         from rejoint.cli import main as run  # takes half a second
     except Interrupted as error:

@@ -265,7 +265,7 @@ LEVEL = 0.02
 
 
 def least_load(arm: Arm) -> float:
-    """Torque [N m] that the motors of any such arm can carry."""
+    """Torque [N m] that an arm's motors carry at least, also of one that gravity does not load."""
     return LEVEL * float(arm.mass.sum() * np.linalg.norm(GRAVITY)) * reach(arm)
 
 
