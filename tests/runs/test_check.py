@@ -106,7 +106,7 @@ def test_guarded_and_in_batches_bit_for_bit(checked):
 def stood_in(checked, monkeypatch):
     """Let checks take the log of the one that was driven: what is tried here is what becomes of it."""
     log = RunLog.load(checked[0].folder / "check.parquet")
-    monkeypatch.setattr(stage, "_drive", lambda *_: (log, np.full(ARM.joints, 25.0)))
+    monkeypatch.setattr(stage, "record_check", lambda *_, **__: [(log, np.full(ARM.joints, 25.0))])
 
 
 @pytest.mark.parametrize("since", [0.0, 60.0])
@@ -116,7 +116,7 @@ def test_a_joint_whose_reading_stands_is_told_and_does_not_count(since, checked,
     position = log.position.copy()
     dead = log.time - log.time[0] >= since
     position[dead, 1] = position[dead, 1][0]
-    monkeypatch.setattr(stage, "_drive", lambda *_: (replace(log, position=position), None))
+    monkeypatch.setattr(stage, "record_check", lambda *_, **__: [(replace(log, position=position), None)])
     with pytest.raises(rejoint.RobotError, match="joint2 did not follow"):
         rejoint.check("emulated:healthy", history=tmp_path, notes=rejoint.CheckNotes(when=BEGIN))
     assert not list(tmp_path.rglob(SUMMARY)), "it is no norm for later checks"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import CATALOGUE, Arm, Array
+from rejoint.arms import CATALOGUE, Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -27,7 +28,6 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
@@ -35,7 +35,6 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import LOGGER, AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
-from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
 
@@ -170,37 +169,43 @@ def check(
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm
             home = Path(stack.enter_context(TemporaryDirectory(prefix="rejoint-dry-run-")))
         folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
-        with noted(), ArmSession(robot, arm=built, settings=chosen, observer=observer) as session:
-            log, warm = _drive(session.robot, folder, update)
-        require_followed(built, log)
-        measures = measure_check(built, log, warm)
-        found = outlook(
-            [*visits, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance, left_mm=left
-        )
-        line = say(found, address, _described(address, built))
-        if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
-            then = mine[-1].model if mine else "another"
-            line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
-        result = Checked(
-            arm=head.arm, robot=address, line=line, outlook=found, measures=measures, folder=folder, unread=unread
-        )
-        with saving(result):
-            write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
-        return result
+        with (
+            noted(),
+            ArmSession(robot, arm=built, settings=chosen, observer=observer) as session,
+            _kept(folder) as watch,
+        ):
+            ((log, warm),) = record_check(watch(session.robot), on_progress=update)
+            require_followed(built, log)
+            measures = measure_check(built, log, warm)
+            found = outlook(
+                [*visits, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance, left_mm=left
+            )
+            line = say(found, address, _described(address, built))
+            if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
+                then = mine[-1].model if mine else "another"
+                line = (
+                    f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
+                )
+            result = Checked(
+                arm=head.arm, robot=address, line=line, outlook=found, measures=measures, folder=folder, unread=unread
+            )
+            with saving(result):
+                log.save(folder / LOG)
+                write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
+            return result
 
 
-def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, Array | None]:
+@contextmanager
+def _kept(folder: Path) -> Iterator[Callable[[Robot], Robot]]:
+    """Return what wraps the robot of a check; without a result its log is kept beside, and no empty ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    require_space(folder)
     try:
+        require_space(folder)
         with staged(None, LABEL, folder / LOG) as watch:
-            ((log, warm),) = record_check(watch(robot), on_progress=on_progress)
-            log.save(folder / LOG)
-    except BaseException:
-        if not any(folder.iterdir()):
+            yield watch
+    finally:
+        with suppress(OSError):  # only an empty one goes
             folder.rmdir()
-        raise
-    return log, warm
 
 
 def _described(address: str, arm: Arm) -> str:
