@@ -86,8 +86,7 @@ def believed_motors(arm: Arm, twin: Twin) -> Motors:
     """Motors of a twin; unseen limits may be three times as high."""
     own = twin.parameters
     limit = np.where(_limits_seen(twin), own.torque_limit, UNSEEN * own.torque_limit)
-    late = float(own.delay) + 0.5 * NOMINAL_PERIOD
-    emf = back_emf(arm, own)
+    late, emf = float(own.delay) + 0.5 * NOMINAL_PERIOD, back_emf(arm, own)
     return Motors(limit, lifting_torque(own), own.damping, own.coulomb, own.armature, own.stiffness, late, emf)
 
 

@@ -89,13 +89,13 @@ def address_of(robot: RobotLike) -> str:
 
 def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
     """Arm of a robot: its own, else ``arm``, else the address's; InputError without any."""
-    if robot is None:
-        if arm is None:
-            raise InputError("neither a robot, a run nor an arm is given; give one of them")
-        return as_arm(arm)
-    if not isinstance(robot, str):
+    if not isinstance(robot, str | None):
         return robot.arm
-    return as_arm(place_of(robot).default_arm if arm is None else arm)
+    if arm is not None:
+        return as_arm(arm)
+    if robot is None:
+        raise InputError("neither a robot, a run nor an arm is given; give one of them")
+    return load_arm(place_of(robot).default_arm)
 
 
 class Borrowed(RobotWrapper):
@@ -149,8 +149,7 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
     ContractError for another arm's.
     """
     if given is None:
-        file = None if run is None else run.folder.calibration
-        return None if file is None or not file.exists() else read_calibration(file, arm)
+        given = run.folder.calibration if run is not None and run.folder.calibration.exists() else "none"
     if isinstance(given, Path | str):
         return None if str(given) == "none" else read_calibration(Path(given), arm)
     given.require(arm)

@@ -119,7 +119,7 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[ArmMot
     correction_of(session.calibration, arm, points)
     ways = session.ways(points[0], turns)
     name, controller = session.driver(posed=turns is not None)
-    within = REACHED if settings.within is None else settings.within
+    within = settings.within or REACHED
     job = Deployment(controller=name, targets=points[0], dwell=settings.dwell, within=within, turns=turns)
 
     def watch(cycle: Cycle) -> None:
@@ -254,7 +254,9 @@ def follow(
     >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
     >>> print(done.passes[-1].encoder.rms)
     """
-    with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
+    chosen = settings or Settings()
+    chosen = replace(chosen, within=chosen.within or WITHIN)
+    with noted(), ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session:
         return cast(Followed, session.follow(path, repeat=repeat))
 
 
