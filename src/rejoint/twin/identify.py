@@ -17,6 +17,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, v
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.motionfit import (
@@ -173,12 +174,13 @@ def fitted_twin(
     covariance = uncertainty(problem, found, clusters)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
-    held, limit = largest_static_torque(replay.arm, replay.logs, parameters.coulomb), parameters.torque_limit
-    most = drive_torque(problem, found.vector)
-    identified[problem.layout.at("torque_limit")] &= limit < most
-    shown = np.where(limit < most, held, np.maximum(held, most))
+    held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
+    most, place = drive_torque(problem, found.vector), problem.layout.at("torque_limit")
+    identified[place] &= limit < most
     lower = unpack(belief.lower, problem.joints)
-    raised = np.clip(shown, lower.torque_limit, 0.99 * limit)
+    raised = np.clip(np.maximum(held, most * (limit >= most)), lower.torque_limit, 0.99 * limit)
+    # one that no motion reaches is anything above what was shown
+    covariance[place, place] += np.diag(problem.frozen[place] * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(
         arm=replay.arm.name,
         joint_names=replay.arm.joint_names,
@@ -196,10 +198,10 @@ def fitted_twin(
     return replace(twin, notes=tuple(_notes(twin, found)))
 
 
-def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
+def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
     """(n,) [N m] largest gravity torque held, less friction."""
-    speed = np.concatenate([velocity(log.time, log.position, VELOCITY) for log in logs])
-    load = np.abs(gravity_torque(arm, np.concatenate([log.position for log in logs]))) - coulomb
+    speed = np.concatenate([velocity(log.time, log.position, VELOCITY) for log in replay.logs])
+    load = np.abs(gravity_torque(replay.arm, np.concatenate([log.position for log in replay.logs]))) - coulomb
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
@@ -351,12 +353,10 @@ def independent(problem: Problem) -> Index:
 
 def _hard_to_follow(problem: Problem, found: Fit) -> list[str]:
     logs, motion = problem.replay.logs, problem.replay.motion
-    weight = {logs[i].label: found.weights.share[motion == i].mean(axis=0).min() for i in np.unique(motion)}
-    low = {label: share for label, share in weight.items() if share < FOLLOWED}
-    if not low:
-        return []
-    named = ", ".join(f"{label} ({share:.2f})" for label, share in sorted(low.items(), key=lambda pair: pair[1]))
-    return [f"weighed down, for no twin of this structure follows them as it follows the others: {named}"]
+    each = sorted((found.weights.share[motion == i].mean(axis=0).min(), logs[i].label) for i in np.unique(motion))
+    named = ", ".join(f"{label} ({weight:.2f})" for weight, label in each if weight < FOLLOWED)
+    told = "weighed down, for no twin of this structure follows them as it follows the others"
+    return [f"{told}: {named}"] if named else []
 
 
 def _held_out(judgement: Judgement) -> HeldOut:
