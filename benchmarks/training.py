@@ -15,8 +15,8 @@ ROLLOUT = DEFAULT.ppo.rollout
 
 
 def measure(agents: int) -> None:
-    """Train on two threads, and print what it takes after the first update."""
-    rounds, arm, options = max(2, 2048 // agents), mycobot280(), TrainingOptions(agents=agents, threads=2)
+    """Train, and print what it takes after the first update."""
+    rounds, arm, options = max(2, 2048 // agents), mycobot280(), TrainingOptions(agents=agents)
     learner = make_learner(arm, None, know_stiffness(options.recipe, arm, None), options)
     learner.iterate()
     start = time.perf_counter()

@@ -39,7 +39,7 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         preset = replace(PRESETS[start], name=f"{start}-{updates}")
-        options = TrainingOptions(preset=preset, seed=seed, iterations=updates, threads=1)
+        options = TrainingOptions(preset=preset, seed=seed, iterations=updates)
         result = train(ARM, twin, out=Path(folder), options=options)
         file.write_bytes(result.policy.read_bytes())
     return time.process_time() - begun

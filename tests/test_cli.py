@@ -33,7 +33,7 @@ def finished(tmp_path_factory):
     run = Run.create(path, "emulated:worn", mycobot280())
     rejoint.diagnose("emulated:worn", run=run)
     twin = rejoint.identify(run=run)
-    train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
+    train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16))
     return run.folder
 
 

@@ -57,7 +57,7 @@ def test_every_stage_works_on_data_in_memory(motion, tmp_path, monkeypatch):
     lag = np.sqrt(np.mean((motion.command - motion.position) ** 2))
     assert np.sqrt(np.mean((predicted - motion.position) ** 2)) < lag
 
-    policy = rejoint.train(twin, quick=True, settings=rejoint.TrainSettings(threads=1))
+    policy = rejoint.train(twin, quick=True)
     action = policy(np.zeros(policy.contract.observation_size))
     assert action.shape == (6,)
     np.testing.assert_array_equal(policy(np.zeros((2, policy.contract.observation_size))), [action, action])

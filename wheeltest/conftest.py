@@ -106,7 +106,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     run = Run.create(tmp_path_factory.mktemp("runs") / "one", "emulated:worn", mycobot280(), 0)
     twin = _twin(run.arm)
     twin.save(run.folder.twin)
-    train(run.arm, twin, out=run.folder.path, options=TrainingOptions(iterations=2, agents=16, threads=1))
+    train(run.arm, twin, out=run.folder.path, options=TrainingOptions(iterations=2, agents=16))
     robot = open_robot("emulated:worn", arm=run.arm)
     targets = run.arm.targets.sample(np.random.default_rng(0), (1, 4))
     recording = drive(robot, make_controller("integrator", run.arm), targets, Schedule(dwell=3.0))

@@ -34,7 +34,7 @@ from rejoint.twin.twin import read_twin
 from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
-OPTIONS = TrainingOptions(agents=8, iterations=4, threads=1)
+OPTIONS = TrainingOptions(agents=8, iterations=4)
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "docs" / "published" / "so-arm100-mjcf.toml"
 PROFILE = ROOT / "src" / "rejoint_lab" / "plant" / "profiles" / "worn.toml"

@@ -23,12 +23,12 @@ SMALL = dataclasses.replace(
 
 
 def options(**changes):
-    return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16, threads=1), **changes)
+    return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16), **changes)
 
 
 def small_learner(seed=0, **ppo):
-    tasks = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=seed + k) for k in range(2)]
-    return Learner(tasks, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
+    task = ReachTask(ARM, BroadRanges(arm=ARM), 16, SMALL.task, seed=seed)
+    return Learner(task, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
 
 
 def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
@@ -52,17 +52,6 @@ def test_a_training_is_a_function_of_its_seed(tmp_path):
         for name, seed in (("a", 5), ("b", 5), ("c", 6))
     ]
     assert policies[0] == policies[1] != policies[2]
-
-
-def test_the_policy_does_not_depend_on_the_number_of_threads(tmp_path):
-    policies = []
-    for threads in (1, 2):
-        torch.set_num_threads(threads)
-        result = train(
-            ARM, None, out=tmp_path / str(threads), options=options(agents=512, threads=threads, iterations=2)
-        )
-        policies.append(result.policy.read_bytes())
-    assert policies[0] == policies[1]
 
 
 def test_exported_network_agrees_with_the_trained_one():
@@ -133,7 +122,7 @@ def test_advantages_worked_by_hand():
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     learner = small_learner()
-    worker, seen = learner.workers[0], []
+    worker, seen = learner.worker, []
     step = worker.task.step
     worker.task.step = lambda action: seen.append(step(action)) or seen[-1]
     rolled = worker.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
@@ -156,7 +145,7 @@ def test_learning_improves_the_reward():
         task=TaskSettings(hold_steps=40, law=CommandLaw(authority_floor=0.2, authority_limit=0.2)),
         ppo=PpoSettings(rollout=16, iterations=20, actor_layers=(64,), critic_layers=(64,)),
     )
-    learner = Learner([ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0)], preset.ppo, seed=0)
+    learner = Learner(ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0), preset.ppo, seed=0)
 
     def mean_reward():
         task = ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=99)

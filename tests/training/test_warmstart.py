@@ -15,7 +15,7 @@ FIRST = DEFAULT.warm.critic_first
 
 
 def options(**changes):
-    return TrainingOptions(**{"agents": 8, "threads": 1, "iterations": FIRST + 1} | changes)
+    return TrainingOptions(**{"agents": 8, "iterations": FIRST + 1} | changes)
 
 
 def answers(path):

@@ -312,7 +312,6 @@ def fleet(
     trials: rejoint.TrialPlan,
     address: str | None = None,
     cpus: int | None = None,
-    training_cpus: float = 1.0,
     preset: str = "default",
     controllers: str = "all",
 ) -> object:
@@ -342,7 +341,7 @@ def fleet(
     rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-    executor = partial(RayExecutor, address=address, cpus=cpus, training_cpus=training_cpus)
+    executor = partial(RayExecutor, address=address, cpus=cpus)
     with call.watched("fleet", bar=False):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)
     call.show(show.fleet(result))

@@ -1,15 +1,9 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts.
-
-Workers act at the same time, each with its own random numbers.
-"""
+"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts."""
 
 import itertools
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from typing import Any, TypeVar
 
 import gymnasium
@@ -66,7 +60,7 @@ class Actor(Model):  # type: ignore[misc]
         return torch.distributions.Normal(torch.zeros_like(log_std), log_std.exp())
 
     def sample(self, observation: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Draw actions (N, n) for observations (N, size), with log densities (N,); thread-safe."""
+        """Draw actions (N, n) for observations (N, size), with log densities (N,)."""
         mean: Tensor = self.net(observation)
         apart = torch.randn(mean.shape, generator=random)
         return mean + self.log_std.exp() * apart, self._log_density(apart)
@@ -98,7 +92,7 @@ class Critic(Model):  # type: ignore[misc]
     compute = act
 
     def value(self, observation: Tensor, privileged: Tensor) -> Tensor:
-        """Values (...); thread-safe."""
+        """Values (...)."""
         values: Tensor = self.act({"observations": observation, "states": privileged})[0][..., 0]
         return values
 
@@ -224,12 +218,6 @@ CEILING_FALLS = 0.8
 REACHED_DISTANCE = 0.010
 """[m] of a reached target at its end; Park et al. 2024, section IV-A"""
 
-SWITCH_INTERVAL = 1e-4
-"""[s] until a waiting worker gets Python's lock; chosen: about the Python time between physics steps"""
-
-LEARNING_THREADS = 1
-"""Of torch; chosen: more are slower beside other programs"""
-
 
 @value_type
 class CurvePoint:
@@ -273,29 +261,17 @@ def next_point(
 class Learner:
     """Networks, algorithm and agents of one training."""
 
-    def __init__(
-        self,
-        tasks: Sequence[ReachTask],
-        settings: PpoSettings,
-        *,
-        seed: int,
-        threads: int = 1,
-        start: Tensor | None = None,
-    ) -> None:
-        """Take one task per worker; ``threads`` run at once, without effect on the result.
-
-        The actor's weights are ``start``, else random.
-        """
+    def __init__(self, task: ReachTask, settings: PpoSettings, *, seed: int, start: Tensor | None = None) -> None:
+        """Begin with the actor's weights ``start``, else with random ones."""
         torch.manual_seed(seed)
-        size, self.threads = tasks[0].observer.size, threads
+        size, joints = task.observer.size, task.arm.joints
         self.settings = settings
-        self.ends_on_success = tasks[0].ends_on_success
-        self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
+        self.actor = Actor(size, joints, settings.actor_layers, settings.log_std)
         if start is not None:
             torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())
-        self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
-        self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
-        self.ppo = Ppo(self.actor, self.critic, settings, agents=sum(task.agents for task in tasks))
+        self.critic = Critic(size, task.privileged_size, joints, settings.critic_layers)
+        self.worker = RolloutWorker(task, seed=seed)
+        self.ppo = Ppo(self.actor, self.critic, settings, agents=task.agents)
         self.curve: list[CurvePoint] = []
 
     @property
@@ -309,19 +285,12 @@ class Learner:
         self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
-        with precision, on_threads(LEARNING_THREADS):
-            rollout = self._roll()
+        with precision, on_threads(1):  # chosen: more are slower beside other programs
+            rollout = self.worker.roll(self.actor, self.critic, s.rollout)
             self.actor.requires_grad_(done >= s.critic_first)
             self.ppo.learn(rollout, rate, iteration=done)
         noise, seconds = self.actor.log_std.exp().mean().item(), time.perf_counter() - start
-        point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=self.ends_on_success)
+        ends_on_success = self.worker.task.ends_on_success
+        point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=ends_on_success)
         self.curve.append(point)
         return point
-
-    def _roll(self) -> Rollout:
-        """Run all workers, each on one thread; torch's number of threads is per thread."""
-        pool = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
-        with pool, setting(sys.getswitchinterval, sys.setswitchinterval, SWITCH_INTERVAL):
-            cycles = self.settings.rollout
-            found = list(pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers))
-        return {name: torch.cat([rollout[name] for rollout in found], dim=1) for name in found[0]}

@@ -47,9 +47,6 @@ from rejoint.training.task import Preset, load_preset
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
-WORKERS = 2
-"""Rollout workers; independent of the number of threads"""
-
 DECAY_START = 0.7
 """[s] of the law where motors cross backlash slowly; chosen: such a joint swings once"""
 
@@ -62,8 +59,6 @@ class TrainingOptions:
     seed: int = 0
     agents: int | None = None
     """default: the preset's"""
-    threads: int = 2
-    """of the simulation; no effect on the policy"""
     iterations: int | None = None
     """updates; default: the preset's"""
     snapshot_every: int | None = None
@@ -146,13 +141,9 @@ def make_learner(
     arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: Tensor | None = None
 ) -> Learner:
     """Set up the learner."""
-    ranges, workers = options.ranges or training_ranges(arm, twin), min(WORKERS, recipe.ppo.agents)
-    seed, threads = workers * options.seed, max(options.threads // workers, 1)
-    tasks = [
-        recipe.make(arm, ranges, len(part), recipe.task, seed=seed + k, threads=threads)
-        for k, part in enumerate(np.array_split(np.arange(recipe.ppo.agents), workers))
-    ]
-    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers), start=start)
+    ranges, agents = options.ranges or training_ranges(arm, twin), recipe.ppo.agents
+    task = recipe.make(arm, ranges, agents, recipe.task, seed=options.seed)
+    return Learner(task, recipe.ppo, seed=options.seed, start=start)
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:

@@ -61,8 +61,7 @@ RECIPES: dict[str, Callable[[Arm], TrainingOptions]] = {
 def make_shelf_policy(name: str, file: Path) -> TrainingResult:
     """Train the policy for the catalogue arm ``name``, and write ``file``."""
     arm = load_arm(name)
-    # One thread, so that the number of cores does not matter; no other seed than 0 was tried.
-    options = replace(RECIPES[name](arm), threads=1)
+    options = RECIPES[name](arm)  # no other seed than 0 was tried
     preset = options.recipe
     near = replace(preset, task=replace(preset.task, anywhere=0.0))
     with tempfile.TemporaryDirectory(prefix="rejoint-shelf-") as folder:

@@ -46,7 +46,7 @@ def poisoned(path, arm, value, slot, above):
 
 def for_a_softer_arm(folder, arm):
     """Trained from random weights, if not for long, on a twin with a third of the stiffness."""
-    options = TrainingOptions(preset="scratch", iterations=2, agents=16, threads=1)
+    options = TrainingOptions(preset="scratch", iterations=2, agents=16)
     return train(arm, softer_twin(arm), out=folder, options=options).policy
 
 

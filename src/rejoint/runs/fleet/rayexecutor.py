@@ -51,17 +51,10 @@ def _watch(over: threading.Event) -> None:
 class RayExecutor:
     """Ray on this machine, or the cluster at ``address``."""
 
-    def __init__(
-        self,
-        arms: Sequence[FleetArm],
-        *,
-        address: str | None = None,
-        cpus: int | None = None,
-        training_cpus: float = 1.0,
-    ) -> None:
+    def __init__(self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None) -> None:
         """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         real = {arm.resource for arm in arms if not arm.virtual}
-        self._training_cpus, self._running = training_cpus, dict[Any, Work]()
+        self._running = dict[Any, Work]()
         with noted():
             with _own_signals():
                 self._ray = _started(address, cpus, dict.fromkeys(real, 1.0))
@@ -82,9 +75,9 @@ class RayExecutor:
 
     def begin(self, work: Work) -> None:
         """Start a task, at the arm's computer if a real arm moves."""
-        cpus = 0.0 if work.held else self._training_cpus if work.step == "train" else 1.0
         resources = {work.arm.resource: 1.0} if work.held else {}
-        task = self._task.options(num_cpus=cpus, resources=resources, name=f"{work.arm.name}:{work.step}")
+        name = f"{work.arm.name}:{work.step}"
+        task = self._task.options(num_cpus=0.0 if work.held else 1.0, resources=resources, name=name)
         self._running[task.remote(work)] = work
 
     def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome]]:

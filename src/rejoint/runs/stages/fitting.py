@@ -254,8 +254,6 @@ class TrainSettings:
     """without the run's twin, for any worn arm"""
     seed: int | None = None
     """of all random numbers; default: that of the run, else 0"""
-    threads: int = 2
-    """of the simulation; no effect on the policy"""
     trainer: Trainer | None = None
     """replaces proximal policy optimisation"""
 
@@ -287,7 +285,7 @@ def train(
     quick
         train for seconds; no result
     settings
-        seed, threads
+        seed
     observer
         receives progress
 
@@ -348,7 +346,7 @@ def train(
             from rejoint.training.train import train as learn
 
             about: dict[str, Any] = {"seed": seed, "servo_gains": servo_gains} | (QUICK if quick else {})
-            options = TrainingOptions(preset=preset, threads=how.threads, **about)
+            options = TrainingOptions(preset=preset, **about)
             result = learn(chosen, known, out=folder, options=options, on_progress=update)
         else:
             result = how.trainer(chosen, known, folder, update, servo_gains)

@@ -292,7 +292,6 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
             preset=preset,
             seed=bench.seed + offset,
             agents=bench.agents,
-            threads=1,
             iterations=bench.updates,
             snapshot_every=bench.snapshot_every,
             ranges=ranges_of(bench.arm, name),
