@@ -110,7 +110,7 @@ repair emulated:worn --arm robot.urdf | robot.urdf
 replay {run}/none.toml --logs {empty} | none.toml
 repair emulated:healthy --run {run} | is a run of emulated:worn
 follow emulated:worn {run} circle-8s --payload 150 | 150 kg, expected 0 to the 0.71 kg
-deploy emulated:worn {run} --tool 0,0,0.06 | 0,0,0.06 mm look like metres; give millimetres
+deploy emulated:worn {run} --tool 0,0,0.06 | 0,0,0.06 are no millimetres (metres?); give such as 0,0,50
 repiar | 'repair', 'report', 'replay'? See
 """
 

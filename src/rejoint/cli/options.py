@@ -8,9 +8,10 @@ from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
+import numpy as np
 import typer
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Box
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_arm_toml
 from rejoint.arms.workspace import NoPostureError
@@ -231,9 +232,10 @@ def _numbers(text: str, count: int, refusal: str) -> list[float]:
 
 
 def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:
-    """Return a place in mm as metres; InputError for lengths of the size of metres."""
-    if 0.0 < max(abs(x), abs(y), abs(z)) < 1.0:
-        raise InputError(f"{option}: x,y,z of {x:g},{y:g},{z:g} mm look like metres; give millimetres, such as 0,0,50")
+    """Return a place in mm as metres; InputError for what is no number, or of the size of metres."""
+    largest = np.max(np.abs((x, y, z)))
+    if not (largest == 0.0 or 1.0 <= largest < np.inf):
+        raise InputError(f"{option}: x,y,z of {x:g},{y:g},{z:g} are no millimetres (metres?); give such as 0,0,50")
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
 
 
@@ -245,12 +247,28 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
 
-KINDS = {"dwell": float, "within": float | None, "seed": int | None, "dry_run": bool, "json": bool}
+def box_of(text: str) -> Box:
+    """Read ``x,y,z,x,y,z`` of two opposite corners in mm; InputError for anything else."""
+    expected = "two opposite corners x,y,z,x,y,z in mm, such as 150,-200,0,300,200,120"
+    x, y, z, *far = _numbers(text, 6, f"--keep-out {text!r}: expected {expected}")
+    first, second = point_of(x, y, z, "--keep-out"), point_of(far[0], far[1], far[2], "--keep-out")
+    return Box(lower=np.minimum(first, second), upper=np.maximum(first, second))
+
+
+KINDS = {
+    "dwell": float,
+    "within": float | None,
+    "keep_out": list[str],
+    "seed": int | None,
+    "dry_run": bool,
+    "json": bool,
+}
 """Types of shared options that are no text"""
 READ: dict[str, Callable[[Any], object]] = {
     "within": lambda mm: 1e-3 * mm,
     "payload": payload_of,
     "tool": tool_of,
+    "keep_out": lambda texts: tuple(map(box_of, texts)),
     "period": period_seconds,
 }
 """What makes fields of `Settings` of shared options, where it is not what the user wrote"""
