@@ -131,7 +131,7 @@ def _short(driven: Driven, recording: Recording, b: int, targets: np.ndarray) ->
     one, target_set = recording.of(slice(b, b + 1)), driven.key.places[b][0]
     one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
     key = driven.key._replace(places=((target_set, 0),), first=0)
-    return measure(ARM, one, targets[target_set][None], ONE_ARM_PROTOCOL, key, both=True)
+    return measure(ARM, one, targets[target_set][None], ONE_ARM_PROTOCOL, key)
 
 
 def _once(twice: Comparison) -> Comparison:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observer, StageObserver
 from rejoint.control.servogains import RIVALS
 from rejoint.control.targets import draw_targets
@@ -235,13 +236,13 @@ def _comparison(
     robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, observer: Observer, *, quick: bool
 ) -> Iterator[ComparisonJob]:
     compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
-    targets, trials = plan.targets, plan.trials or TrialPlan()
-    sets, repetitions = (1, 1) if quick else (3, 2) if is_batchable(robot) else (None, None)
-    trials = replace(
-        trials,
-        sets=sets if trials.sets is None else trials.sets,
-        repetitions=repetitions if trials.repetitions is None else trials.repetitions,
+    targets, given, emulated = plan.targets, plan.trials or TrialPlan(), is_batchable(robot)
+    usual = TrialPlan(
+        sets=1 if quick else 3 if emulated else None,
+        repetitions=1 if quick else 2 if emulated else None,
+        protocol=Protocol(crossings=False) if emulated and not given.full else None,  # as on a real arm
     )
+    trials = replace(usual, **{name: value for name, value in vars(given).items() if value is not None})
     if quick and targets is None:
         targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
     with ArmSession(robot, run=run, settings=compared, observer=observer) as session:

@@ -180,7 +180,7 @@ def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     assert trials == [], "asked for by name, or the only one: refused"
 
 
-QUICK = replace(PROTOCOL, hold=1.5, window=0.3)
+QUICK = replace(PROTOCOL, hold=1.5, window=0.3, crossings=False)
 SETTLING = replace(QUICK, hold=3.0)
 """Long enough for an integrator to come to rest"""
 TWENTY = draw_targets(ARM, sets=2, count=10, seed=1)

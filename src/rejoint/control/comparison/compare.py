@@ -18,7 +18,6 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.protocols import measure, metrics_of, schedule
 from rejoint.control.comparison.result import (
-    KINDS,
     WAS_WORSE,
     Columns,
     Comparison,
@@ -157,8 +156,7 @@ class TrialRunner:
         self._step = settings.block or count
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}
         self._out: dict[str, str] = {}  # why a controller is not driven any further, or never took part
-        self._kinds: tuple[Kind, ...] = ("hold",) if settings.block else KINDS  # a hold tells of the crossing as well
-        self._total = len(self.controllers) * len(self._kinds) * int(np.prod(self.shape))
+        self._total = len(self.controllers) * len(settings.protocol.kinds) * int(np.prod(self.shape))
         self._done, self._text = 0, ""
         self._sent: Array | None = None
         self._rng = np.random.default_rng(settings.seed)
@@ -193,7 +191,7 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        asked = [Key(name, kind, places) for name, kind in product(self.controllers, KINDS)]
+        asked = [Key(name, kind, places) for name, kind in product(self.controllers, self.settings.protocol.kinds)]
         left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
         beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
         for key in asked:
@@ -230,7 +228,7 @@ class TrialRunner:
                 left = self._left()
                 if not left or (block and len(left) == 1 and np.isfinite(self._in_order("crossed", left[0])).any()):
                     break
-                for name, kind in product(map(str, self._rng.permutation(left)), self._kinds):
+                for name, kind in product(map(str, self._rng.permutation(left)), self.settings.protocol.kinds):
                     self._try(robot, Key(name, kind, (place,), first))
                 if block:
                     self._out |= worse({name: self._in_order("settled", name) for name in self._left()}, tests)
@@ -329,9 +327,7 @@ class TrialRunner:
             recording = stopped
         if not settings.batched:
             self._sent = recording.command[-1]
-        driven = measure(
-            robot.arm, recording, targets, settings.protocol, key, model=self.model, both=settings.block > 0
-        )
+        driven = measure(robot.arm, recording, targets, settings.protocol, key, model=self.model)
         self.on_trial(driven, recording)
         return driven, recording
 

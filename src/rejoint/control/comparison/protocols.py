@@ -168,13 +168,9 @@ def measure(
     key: Key,
     *,
     model: ToolModel | None = None,
-    both: bool = False,
 ) -> Driven:
-    """Metrics of a recording; ``targets`` (B, K, 3) [m].
-
-    ``both``: a hold also gives the crossing.
-    """
-    kinds = KINDS if both and key.kind == "hold" else (key.kind,)
+    """Metrics of a recording; ``targets`` (B, K, 3) [m]."""
+    kinds = (key.kind,) if protocol.crossings else KINDS
     return Driven(
         key=key,
         columns=metrics_of(arm, recording, targets, protocol, kinds, [model] * len(targets) if model else ()),

@@ -167,6 +167,8 @@ class Protocol:
     """[m] Park et al. 2024, section IV-A"""
     dwell: float = 20.0
     """[s] longest per target; Park et al. 2024, section IV-F"""
+    crossings: bool = True
+    """driven by themselves, as by Park et al. 2024; else read from the holds"""
     hold: float = 8.0
     """[s] (chosen)"""
     window: float = 1.0
@@ -182,6 +184,11 @@ class Protocol:
             raise InputError(f"protocol: the window ({self.window} s) must be shorter than the hold ({self.hold} s)")
         if not self.within or min(self.within) <= 0.0:
             raise InputError(f"protocol: distances to stay within must be positive, got {self.within}")
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """Protocols that are driven."""
+        return KINDS if self.crossings else ("hold",)
 
     @property
     def stay_names(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result,
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
+from rejoint.control.comparison.result import Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -98,7 +98,7 @@ def open_loop_trials(
         **vars(cycles.at(slice(None), None)),
     )
     targets, key = target[first], Key(DEFAULT, "hold", ((0, 0),))
-    found = measure(arm, recording, targets[None], protocol, key, model=model, both=True)
+    found = measure(arm, recording, targets[None], protocol, key, model=model)
     if not np.isfinite(found.columns["settled"]).all():
         return None
     return OpenLoopTrials(
@@ -239,12 +239,12 @@ class ComparisonJob:
         """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
-            for name, kind in product(self.factories, KINDS):
+            for name, kind in product(self.factories, self.settings.protocol.kinds):
                 helper(Key(name, kind, self.places))
         return helper
 
     def _help(self) -> HelperProcess | None:
-        size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
+        size = len(self.places) * self.targets.shape[1] * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
         spare = os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
         if not (plain and self.settings.batched and size >= LEAST and spare):
@@ -278,7 +278,7 @@ SETS, REPETITIONS = 10, 6
 ONE_ARM_SETS = 1
 """Target sets on one arm; chosen: those of the diagnosis"""
 
-ONE_ARM_PROTOCOL = Protocol(hold=4.0)
+ONE_ARM_PROTOCOL = Protocol(hold=4.0, crossings=False)
 """On one arm (chosen: holds of 4.5 s recommend the same on twelve arms of `python -m benchmarks elimination`)"""
 
 
@@ -291,7 +291,7 @@ class TrialPlan:
     repetitions: int | None = None
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s, on one arm 4 s"""
+    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s; on one arm holds of 4 s"""
     full: bool = False
     """on a real arm, eliminate only after three targets missed in a row"""
 
@@ -374,11 +374,12 @@ def comparison_job(
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
     session.say_heavy(points, turns)
+    protocol = plan.protocol or (ONE_ARM_PROTOCOL if block else Protocol())
     trials = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,
         batched=not real,
-        protocol=plan.protocol or (ONE_ARM_PROTOCOL if block else Protocol()),
+        protocol=replace(protocol, crossings=protocol.crossings and not block),
         leave_out=not controllers,
         block=block,
     )
@@ -410,7 +411,7 @@ def comparison_job(
     )
 
 
-LEAST = 400
+LEAST = 300
 """Targets of all trials that are worth a helper; chosen"""
 
 _START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
