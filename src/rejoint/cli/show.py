@@ -47,7 +47,8 @@ def twin(result: rejoint.Twin) -> Shown:
         f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm)."
     )
     if result.unknown:
-        yield f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range."
+        kept = ", ".join(f"{name} ({', '.join(joints)})" for name, joints in result.unknown.items())
+        yield f"The data cannot tell: {kept}; they keep their prior range."
     for note in result.notes:
         yield f"  ! {note}"
 

@@ -301,5 +301,6 @@ def _missing(arm: Arm, twin: Twin) -> list[str]:
     if p.delay < 0:
         lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
     if twin.unknown:
-        lines.append(f"As assumed before, for the motion did not tell: {', '.join(twin.unknown)}.")
+        kept = ", ".join(f"{name} ({', '.join(joints)})" for name, joints in twin.unknown.items())
+        lines.append(f"As assumed before, for the motion did not tell: {kept}.")
     return lines

@@ -153,9 +153,7 @@ def identify(
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     stretches = np.stack([fine.window, (fine.replay.time // CLUSTER).astype(int)], axis=1)
     clusters = np.unique(stretches, axis=0, return_inverse=True)[1].ravel()
-    twin = fitted_twin(fine, found, clusters, held_out)
-    on_progress(1.0, "done")
-    return twin
+    return fitted_twin(fine, found, clusters, held_out)
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
@@ -266,7 +264,6 @@ def identify_logs(
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
-    on_progress(1.0, "done")
     return replace(
         twin,
         gain=gain,

@@ -230,12 +230,16 @@ class Twin(Readable):
         return tuple(compress(self.joint_names, ~self.identified[self.layout.at("stiffness")]))
 
     @property
-    def unknown(self) -> tuple[str, ...]:
-        """Parameters that keep their prior range."""
+    def unknown(self) -> dict[str, list[str]]:
+        """Joints, or the arm, by the parameter that keeps its prior range."""
         layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
         settled = np.maximum(layout.has("difference"), layout.has("beside"))  # by the prior, or no data could
         free = layout.is_fitted & (sigma > 1.001 * settled)
-        return tuple(compress(self.names, free & ~self.identified))
+        found = dict[str, list[str]]()
+        for name in compress(self.names, free & ~self.identified):
+            parameter, _, joint = name.partition(".")
+            found.setdefault(parameter, []).append(joint or "arm")
+        return found
 
     def sample(self, rng: np.random.Generator, count: int) -> TwinParameters:
         """Draw ``count`` twins from the covariance, within the physical bounds.

@@ -39,7 +39,6 @@ from rejoint.system.records import entity, value_type
 from rejoint.system.shell import command
 from rejoint.system.statistics import above_zero, spread
 from rejoint.twin import parameters
-from rejoint.twin.parameters import Parameter
 from rejoint.twin.twin import Judgement, Twin, read_twin
 
 _LAST = 5  # updates that are averaged for "at the end"
@@ -258,13 +257,8 @@ def tilt(found: Calibration) -> float:
     return float(np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0))))
 
 
-def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
-    """Joints, or the arm, whose ``parameter`` the data leave open."""
-    return [name.split(".")[-1] for name in twin.unknown if name.split(".")[0] == parameter.name]
-
-
 _FUNCTIONS = (
-    *(target_errors, tilt, unidentified),
+    *(target_errors, tilt),
     *(above_zero, colour_number, cost, in_base, own_policy, reach, reversals, ringing_most),
 )
 _MODULES = (recommend, calibration, fit, parameters, protocols, tables)
