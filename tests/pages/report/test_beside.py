@@ -31,15 +31,3 @@ def test_an_aimed_comparison_tells_how_the_arm_was_found(used):
         as_found = [error.value for error in found.as_found.true]
         np.testing.assert_allclose(as_found, told, rtol=1e-9, err_msg="the same drive, from the same start")
         assert (np.abs(aimed - as_found) > 1e-4).all()
-
-
-def test_a_trip_beside_a_comparison_is_told_and_costs_no_more(monkeypatch):
-    def trip(*_):
-        raise rejoint.GuardTripError("temperature", "joint2 is at 71 deg C")
-
-    monkeypatch.setattr("rejoint.control.comparison.compare.TrialRunner.as_found", trip)
-    arm = mycobot280()
-    targets = arm.targets.sample(np.random.default_rng(0), (1, 1))
-    done = compared("default", targets, settings=rejoint.Settings(calibration=make_calibration(arm)[0]))
-    assert done.comparison.as_found is None
-    assert any("joint2 is at 71 deg C" in line for line in done.recommendation.why)

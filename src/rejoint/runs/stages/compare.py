@@ -55,7 +55,6 @@ from rejoint.session.inputs import (
     period_of,
 )
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, entity
@@ -225,15 +224,11 @@ class ComparisonJob:
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _beside(self, runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:
-        """Compare, and see what the uncorrected arm does where it is to be corrected."""
-        result = runner.compare()
-        if runner.correction is None or runner.turns is not None or DEFAULT not in self.factories:
-            return result
-        try:
-            return replace(result, as_found=TargetErrors.of(before.driven.columns) if before else runner.as_found())
-        except GuardTripError as error:  # it is not worth a comparison that is decided
-            told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
-            return replace(result, left_out=(*result.left_out, told))
+        """Compare; first, see what the uncorrected arm does where it is to be corrected, beside the helper's work."""
+        found = None
+        if runner.correction is not None and runner.turns is None and DEFAULT in self.factories:
+            found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
+        return replace(runner.compare(), as_found=found)
 
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process, if a core is free."""
