@@ -286,9 +286,10 @@ class TrialPlan:
     repetitions: int | None = None
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s; on one arm holds of 4 s"""
+    """thresholds [m] and times [s]; default: Park et al. 2024, and holds of 8 s; in a repair holds alone, on one
+    arm of 4 s"""
     full: bool = False
-    """on a real arm, eliminate only after three targets missed in a row"""
+    """on a real arm, eliminate only after three targets missed in a row; in a repair, drive crossings too"""
 
 
 def compare(
