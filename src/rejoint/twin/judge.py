@@ -156,6 +156,8 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
     )
 
 
+HALVED = 2.0
+"""Distance of motion from commands over the error of a trusted twin; chosen"""
 MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
 
@@ -186,6 +188,8 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
         if not any(smaller(twin, without) for twin in twins):
             found.append(f"no twin predicts measurably better than {name} does")
             break
+    if not any(smaller(HALVED * twin, command) for twin in twins):
+        found.append("no twin explains half of the distance between commands and motion")
     return found
 
 
