@@ -216,7 +216,12 @@ def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
     torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
     by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
-    return [torque or sag for torque, sag in zip(by_torque, _by_sag(data.arm, laws, KNOWN_WITHIN), strict=True)]
+    by_sag = _by_sag(data.arm, laws, KNOWN_WITHIN)
+    pairs = list(zip(by_torque, by_sag, strict=True))
+    apart = [abs(np.log(one.value / sag.value)) > np.log(SURE_WITHIN) for one, sag in pairs if one and sag]
+    if np.sum(apart) > len(apart) / 2:  # the column holds no torques of the joints: another unit, or before the gear
+        return by_sag
+    return [one or sag for one, sag in pairs]
 
 
 def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate | None]:
