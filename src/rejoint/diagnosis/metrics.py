@@ -24,7 +24,7 @@ from scipy import ndimage
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
-from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
 from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
 from rejoint.system.shell import Late
@@ -317,8 +317,9 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     """[rad] largest distance at rest that law and friction leave."""
     _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
-    rests = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD, joint)]
-    return float(max([0.0, *(abs(error[rows].mean()) - width for rows in rests if len(rows))]))
+    rests, position = (data.rows(one, last=SETTLED_LAST) for one in data.of_kind(HOLD, joint)), data.log.position
+    still = [rows for rows in rests if len(rows) and np.ptp(position[rows, joint]) < AT_REST * SETTLED_LAST]
+    return float(max([0.0, *(abs(error[rows].mean()) - width for rows in still)]))
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
