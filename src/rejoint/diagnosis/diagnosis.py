@@ -22,7 +22,7 @@ from rejoint.diagnosis.segments import (
 )
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
-from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints
+from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -174,6 +174,7 @@ def diagnose_logs(
     for log in logs:
         log.require(arm)
     refuse_copies(logs, "diagnosis")
+    logs = declared(logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")

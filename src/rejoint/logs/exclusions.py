@@ -49,6 +49,8 @@ ANSWERED = 0.1
 """Travel share without torque (chosen)"""
 UNRELATED = 0.3
 """Correlation, likewise (chosen)"""
+ANSWERING = 0.9
+"""Least correlation in a log of a joint that is powered in some of them (chosen)"""
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
 """[s] of searched answers (chosen)"""
 RESTING = 1e-3
@@ -135,17 +137,33 @@ def correlations(time: Array, position: Array, command: Array) -> tuple[Array, A
 
 
 def unpowered_joints(log: RunLog) -> tuple[str, ...]:
-    """Joints that never answer, or are declared without torque.
-
-    They move less than a tenth of the command's travel, or unlike it.
-    """
-    silent = np.isin(log.joint_names, log.extra.get(UNPOWERED, "").split(","))
-    if log.commanded and log.duration > LAGS[-1]:
-        lowest, highest = correlations(log.time, log.position, log.command)
-        answer = np.maximum(-np.diag(lowest), np.diag(highest))
-        moved, asked = np.ptp(log.position, axis=0), np.ptp(log.command, axis=0)
-        silent |= (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < UNRELATED))
+    """Joints that never answer, or are declared without torque."""
+    silent = np.isin(log.joint_names, log.extra.get(UNPOWERED, "").split(",")) | _silent([log])
     return tuple(compress(log.joint_names, silent))
+
+
+def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
+    """Joints (n,) that move less than a tenth of the commands' travel, or not ``alike``, in all logs together."""
+    told = [log for log in logs if log.commanded and log.duration > LAGS[-1]]
+    if not told:
+        return np.zeros(len(logs[0].joint_names), dtype=bool)
+    groups = ([log.position for log in told], [log.command for log in told])
+    position, command = (np.concatenate([one - one.mean(axis=0) for one in group]) for group in groups)
+    lowest, highest = correlations(told[0].period * np.arange(len(position), dtype=float), position, command)
+    answer = np.maximum(-np.diag(lowest), np.diag(highest))
+    moved, asked = np.ptp(position, axis=0), np.ptp(command, axis=0)
+    found: Mask = (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < alike))
+    return found
+
+
+def declared(logs: Sequence[RunLog]) -> list[RunLog]:
+    """Declare joints that answer in none of the logs: in one, few goals agree by chance."""
+    alive = [(np.ptp(log.command, axis=0) >= ASKED) & ~_silent([log], ANSWERING) for log in logs]
+    names = list(compress(logs[0].joint_names, _silent(logs) & ~np.any(alive, axis=0)))
+    if not names:
+        return list(logs)
+    known = [[*filter(None, log.extra.get(UNPOWERED, "").split(",")), *names] for log in logs]
+    return [replace(log, extra=log.extra | {UNPOWERED: ",".join(one)}) for log, one in zip(logs, known, strict=True)]
 
 
 def answered(log: RunLog) -> RunLog:

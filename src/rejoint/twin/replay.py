@@ -17,7 +17,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.control.servoreference import ServoReference
-from rejoint.logs.exclusions import answered, velocity
+from rejoint.logs.exclusions import answered, declared, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
@@ -284,7 +284,7 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
-    for log in map(answered, logs):
+    for log in map(answered, declared(logs)):
         since, off = log.time - log.time[0], np.zeros(len(log), dtype=bool)
         if log.gain is not None:  # a joint without torque throughout is UNPOWERED
             off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)

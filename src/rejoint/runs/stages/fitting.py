@@ -16,6 +16,7 @@ from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, s
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import forced_remarks, require_commands
+from rejoint.logs.exclusions import answered, declared
 from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
@@ -221,7 +222,7 @@ def replay(
     known = as_twin(twin)
     chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
     known.require(chosen)
-    motions = as_logs(logs)
+    motions = list(map(answered, declared(as_logs(logs))))
     require_commands(motions, "replay")
     page = None
     paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions)
