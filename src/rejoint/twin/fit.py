@@ -53,26 +53,15 @@ ROUNDS = 10
 
 
 @entity
-class Weights:
-    """Weights of residuals."""
-
-    precision: Array
-    """(rows, n) [1/rad^2] of one squared residual"""
-    share: Array
-    """(rows, n) of a window's motion: small if no twin follows it"""
-
-
-@entity
 class Fit:
     """Result of a fit."""
 
     vector: Array
     """(k,)"""
-    iterations: int
-    converged: bool
     at_bound: Mask
     """(k,) held at a physical bound"""
-    weights: Weights
+    weights: Array
+    """(rows, n) [1/rad^2] of one squared residual"""
 
 
 class Problem:
@@ -107,11 +96,11 @@ class Problem:
         """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k)."""
         return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
 
-    def weights(self, residual: Array) -> Weights:
-        """Weigh residuals (rows, n) by their scale."""
+    def weights(self, residual: Array) -> Array:
+        """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
         share = self.shares(residual) * self.powered
         scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
-        return Weights(precision=share / (scale**2 * self.dependent), share=share)
+        return share / (scale**2 * self.dependent)
 
     def shares(self, residual: Array) -> Array:
         """Weights (rows, n) of each window's motion, by Student's distribution.
@@ -128,11 +117,11 @@ class Problem:
             share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
         return share[self.window]
 
-    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array]:
+    def costs(self, vectors: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
         """Costs (m, n) of each joint alone, and (m,) of all."""
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
-        data = (loss(residuals) * weights.precision).sum(axis=1)
+        data = (loss(residuals) * weights).sum(axis=1)
         own = (moved * (pull[0] + 0.5 * np.diag(precision) * moved))[:, self.owner >= 0]
         alone = data + own.reshape(len(own), -1, self.joints).sum(axis=1)
         return alone, data.sum(axis=1) + 0.5 * (pull * away).sum(axis=1)
@@ -221,20 +210,14 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
             weights = problem.weights(residual)
         signs = problem.inward(x, _alternating(problem, iteration))
         jacobian = problem.jacobian(residual, problem.residuals(problem.perturbations(x, signs)), signs)
-        curvature, gradient = problem.system(jacobian, weights.precision * influence(residual), residual)
+        curvature, gradient = problem.system(jacobian, weights * influence(residual), residual)
         curvature += problem.prior.precision
         gradient += problem.prior.precision @ (x - problem.prior.mean)
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         converged = gained + rescaling < LEAST_GAIN
-    return Fit(
-        vector=x,
-        iterations=iteration,
-        converged=converged,
-        at_bound=fixed & ~problem.frozen,
-        weights=problem.weights(residual),
-    )
+    return Fit(vector=x, at_bound=fixed & ~problem.frozen, weights=problem.weights(residual))
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int) -> Array:
@@ -273,7 +256,7 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
     return np.clip(trial, problem.prior.lower, problem.prior.upper)
 
 
-def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
+def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Array) -> tuple[Array, float, Array]:
     """Best of the candidates (s, k) and of the mixture of each joint's best; returns its gain and residuals too.
 
     ``residuals`` (r, rows, n) of the first candidates.
@@ -316,7 +299,7 @@ def uncertainty(problem: Problem, found: Fit, clusters: Index) -> Array:
     """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and what it holds fixed."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, found.vector)
-    weight = found.weights.precision * influence(residual)
+    weight = found.weights * influence(residual)
     rows = np.arange(clusters.max() + 1)[:, None] == clusters
     parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
     curvatures, scores = map(np.stack, zip(*parts, strict=True))

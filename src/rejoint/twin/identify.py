@@ -24,7 +24,7 @@ from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
     cut_windows,
-    fastest,
+    farthest,
     part,
     repeated,
     thin,
@@ -66,6 +66,9 @@ FITTED, HEALTHY = "fitted twin", "healthy twin"
 IDENTIFIED = 0.5
 """Sigma over the prior's of an identified parameter; chosen"""
 
+LIGHT_SAG = 1e-3
+"""[rad] sag of a joint whose offset shows without its stiffness; chosen"""
+
 STILL_SPEED = 0.03
 """[rad/s] of a still joint; chosen"""
 
@@ -87,8 +90,6 @@ ITERATIONS, REFINEMENT = 15, 6
 LEAST_CONTACT = 5.0
 """[s] least contact for a table fit; chosen"""
 
-FOLLOWED = 0.4
-"""Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -116,7 +117,7 @@ class LogSettings:
     fit_seconds: float = 200.0
     """[s] for the final fit; measured: 400 s are equal, 100 s 3 % worse"""
     fast_seconds: float = 40.0
-    """[s] of the fastest motion, which shows a limited acceleration"""
+    """[s] of the motion farthest from its commands, which shows limits"""
     contact_seconds: float = 240.0
     """[s] of contact for the table; measured: 80 s are a fifth worse"""
 
@@ -175,6 +176,9 @@ def fitted_twin(
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
     most, place = drive_torque(problem, found.vector), problem.layout.at("torque_limit")
     identified[place] &= limit < most
+    stiffness = problem.layout.at("stiffness")  # unknown, an offset holds what is sag
+    light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
+    identified[problem.layout.at("offset")] &= identified[stiffness] | light
     lower = unpack(belief.lower, problem.joints)
     raised = np.clip(np.maximum(held, most * (limit >= most)), lower.torque_limit, 0.99 * limit)
     # one that no motion reaches is anything above what was shown
@@ -210,8 +214,6 @@ def _notes(twin: Twin, found: Fit) -> list[str]:
             f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
             f"scale, so no torques: {', '.join(twin.unknown_scale)}"
         )
-    if not found.converged:
-        notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
     if pressed := list(compress(twin.names, found.at_bound)):
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
     if held_out.twin.joint > min(rival.joint for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
@@ -267,7 +269,7 @@ def identify_logs(
     return replace(
         twin,
         gain=gain,
-        notes=(*twin.notes, *_hard_to_follow(problem, found), note),
+        notes=(*twin.notes, note),
         fitted=tuple(log.label for log in seen),
         judgement=replace(judgement, doubts=tuple(missing)),
     )
@@ -295,8 +297,8 @@ class Motions:
 
     @cached_property
     def fast(self) -> list[Window]:
-        """The fastest free motion."""
-        return fastest(self.windows, self.logs, self.settings.fast_seconds)
+        """The free motion in which limits show."""
+        return farthest(self.windows, self.logs, self.settings.fast_seconds)
 
     @property
     def belief(self) -> Prior:
@@ -346,14 +348,6 @@ def independent(problem: Problem) -> Index:
     """(rows,) numbers of independent motions, or of windows where there are few."""
     motion = np.unique(problem.replay.motion, return_inverse=True)[1].ravel()
     return motion if motion.max() + 1 >= CLUSTERED else problem.window
-
-
-def _hard_to_follow(problem: Problem, found: Fit) -> list[str]:
-    logs, motion = problem.replay.logs, problem.replay.motion
-    each = sorted((found.weights.share[motion == i].mean(axis=0).min(), logs[i].label) for i in np.unique(motion))
-    named = ", ".join(f"{label} ({weight:.2f})" for weight, label in each if weight < FOLLOWED)
-    told = "weighed down, for no twin of this structure follows them as it follows the others"
-    return [f"{told}: {named}"] if named else []
 
 
 def _held_out(judgement: Judgement) -> HeldOut:

@@ -53,18 +53,10 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
     return [windows[i] for i in np.flatnonzero(np.diff(passed, prepend=-1) > 0).tolist()]
 
 
-def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
-    """Keep about ``seconds`` [s] of the windows whose commands accelerate most."""
-
-    def acceleration(w: Window) -> float:
-        time, command = logs[w.log].time[w.first : w.last], logs[w.log].command[w.first : w.last]
-        speed = np.diff(command, axis=0) / np.diff(time)[:, None]
-        changing = speed != 0.0
-        lasting = changing[:-2] & changing[1:-1] & changing[2:]
-        change = (speed[2:] - speed[:-2]) / (time[2:-1] - time[:-3])[:, None]
-        return np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2))
-
-    order = np.argsort([-acceleration(w) for w in windows], kind="stable")
+def farthest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+    """Keep about ``seconds`` [s] of the windows that are farthest from their commands: limits show there."""
+    off = [-np.abs(logs[w.log].command - logs[w.log].position)[w.first : w.last].max() for w in windows]
+    order = np.argsort(off, kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])
     return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
 
