@@ -181,12 +181,18 @@ class Contents:
             steps["let your own programs drive it"] = command("serve", robot, run, *by_lines)
         if self.calibration is None:
             steps["measure where the tool really is"] = self.commands()["calibrate"]
-        return steps | {"see later whether it has become worse": command("check", robot, "--repeat", 5)}
+        return steps | {
+            "see later whether it has become worse": command("check", robot, *self.described(), "--repeat", 5)
+        }
+
+    def described(self) -> tuple[object, ...]:
+        """Options that name the arm."""
+        return () if self.info.arm == DEFAULT_ARM else ("--arm", self.folder.arm(self.info.arm))
 
     def commands(self) -> dict[str, str]:
         """Command lines of every stage."""
         run, robot, built = self.folder.path, self.info.robot, self.folder.arm(self.info.arm)
-        options = [*([] if self.info.arm == DEFAULT_ARM else ["--arm", built]), "--seed", self.info.seed]
+        options = [*self.described(), "--seed", self.info.seed]
         seen = self.calibration is not None and self.calibration.source == "camera"
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
