@@ -170,7 +170,7 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
         assert answers.answer(Frame(0x07)) == Frame(0x07, bytes([COLLISION]))
         assert not served.motion.moving
     assert said == [
-        "Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself (error 16)"
+        "Refused send_coords: the guard keeps the arm from there: it would touch the ground, a box or itself (error 16)"
     ]
     assert answers.answer(Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x32")) == Frame(0x22, b"\x01")
 

@@ -336,7 +336,7 @@ def test_joints_go_where_they_are_sent_and_what_no_joint_can_do_is_refused(run: 
             (np.full(6, np.nan), "expected 6 joint positions in radians"),
             (np.full(6, 90.0), "beyond two turns; give radians"),
             (np.where(np.arange(6) == 1, ARM.upper[1] + 0.1, goal), "joint2 at .* deg is outside its limits"),
-            (np.radians([0.0, 130.0, 0.0, 0.0, 0.0, 0.0]), "would touch itself or the ground"),
+            (np.radians([0.0, 130.0, 0.0, 0.0, 0.0, 0.0]), "would touch itself, the ground or a box"),
         ):
             with pytest.raises(rejoint.InputError, match=why):
                 arm.move_joints(wrong)

@@ -52,7 +52,9 @@ def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run
     np.testing.assert_array_equal(found.tool, GIVEN.tool)
     np.testing.assert_array_equal(found.keep_out[0].upper, WALL.upper)
     other = rejoint.Settings(payload=0.0, tool=np.zeros(3), keep_out=[WALL], period=(0.03, 0.04), within=0.001)
-    assert settled(other, run, "emulated:worn") == (other, "")
+    assert settled(replace(other, keep_out=()), run, "emulated:worn")[0].keep_out[0].upper[0] == WALL.upper[0]
+    both = settled(replace(other, keep_out=[Box(lower=np.zeros(3), upper=np.ones(3))]), run, "emulated:worn")[0]
+    assert (len(both.keep_out), both.period) == (2, other.period), "boxes add up"
     own = settled(None, run, rejoint.open_robot("emulated:worn"))[0]
     assert own.payload is own.tool is None, "an open robot has its own"
     assert own.period == GIVEN.period

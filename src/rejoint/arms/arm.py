@@ -20,6 +20,10 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 
+_FARTHEST = 20.0
+"""[m] of a box's corner: what is farther is in millimetres (chosen)"""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
     """An axis-aligned region in the base frame."""
@@ -31,8 +35,9 @@ class Box:
 
     def __post_init__(self) -> None:
         _freeze(self)
-        if self.lower.shape != (3,) or self.upper.shape != (3,) or (self.lower >= self.upper).any():
-            raise InputError(f"a box needs lower < upper on three axes, got {self.lower}, {self.upper}")
+        ends = np.append(self.lower, self.upper)
+        if ends.shape != (6,) or np.abs(ends).max() > _FARTHEST or (self.lower >= self.upper).any():
+            raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
         """Draw points uniformly, ``(*shape, 3)`` [m]."""

@@ -6,14 +6,16 @@ Another unit stands in a title: ``x_m``, ``rx [rad]``.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, choose_postures
+from rejoint.arms import Arm, Array, Box, choose_postures
+from rejoint.arms.collision import collides
+from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import (
     WEIGHT,
     Orientation,
@@ -201,7 +203,31 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
     if sets < 1 or count < 1:
         raise InputError(f"targets: expected at least 1 set of at least 1, got {sets} of {count}")
     streams = np.random.SeedSequence(seed).spawn(sets)
-    return np.stack([arm.targets.sample(np.random.default_rng(stream), (count,)) for stream in streams])
+    return np.stack([draw_set(arm, np.random.default_rng(stream), count) for stream in streams])
+
+
+_DRAWS, _AWAY = 100, 0.01
+"""Most draws of a target beside boxes, and [m] of its straight way from them: the guard's margin and more (chosen)"""
+
+
+def draw_set(arm: Arm, rng: np.random.Generator, count: int) -> Array:
+    """Draw (count, 3) [m] targets; beside boxes, those with straight ways from the one before and from rest.
+
+    InputError where the boxes leave too few.
+    """
+    if not arm.keep_out:
+        return arm.targets.sample(rng, (count,))
+    around = tuple(Box(lower=box.lower - _AWAY, upper=box.upper + _AWAY) for box in arm.keep_out)
+    crowded = replace(arm, keep_out=around)
+    found, begin, share = list[Array](), arm.rest[None], np.linspace(0.0, 1.0, 20)[:, None, None]
+    for _ in range(_DRAWS * count):
+        place = arm.targets.sample(rng, (1,))
+        goal = find_postures(arm, place, begin[:1], None)
+        if not collides(crowded, begin + share * (goal - begin)).any():
+            found, begin = [*found, place[0]], np.vstack([goal, arm.rest])
+        if len(found) == count:
+            return np.array(found)
+    raise InputError("keep_out: too few targets beside the boxes have straight ways; give targets, or other boxes")
 
 
 def read_targets(path: Path, arm: Arm) -> Poses:

@@ -32,6 +32,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin, move, play
+from rejoint.control.targets import draw_set
 from rejoint.diagnosis.segments import DWELL, TARGETS, TARGETS_LABEL, Segment, attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -317,10 +318,10 @@ def record(robot: Robot, *, seed: int, on_progress: Progress = no_progress) -> t
     """
     arm, extra = robot.arm, {"seed": str(seed)}
     excitation = plan_excitation(arm, seed=seed)  # refused, if it is, before anything moves
+    targets = np.tile(draw_set(arm, np.random.default_rng(seed), TARGETS), (robot.count, 1, 1))
     begin(robot)
     duration = TARGETS * DWELL
     share = duration / (duration + excitation.duration)
-    targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     see = reporting("ten targets", duration, part(on_progress, 0.0, share), robot)
     open_loop = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL), on_cycle=see)
     move(robot, arm.rest)

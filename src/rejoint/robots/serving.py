@@ -343,7 +343,7 @@ MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C))
 _REASONS = {
     0: "the queue is full, or there is no such joint, axis or value",
     NO_SOLUTION: "no posture of the arm brings the tool there (error 32)",
-    COLLISION: f"the guard keeps the arm from there: it would touch the ground or itself (error {COLLISION})",
+    COLLISION: f"the guard keeps the arm from there: it would touch the ground, a box or itself (error {COLLISION})",
     NO_LINE: "the arm cannot follow a straight line there (error 33)",
     **{joint: f"joint {joint} would go beyond its limit (error {joint})" for joint in range(1, 7)},
 }

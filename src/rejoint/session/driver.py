@@ -242,7 +242,7 @@ class RehearsedRobot(WatchedRobot):
         return (
             f"Dry run, nothing moved. The arm would move for {self.read().time[0]:.0f} s: the tool by "
             f"{1e3 * tool:.0f} mm, joints by up to {np.degrees(turned[most]):.0f} deg ({arm.joint_names[most]}). "
-            f"Closest to a limit: {arm.joint_names[near]}, {np.degrees(spare[near]):.0f} deg; to the floor or itself: "
+            f"Closest to a limit: {arm.joint_names[near]}, {np.degrees(spare[near]):.0f} deg; to a contact: "
             f"{1e3 * clear_by(GuardLimits.of(arm), way).min():.0f} mm."
         )
 

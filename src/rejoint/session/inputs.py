@@ -251,8 +251,10 @@ class Settings:
         as_seed(self.seed)
         as_period(self.period)
         as_seconds("dwell", self.dwell)
-        if not all(isinstance(box, Box) for box in self.keep_out):
+        boxes = tuple(self.keep_out) if isinstance(self.keep_out, Iterable) else (None,)
+        if not all(isinstance(box, Box) for box in boxes):
             raise InputError("settings: keep_out takes boxes, such as [rejoint.arms.Box(lower=..., upper=...)]")
+        object.__setattr__(self, "keep_out", boxes)  # not an iterator, which is used up
         if self.within is not None:
             as_within("settings", self.within)
 
@@ -318,6 +320,8 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
         raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
     own = KeptSettings.of(settings).given().keys() | (set() if isinstance(robot, str) else {"payload", "tool"})
     used = {name: value for name, value in kept(run).given().items() if name not in own}
+    if settings.keep_out and (boxes := kept(run).keep_out):  # they add up
+        used["keep_out"] = tuple({str(box): box for box in (*boxes, *settings.keep_out)}.values())
     if run is None or not used:
         return settings, ""
     said = ", ".join(_IN_WORDS[name](value) for name, value in used.items())

@@ -213,9 +213,7 @@ class ArmSession(ArmDriver):
         self._require_free()
         self.open()
         if not self._clear(goal):
-            raise InputError(
-                "move_joints: there the arm would touch itself or the ground; choose other joint positions"
-            )
+            raise InputError("move_joints: there the arm would touch itself, the ground or a box; choose other ones")
 
         way = plan(self.arm, self.state.joints_rad, goal, motors=self.motors)
 
