@@ -17,7 +17,7 @@ repair: $(VENV)/repair
 # Tests by the wall clock mostly wait: four at a time. They fail too where the machine itself stalls, and are tried
 # again, which is printed.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m "not realtime"
 	$(BIN)/python -m pytest -n 4 --dist loadfile -m realtime --reruns 2 -rR
 
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
