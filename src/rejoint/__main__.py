@@ -10,6 +10,7 @@ from rejoint.system.stopping import Interrupted, ignore, install
 def main() -> None:
     """Run the command line."""
     install()
+    gc.set_threshold(50_000)  # a collection searches all that PyTorch and Numba made
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads make small matrices 2 to 3 times slower
     try:
         from rejoint.cli import main as run  # takes half a second
