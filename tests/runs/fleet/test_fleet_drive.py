@@ -162,6 +162,16 @@ def test_a_killed_lead_costs_one_step_of_each_arm(tmp_path):
     assert len(executor.begun) == len(arms) * len(stages)
 
 
+def test_a_quick_try_says_so_and_counts_for_nothing_in_a_repair(tmp_path):
+    arms, quick = [emulated("a"), emulated("b")], FleetRules(now=lambda: MONDAY, quick=True)
+    (row,) = call(tmp_path, arms[:1], PlayedExecutor(), "repair", quick).rows
+    assert (row.state, row.code) == ("quick try", 0)
+    with pytest.raises(KilledError):
+        call(tmp_path, arms, PlayedExecutor({("b", "report"): [KilledError()]}), "repair", quick)
+    call(tmp_path, arms, executor := PlayedExecutor(), "repair")
+    assert ("a", "diagnose") in executor.begun
+
+
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path):
     held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
     executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})

@@ -138,6 +138,7 @@ class CampaignInfo:
     """UTC, naive"""
     runs: dict[str, str]
     """run folder by arm name, for a repair"""
+    quick: bool = False
     finished: bool = False
 
 
@@ -169,11 +170,12 @@ class Campaign:
         """Resume or begin a call for the arms ``only``, with its folder locked (`Fleet.home`)."""
         self.fleet, self.verb, self.rules, self.file = fleet, verb, rules, fleet.home / f"{verb}.json"
         arms, now, self.resumed = fleet.only(only), utc_now(), False
-        self.info = CampaignInfo(begun=now, runs={})
+        self.info = CampaignInfo(begun=now, runs={}, quick=rules.quick)
         if self.file.exists() and not rules.fresh:
             last = read_json(self.file, CampaignInfo)
             # What was begun in the future was so by a wrong clock: no check of now would count for it.
-            self.resumed = not last.finished and timedelta(0) <= now - last.begun < STALE[verb]
+            recent = timedelta(0) <= now - last.begun < STALE[verb]
+            self.resumed = recent and not last.finished and last.quick == rules.quick
             self.info = last if self.resumed else self.info
         self.info.runs.update({arm.name: self._run_of(arm) if verb == "repair" else "" for arm in arms})
         write_json(self.file, self.info)
@@ -391,11 +393,13 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
     )
     repaired = campaign.verb == "repair" and files.info.exists()  # else the check said that there is no need
     seen = _summary(files.path / SUMMARY) if repaired else campaign.check_of(arm)
+    if end == "done" and repaired and campaign.rules.quick:
+        return replace(row, state="quick try", todo="repair it without --quick", code=0)
     if end != "done" or seen is None:
         return row
     return replace(
         row,
-        state="quick try" if repaired and campaign.rules.quick else state_of(seen),
+        state=state_of(seen),
         error_mm=seen.counts_mm,
         found=seen.line.partition(" Do: ")[0] + (f" Use {seen.controller}." if repaired else ""),
         todo=what_to_do(seen),
