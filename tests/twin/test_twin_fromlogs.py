@@ -46,7 +46,7 @@ def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
     """It says so, has seen more than the fit that was judged, and is not that one."""
     assert REFITTED in found.notes
     fitted = sum(log.time[-1] - log.time[0] for log in logs if log.label in found.fitted)
-    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0)
+    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, far_seconds=8.0)
     chosen = [log for log in logs if log.label in ("motion0", "motion1", "motion2", "motion3")]
     held = identify_logs(ARM, chosen, replace(few, hold_out=("motion3",)))
     assert held.fit_seconds > 1.2 * 60.0 < fitted
@@ -104,7 +104,7 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
 
 
 def test_threads_do_not_change_what_is_found(logs, monkeypatch):
-    few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
+    few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, far_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
     chosen = [logs[i] for i in (0, 1, 10, 11)]
     two = identify_logs(ARM, chosen, few)
     monkeypatch.setattr(replay, "THREADS", 1)
@@ -122,7 +122,7 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
         position = fed.position.copy()
         position[:, 4] = position[0, 4]
         logs.append(replace(fed, arm=stranger.name, command=command, position=position))
-    found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, fast_seconds=5.0))
+    found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, far_seconds=5.0))
     told = dict(zip(found.names, found.identified, strict=True))
     assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
     low, high = found.interval

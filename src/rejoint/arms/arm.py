@@ -13,15 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import FARTHEST_PLACE
 from rejoint.system.records import Readable, value_type
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-
-
-_FARTHEST = 20.0
-"""[m] of a box's corner: what is farther is in millimetres (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +33,7 @@ class Box:
     def __post_init__(self) -> None:
         _freeze(self)
         ends = np.append(self.lower, self.upper)
-        if ends.shape != (6,) or np.abs(ends).max() > _FARTHEST or (self.lower >= self.upper).any():
+        if ends.size != 6 or np.abs(ends).max() > FARTHEST_PLACE or (self.lower >= self.upper).any():
             raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:

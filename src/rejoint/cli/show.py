@@ -15,6 +15,7 @@ from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed, fitting
 from rejoint.logs.runfolder import Effort, cost
+from rejoint.pages.words import grouped, plural
 
 if TYPE_CHECKING:
     from rejoint.control.servogains import GainsFound
@@ -47,8 +48,7 @@ def twin(result: rejoint.Twin) -> Shown:
         f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm)."
     )
     if result.unknown:
-        kept = ", ".join(f"{name} ({', '.join(joints)})" for name, joints in result.unknown.items())
-        yield f"The data cannot tell: {kept}; they keep their prior range."
+        yield f"The data cannot tell: {grouped(result.unknown)}; they keep their prior range."
     for note in result.notes:
         yield f"  ! {note}"
 
@@ -117,7 +117,6 @@ def training(done: rejoint.TrainedPolicy) -> Shown:
 def comparison(done: rejoint.Compared) -> Shown:
     """Yield the table of all controllers and the one to use."""
     from rejoint.pages.report.tables import columns, plain_table
-    from rejoint.pages.words import plural
 
     result, advice = done.comparison, done.recommendation
     headers, rows = plain_table(columns(result), result.rows)

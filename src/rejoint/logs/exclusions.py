@@ -162,8 +162,8 @@ def declared(logs: Sequence[RunLog]) -> list[RunLog]:
     names = list(compress(logs[0].joint_names, _silent(logs) & ~np.any(alive, axis=0)))
     if not names:
         return list(logs)
-    known = [[*filter(None, log.extra.get(UNPOWERED, "").split(",")), *names] for log in logs]
-    return [replace(log, extra=log.extra | {UNPOWERED: ",".join(one)}) for log, one in zip(logs, known, strict=True)]
+    known = [",".join([*names, log.extra.get(UNPOWERED, "")]) for log in logs]
+    return [replace(log, extra=log.extra | {UNPOWERED: one}) for log, one in zip(logs, known, strict=True)]
 
 
 def answered(log: RunLog) -> RunLog:

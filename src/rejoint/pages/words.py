@@ -1,7 +1,7 @@
 """Numbers for readers: rounded, with units, never `nan`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
@@ -28,6 +28,11 @@ def interval(low: float | None, high: float | None, digits: int = 3, unit: str =
     low, high = low * factor, high * factor
     places = _places(max(abs(low), abs(high)), digits)
     return f"{low:z.{places}f} to {high:z.{places}f}{_suffix(unit)}"
+
+
+def grouped(found: Mapping[str, Sequence[str]]) -> str:
+    """Names and their joints: ``damping (joint4), delay (arm)``."""
+    return ", ".join(f"{name} ({', '.join(joints)})" for name, joints in found.items())
 
 
 def _places(value: float, digits: int) -> int:

@@ -17,6 +17,7 @@ from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
+from rejoint.pages.words import grouped
 from rejoint.runs.run import Run
 from rejoint.runs.stages.fitting import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
@@ -301,6 +302,5 @@ def _missing(arm: Arm, twin: Twin) -> list[str]:
     if p.delay < 0:
         lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
     if twin.unknown:
-        kept = ", ".join(f"{name} ({', '.join(joints)})" for name, joints in twin.unknown.items())
-        lines.append(f"As assumed before, for the motion did not tell: {kept}.")
+        lines.append(f"As assumed before, for the motion did not tell: {grouped(twin.unknown)}.")
     return lines

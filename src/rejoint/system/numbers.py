@@ -12,7 +12,8 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
 FARTHEST = 0.1
 """[m] largest accepted error (chosen: more is in millimetres)"""
 
-_FARTHEST = 10.0  # [m] from the base that a place lies at most (chosen: what is farther is in millimetres)
+FARTHEST_PLACE = 10.0
+"""[m] from the base of a place (chosen: what is farther is in millimetres)"""
 
 
 def as_seed(seed: int | None) -> int:
@@ -63,7 +64,7 @@ def as_place(
     given: object,
     expected: str = "a point (3,) in metres",
     axes: tuple[int, ...] = (1,),
-    most: float = _FARTHEST,
+    most: float = FARTHEST_PLACE,
 ) -> NDArray[np.float64]:
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)

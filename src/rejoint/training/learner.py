@@ -207,9 +207,9 @@ def setting(get: Callable[[], T], put: Callable[[T], object], value: T) -> Itera
         put(before)
 
 
-def on_threads(count: int) -> AbstractContextManager[None]:
-    """Let torch compute on ``count`` threads within the block."""
-    return setting(torch.get_num_threads, torch.set_num_threads, count)
+def on_one_thread() -> AbstractContextManager[None]:
+    """Let torch compute on one thread within the block; chosen: more are slower beside other programs."""
+    return setting(torch.get_num_threads, torch.set_num_threads, 1)
 
 
 CEILING_FALLS = 0.8
@@ -285,7 +285,7 @@ class Learner:
         self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
-        with precision, on_threads(1):  # chosen: more are slower beside other programs
+        with precision, on_one_thread():
             rollout = self.worker.roll(self.actor, self.critic, s.rollout)
             self.actor.requires_grad_(done >= s.critic_first)
             self.ppo.learn(rollout, rate, iteration=done)

@@ -116,7 +116,7 @@ class LogSettings:
     """[s] for the structure; measured: 100 s are equal"""
     fit_seconds: float = 200.0
     """[s] for the final fit; measured: 400 s are equal, 100 s 3 % worse"""
-    fast_seconds: float = 40.0
+    far_seconds: float = 40.0
     """[s] of the motion farthest from its commands, which shows limits"""
     contact_seconds: float = 240.0
     """[s] of contact for the table; measured: 80 s are a fifth worse"""
@@ -296,9 +296,9 @@ class Motions:
         return cut_windows(self.logs, self.excluded, WINDOW)
 
     @cached_property
-    def fast(self) -> list[Window]:
+    def far(self) -> list[Window]:
         """The free motion in which limits show."""
-        return farthest(self.windows, self.logs, self.settings.fast_seconds)
+        return farthest(self.windows, self.logs, self.settings.far_seconds)
 
     @property
     def belief(self) -> Prior:
@@ -322,14 +322,14 @@ class Motions:
         simple = Structure(belief=self.belief, acceleration=self.arm.servo_acceleration)
         x = rough_fit(self.problem(slow, simple))
         on_progress(0.3, "structure")
-        expected, simple = simple, find_acceleration(partial(self.problem, self.fast), simple, x)
+        expected, simple = simple, find_acceleration(partial(self.problem, self.far), simple, x)
         if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
             x = rough_fit(self.problem(slow, simple))
-        return find_structure(partial(self.problem, sorted({*slow, *self.fast})), simple, x)
+        return find_structure(partial(self.problem, sorted({*slow, *self.far})), simple, x)
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
         """Fit windows from all logs, from ``start`` (k,)."""
-        every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.fast})
+        every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.far})
         problem = self.problem(every, structure, stride=1.0)
         return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
 

@@ -142,7 +142,7 @@ def _drawn(problem: Problem, x: Array, count: int, rng: np.random.Generator, wid
 
 
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
-    """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
+    """Limit the reference's acceleration where that explains the windows farthest off, from ``start`` (k,).
 
     ``make`` turns a structure into a problem. Without evidence, that of ``simple`` holds.
     """

@@ -26,7 +26,7 @@ from rejoint.training.learner import (
     CurvePoint,
     Rollout,
     next_point,
-    on_threads,
+    on_one_thread,
     perceptron,
     stacked,
     step,
@@ -104,7 +104,7 @@ def train_offpolicy(
     torch.manual_seed(seed)
     agent, curve, done, began = _make_agent(task), list[CurvePoint](), list[Rollout](), time.perf_counter()
     seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
-    with on_threads(1):
+    with on_one_thread():
         for cycle in range(cycles):
             seen = _interact(agent, task, {"timestep": cycle, "timesteps": cycles}, seen)
             done.append(seen)

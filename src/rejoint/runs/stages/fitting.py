@@ -136,7 +136,7 @@ def identify(
             twin = fit(chosen, motions, update, iterations=2 if quick else ITERATIONS)
         else:
             if quick:
-                size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "fast_seconds": 5.0, "contact_seconds": 20.0}
+                size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "far_seconds": 5.0, "contact_seconds": 20.0}
             hold_out = None if what.hold_out is None else tuple(what.hold_out)
             how = LogSettings(hold_out=hold_out, seed=drawn, **size)
             twin = identify_logs(chosen, motions, how, update, what.beside)
