@@ -18,7 +18,7 @@ repair: $(VENV)/repair
 # again, which is printed.
 test: $(READY)
 	$(BIN)/python -m pytest -n 3 --dist loadfile -m "not realtime"
-	$(BIN)/python -m pytest -n 4 --dist loadfile -m realtime --reruns 2 -rR
+	$(BIN)/python -m pytest -n 4 --dist loadfile -m realtime --reruns 2 -rR $$(grep -rlw --include="test_*.py" realtime tests)
 
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
 wheel-test: $(READY)

@@ -34,7 +34,7 @@ def circles(arm, count):
 def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
     arm = load_arm(name)
     possible, followed, beyond_rest = 0, 0, 0
-    for path in circles(arm, 30):
+    for path in circles(arm, 20):
         if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
             continue
         possible += 1
@@ -47,7 +47,7 @@ def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
         assert not collides(arm, way).any()
         followed += 1
         beyond_rest += bool((home != arm.rest).any())
-    assert possible > 10
+    assert possible > 6
     assert followed >= 0.8 * possible
     assert beyond_rest > 0
 
@@ -81,7 +81,7 @@ def test_an_accepted_path_keeps_the_clearance_of_targets(height):
     arm = load_arm("mycobot280")
     circle = 0.03 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
     path = Path(time=np.linspace(0.0, 20.0, 61), place=np.array([0.16, 0.1, height]) + circle)
-    if any(choose_postures(arm, path.place, arm.rest).refusals):
+    if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
         with pytest.raises(InputError):
             path.home(arm)
     else:
