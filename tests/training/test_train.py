@@ -122,10 +122,10 @@ def test_advantages_worked_by_hand():
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     learner = small_learner()
-    worker, seen = learner.worker, []
-    step = worker.task.step
-    worker.task.step = lambda action: seen.append(step(action)) or seen[-1]
-    rolled = worker.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
+    task, seen = learner.task, []
+    step = task.step
+    task.step = lambda action: seen.append(step(action)) or seen[-1]
+    rolled = learner.roll()
     assert rolled["truncated"].any()
     assert not rolled["terminated"].any()
     for t, n in rolled["truncated"].nonzero().tolist():

@@ -157,29 +157,6 @@ class Ppo(PPO):  # type: ignore[misc]
         self.tracking_data.clear()
 
 
-class RolloutWorker:
-    """The agents of one task with their exploration noise."""
-
-    def __init__(self, task: ReachTask, *, seed: int) -> None:
-        self.task = task
-        self._exploration = torch.Generator().manual_seed(seed)
-        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
-
-    @torch.no_grad()
-    def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
-        """Act for some control cycles."""
-        rows = []
-        for _ in range(cycles):
-            seen = {"observations": self._seen["observation"], "states": self._seen["privileged"]}
-            action, density = actor.sample(seen["observations"], self._exploration)
-            self._seen = step(self.task, action)
-            rows.append(seen | {"actions": action, "log_prob": density} | self._seen)
-        rollout = stacked(rows)
-        late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
-        final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))
-        return rollout | {"values": critic.value(rollout["observations"], rollout["states"]), "final_value": final}
-
-
 def step(task: ReachTask, action: Tensor) -> Rollout:
     """`Transition` of one control cycle with actions (N, n)."""
     return {name: torch.from_numpy(value) for name, value in task.step(action.numpy())._asdict().items()}
@@ -270,7 +247,8 @@ class Learner:
         if start is not None:
             torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())
         self.critic = Critic(size, task.privileged_size, joints, settings.critic_layers)
-        self.worker = RolloutWorker(task, seed=seed)
+        self.task, self._exploration = task, torch.Generator().manual_seed(seed)
+        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
         self.ppo = Ppo(self.actor, self.critic, settings, agents=task.agents)
         self.curve: list[CurvePoint] = []
 
@@ -286,11 +264,25 @@ class Learner:
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
         with precision, on_one_thread():
-            rollout = self.worker.roll(self.actor, self.critic, s.rollout)
+            rollout = self.roll()
             self.actor.requires_grad_(done >= s.critic_first)
             self.ppo.learn(rollout, rate, iteration=done)
         noise, seconds = self.actor.log_std.exp().mean().item(), time.perf_counter() - start
-        ends_on_success = self.worker.task.ends_on_success
+        ends_on_success = self.task.ends_on_success
         point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=ends_on_success)
         self.curve.append(point)
         return point
+
+    @torch.no_grad()
+    def roll(self) -> Rollout:
+        """Act for the control cycles of a rollout, with exploration noise."""
+        rows, critic = [], self.critic
+        for _ in range(self.settings.rollout):
+            seen = {"observations": self._seen["observation"], "states": self._seen["privileged"]}
+            action, density = self.actor.sample(seen["observations"], self._exploration)
+            self._seen = step(self.task, action)
+            rows.append(seen | {"actions": action, "log_prob": density} | self._seen)
+        rollout = stacked(rows)
+        late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
+        final[late] = critic.value(rollout["final_observation"][late], rollout["final_privileged"][late])
+        return rollout | {"values": critic.value(rollout["observations"], rollout["states"]), "final_value": final}
