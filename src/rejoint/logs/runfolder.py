@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.logs.journal import recover
 from rejoint.system.errors import LOGGER, FileError
-from rejoint.system.files import UNFINISHED, read_json, write_json, writing
+from rejoint.system.files import UNFINISHED, read_json, read_json_if, write_json, writing
 from rejoint.system.records import value_type
 
 
@@ -201,9 +201,7 @@ class StageCost:
     def __add__(self, other: StageCost) -> StageCost:
         return StageCost(
             name=self.name,
-            wall=self.wall + other.wall,
-            moving=self.moving + other.moving,
-            travel=self.travel + other.travel,
+            **{name: getattr(self, name) + getattr(other, name) for name in ("wall", "moving", "travel")},
         )
 
 
@@ -239,4 +237,4 @@ def add(folder: RunFolder, cost: StageCost) -> None:
 
 def read_effort(folder: RunFolder) -> Effort | None:
     """Cost of a run's stages, or None."""
-    return read_json(folder.effort, Effort) if folder.effort.exists() else None
+    return read_json_if(folder.effort, Effort)

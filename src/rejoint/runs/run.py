@@ -25,7 +25,7 @@ from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, unused, write_json
+from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json_if, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, entity
 from rejoint.system.shell import __version__
@@ -147,8 +147,7 @@ class Run(Readable):
         """What is wrong with the arm, if diagnosed."""
         from rejoint.diagnosis.diagnosis import Diagnosis
 
-        path = self.folder.diagnosis
-        return read_json(path, Diagnosis) if path.exists() else None
+        return read_json_if(self.folder.diagnosis, Diagnosis)
 
     @property
     def twin(self) -> Twin | None:
@@ -163,14 +162,12 @@ class Run(Readable):
     @property
     def gains(self) -> GainsFound | None:
         """Better gains of the servos, if searched."""
-        path = self.folder.gains
-        return read_json(path, GainsFound) if path.exists() else None
+        return read_json_if(self.folder.gains, GainsFound)
 
     @property
     def comparison(self) -> Comparison | None:
         """Every controller on the arm, if compared."""
-        path = self.folder.comparison
-        return read_json(path, Comparison) if path.exists() else None
+        return read_json_if(self.folder.comparison, Comparison)
 
     @property
     def recommendation(self) -> Recommendation | None:
@@ -216,7 +213,7 @@ def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
 def mark_quick(run: Run, *, quick: bool) -> None:
     """Mark a quick stage: the folder's results are not valid."""
     if quick:
-        write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
+        _mark(run.folder.quick)
 
 
 def finish(run: Run) -> None:
@@ -226,7 +223,11 @@ def finish(run: Run) -> None:
         (folder.judgement,) if run.robot.startswith(LOGS) else (folder.diagnosis, folder.policy, folder.comparison)
     )
     if all(path.exists() for path in (folder.twin, *results)):
-        write_json(folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
+        _mark(folder.finished)
+
+
+def _mark(path: Path) -> None:
+    write_json(path, {path.stem: datetime.now().isoformat(timespec="seconds")})
 
 
 @contextmanager
@@ -252,6 +253,7 @@ def exclusive(run: Run | None) -> Iterator[None]:
 
 
 def _empty(path: Path) -> bool:
+    """Whether a folder holds no more than what a run begins with."""
     begun = {"run.json", "arm.toml", "settings.json", ".lock"}
     return all(entry.name in begun or entry.name.endswith(UNFINISHED) for entry in path.iterdir())
 

@@ -21,7 +21,7 @@ from rejoint.logs.runlog import RunLog, describe
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_json, write_json
+from rejoint.system.files import read_json_if, write_json
 from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
 from rejoint.system.records import value_type
 from rejoint.twin.twin import Twin, read_twin
@@ -305,9 +305,7 @@ def keep(run: Run, settings: Settings) -> None:
 
 def kept(run: Run | None) -> KeptSettings:
     """Return what ``run`` keeps; FileError where that is damaged."""
-    if run is None or not run.folder.settings.exists():
-        return KeptSettings()
-    return read_json(run.folder.settings, KeptSettings)
+    return (run and read_json_if(run.folder.settings, KeptSettings)) or KeptSettings()
 
 
 def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) -> tuple[Settings, str]:

@@ -160,6 +160,11 @@ def read_json(path: Path, kind: type[T]) -> T:
         return msgspec.json.decode(data, type=kind, dec_hook=array_of)
 
 
+def read_json_if(path: Path, kind: type[T]) -> T | None:
+    """Read JSON as `read_json`; None where there is no file."""
+    return read_json(path, kind) if path.exists() else None
+
+
 @contextmanager
 def saving(result: object) -> Iterator[None]:
     """Raise UnsavedError with ``result`` in place of FileError."""
