@@ -103,11 +103,10 @@ def summarise(run: Run) -> None:
     diagnosis, comparison = run.diagnosis, run.comparison
     if run.folder.quick.exists() or (diagnosis is None and comparison is None):
         return
-    path, kind, before = run.path / SUMMARY, "repair" if run.folder.finished.exists() else "run", list[HistoryRow]()
-    with suppress(FileError, FileNotFoundError):
-        before = [row for row in read_rows(path) if row.kind == kind == "repair"]
+    path, kind = run.path / SUMMARY, REPAIR if run.folder.finished.exists() else "run"
+    before = summary_of(path)
     arm = HistoryRow(
-        time=before[0].time if before else utc_now(),
+        time=before.time if before is not None and before.kind == kind == REPAIR else utc_now(),
         kind=kind,
         arm=name_of(run.robot, run.arm.name),
         robot=run.robot,
@@ -128,6 +127,13 @@ def summarise(run: Run) -> None:
         settled, true = (1e3 * one.mean.value if one else None for one in (best.settled, best.settled_true))
         arm = replace(arm, controller=best.controller, success=best.reached, settled_mm=settled, settled_true_mm=true)
     write_rows(path, [arm, *joints])
+
+
+def summary_of(path: Path) -> HistoryRow | None:
+    """Row of the arm in a summary; None where it cannot be read."""
+    with suppress(FileError):
+        return next((row for row in read_rows(path) if not row.joint), None)
+    return None
 
 
 _DIAGNOSED = ("stiffness_nm_per_rad", "coulomb_nm", "lag_s", "offset_rad")

@@ -2,23 +2,22 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
-from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
+from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, utc_now
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages.html import write_page
 from rejoint.pages.words import plural
 from rejoint.runs.failure import failure_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, what_to_do
+from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, summary_of, what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
-from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.records import value_type
 from rejoint.system.stopping import Interrupted, check, noted, shielded
@@ -210,7 +209,7 @@ class Campaign:
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Newest check of an arm in this campaign."""
         places = (self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}")
-        rows = map(_summary, sorted(places, reverse=True))  # their folders are named after their times
+        rows = map(summary_of, sorted(places, reverse=True))  # their folders are named after their times
         return next((row for row in rows if row and row.time >= self.info.begun), None)
 
     def finish(self) -> bool:
@@ -317,12 +316,6 @@ class Campaign:
         return "its hours never come" if opens is None else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"
 
 
-def _summary(path: Path) -> HistoryRow | None:
-    with suppress(FileError, FileNotFoundError):
-        return next((row for row in read_rows(path) if not row.joint), None)
-    return None
-
-
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
@@ -392,7 +385,7 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
         code=one.code,
     )
     repaired = campaign.verb == "repair" and files.info.exists()  # else the check said that there is no need
-    seen = _summary(files.path / SUMMARY) if repaired else campaign.check_of(arm)
+    seen = summary_of(files.path / SUMMARY) if repaired else campaign.check_of(arm)
     if end == "done" and repaired and campaign.rules.quick:
         return replace(row, state="quick try", todo="repair it without --quick", code=0)
     if end != "done" or seen is None:

@@ -54,9 +54,10 @@ class Hours(NamedTuple):
 
     def begins(self, now: datetime) -> datetime | None:
         """Return ``now`` if a motion may begin, else when it may next; None beyond `HORIZON`."""
-        room = sliding_window_view(self._open(now, HORIZON * _DAY), ROOM)
-        first = next(iter(np.flatnonzero(room.all(axis=1)).tolist()), None)
-        return now.replace(second=0, microsecond=0) + first * _MINUTE if first else None if first is None else now
+        room = np.asarray(sliding_window_view(self._open(now, HORIZON * _DAY), ROOM).all(axis=1))
+        if room[0]:
+            return now
+        return now.replace(second=0, microsecond=0) + int(room.argmax()) * _MINUTE if room.any() else None
 
 
 def _span(text: str) -> list[tuple[int, int]]:
