@@ -231,15 +231,13 @@ class _CycleGraph(nn.Module):
 def _answer(network: bytes, values: Any) -> Any:  # noqa: ANN401
     graph = onnx.load_from_string(network).graph
     held = {one.name: torch.as_tensor(numpy_helper.to_array(one).copy()) for one in graph.initializer}
-    for node in graph.node:  # of the operators that a policy may have
+    for node in graph.node:
         more = [held[name] for name in node.input[1:]]
-        match node.op_type:
-            case "Gemm":
-                values = functional.linear(values, *more)
-            case "Elu":
-                values = functional.elu(values, node.attribute[0].f)
-            case "Tanh":
-                values = torch.tanh(values)
-            case "Clip":
-                values = values.clamp(*(float(one) for one in more))
+        if node.op_type == "Elu":
+            more = [node.attribute[0].f]
+        values = _LAYERS[node.op_type](values, *more)
     return values
+
+
+_LAYERS: dict[str, Any] = {"Gemm": functional.linear, "Elu": functional.elu, "Tanh": torch.tanh, "Clip": torch.clamp}
+"""The operators that a policy may have"""

@@ -52,15 +52,13 @@ def export_run(
         path, told = write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
     elif kind == "lerobot":
         path, told = _lerobot(about, lerobot, out)
-    elif kind in ("mjcf", "isaaclab"):
+    elif kind in _SIMULATORS:
         require(f"rejoint export --format {kind}", "train", "jinja2")
-        if about.twin is None:
+        if (twin := about.twin) is None:
             raise FileError(about.folder.twin, "no such file", f"make it with: rejoint identify {about.path}")
-        make, name = (
-            (mjcf_text, f"{about.arm.name}.xml") if kind == "mjcf" else (isaaclab_text, "isaaclab_actuators.py")
-        )
-        path = out or about.path / name
-        write_text(path, make(_unit(about), about.twin))
+        make, name = _SIMULATORS[kind]
+        path = out or about.path / name.format(about.arm.name)
+        write_text(path, make(_unit(about), twin))
         told = "The servos are those of the twin; a comment says what the simulator lacks."
     elif kind == "urdf":
         found, rigid = _rigid(about)
@@ -286,6 +284,10 @@ def isaaclab_text(arm: Arm, twin: Twin) -> str:
     """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
     missing = _missing(arm, twin)
     return render("export/isaaclab.py.txt", by_joint=_by_joint, arm=arm, p=twin.parameters, missing=missing) + "\n"
+
+
+_SIMULATORS = {"mjcf": (mjcf_text, "{}.xml"), "isaaclab": (isaaclab_text, "isaaclab_actuators.py")}
+"""What writes the text of a model, and the name of its file"""
 
 
 def _by_joint(arm: Arm, values: Any) -> dict[str, float]:  # noqa: ANN401
