@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 from typing import ClassVar, TypeAlias
 
@@ -215,16 +216,13 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
         _note.hook(unraisable)
 
 
-class _Hosts:
-    def __init__(self, handler: Callable[[int, FrameType | None], object]) -> None:
-        self._handler = handler
-
-    def __call__(self, signum: int, frame: FrameType | None) -> None:
-        try:
-            self._handler(signum, frame)
-        except BaseException as error:  # noqa: BLE001 - raised again by `check`
-            _note.hosts = error
-            _handle(signum, frame)
+def _hosts(handler: Callable[[int, FrameType | None], object], signum: int, frame: FrameType | None) -> None:
+    """Call a handler of the host program."""
+    try:
+        handler(signum, frame)
+    except BaseException as error:  # noqa: BLE001 - raised again by `check`
+        _note.hosts = error
+        _handle(signum, frame)
 
 
 def _set_handlers() -> dict[int, Handler]:
@@ -233,9 +231,9 @@ def _set_handlers() -> dict[int, Handler]:
     before = {}
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
-        module = getattr(getattr(handler, "func", handler), "__module__", None)
-        if handler in (signal.SIG_DFL, signal.default_int_handler) or module in _CANCELLING:
+        inner = getattr(handler, "func", handler)
+        if handler in (signal.SIG_DFL, signal.default_int_handler) or getattr(inner, "__module__", None) in _CANCELLING:
             before[signum] = signal.signal(signum, _handle)
-        elif callable(handler) and handler not in (_handle, _pass_over) and not isinstance(handler, _Hosts):
-            before[signum] = signal.signal(signum, _Hosts(handler))
+        elif callable(handler) and inner not in (_handle, _pass_over, _hosts):
+            before[signum] = signal.signal(signum, partial(_hosts, handler))
     return before

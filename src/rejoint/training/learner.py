@@ -200,17 +200,17 @@ REACHED_DISTANCE = 0.010
 class CurvePoint:
     """State of the training after one update."""
 
-    step: int
+    step: int = 0
     """transitions"""
-    reward: float
+    reward: float = 0.0
     """mean per control cycle, with exploration noise"""
-    success_rate: float
+    success_rate: float = 0.0
     """fraction of the targets held (ours) or reached (the paper) at their end"""
-    error_mm: float
+    error_mm: float = 0.0
     """median at the end of a target"""
-    noise: float
+    noise: float = 0.0
     """sigma of the exploration noise"""
-    wall_s: float
+    wall_s: float = 0.0
     """without pauses"""
 
 
@@ -221,7 +221,7 @@ def next_point(
 
     Where no target ended, its success and error are those of before.
     """
-    last = curve[-1] if curve else CurvePoint(step=0, reward=0.0, success_rate=0.0, error_mm=0.0, noise=0.0, wall_s=0.0)
+    last = curve[-1] if curve else CurvePoint()
     ended = seen["terminated"] | seen["truncated"]
     distance = seen["distance"][ended].numpy()
     success = seen["terminated"][ended].numpy() if ends_on_success else distance < REACHED_DISTANCE
