@@ -20,7 +20,7 @@ from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, ri
 from rejoint.arms.rotations import inverse, pose_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import MODEL_MOST, read_bounded, reading
+from rejoint.system.files import read_bounded, reading
 from rejoint.system.shell import Late
 
 mujoco = Late("mujoco")
@@ -230,7 +230,7 @@ def parse(path: Path) -> ET.Element:
     """Root of a model, of a URDF with links' masses and joints only; FileError."""
     remedy = "check the path of the arm"
     with reading(path, "it cannot be read", remedy):
-        text = read_bounded(path, MODEL_MOST, remedy)
+        text = read_bounded(path, remedy)
     try:
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text))  # noqa: S314 - expat expands no external entities

@@ -262,7 +262,7 @@ def edge_width(grey: Picture, corners: Array) -> float:
 
 def read_picture(path: Path) -> Picture | None:
     """Grey levels of an image, or None."""
-    data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)
+    data = np.frombuffer(read_bounded(path, "take a smaller picture", PICTURE_MOST), np.uint8)
     # a phone that looks down turns its pictures by what it takes for upright, its lens does not turn
     found = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
     return None if found is None else np.asarray(found, np.uint8)

@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import JSON_MOST, read_bounded, read_shipped, read_toml, reading, write_text
+from rejoint.system.files import read_bounded, read_shipped, read_toml, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
 
 AngleUnit = Literal["rad", "deg", "normalised"]
@@ -215,7 +215,7 @@ def read_homing(source: Path, *, turned: bool = False) -> dict[str, Any]:
     """Read the motors of LeRobot's calibration, perhaps ``turned`` ones; FileError."""
     remedy = "give the JSON file that lerobot-calibrate wrote"
     with reading(source, "not a calibration of LeRobot", remedy):
-        motors = json.loads(read_bounded(source, JSON_MOST, remedy))
+        motors = json.loads(read_bounded(source, remedy))
         for name, motor in motors.items():
             if not all(isinstance(motor[key], int) for key in _NUMBERS):
                 raise TypeError(f"{', '.join(_NUMBERS)} of {name} are not all whole numbers")

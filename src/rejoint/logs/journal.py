@@ -142,7 +142,7 @@ def _convert(file: Path, path: Path) -> Path | None:
 
 def read_journal(file: Path) -> RunLog | None:
     """Whole rows of a journal; None without a header."""
-    head, _, rest = read_bounded(file, LOG_MOST, "delete it").partition(b"\n")
+    head, _, rest = read_bounded(file, "delete it", LOG_MOST).partition(b"\n")
     try:
         magic, _, text = head.decode().partition(" {")
         about: dict[str, Any] = json.loads("{" + text)

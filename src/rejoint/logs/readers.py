@@ -25,7 +25,7 @@ from rejoint.logs.joints import NAMES, TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, read_parquet
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.extras import require
-from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
+from rejoint.system.files import begins_with, read_bounded, reading, require_file
 from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit
 
 
@@ -55,7 +55,7 @@ def _is_sage(folder: Path, _: bool) -> bool:
 def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
     file = folder / _JOINTS
     with reading(file, "a SAGE motion needs it, and it is no readable text", "copy it"):
-        text = read_bounded(file, TEXT_MOST, _CUT).decode("utf-8-sig")
+        text = read_bounded(file, _CUT).decode("utf-8-sig")
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
     state, sent = (
@@ -124,7 +124,7 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
     with reading(file, "JSON without one list of records of numbers", _AGAIN):
-        data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
+        data = json.loads(read_bounded(file, "cut it into several files", TEXT_MOST))
         data = data if isinstance(data, dict) else {"": data}
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
         columns = {
@@ -169,7 +169,7 @@ def _is_dataset(source: Path, named: bool) -> bool:
 def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
     path = source / _INFO
     with reading(path, "damaged", _REMEDY):
-        data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
+        data = json.loads(read_bounded(path, _REMEDY))
         version, fps, frames = str(data["codebase_version"]), float(data["fps"]), int(data["total_frames"])
         if not version.startswith(("v2.", "v3.")):
             raise FileError(

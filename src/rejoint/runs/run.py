@@ -25,7 +25,7 @@ from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json_if, reading, unused, write_json
+from rejoint.system.files import UNFINISHED, digest, read_bounded, read_json_if, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, entity
 from rejoint.system.shell import __version__
@@ -261,7 +261,7 @@ def _empty(path: Path) -> bool:
 def _digest(folder: RunFolder) -> str:
     remedy = "bring it back, or begin another run"
     with reading(folder.description, "cannot be read", remedy):
-        return digest(read_bounded(folder.description, TOML_MOST, remedy)).decode()
+        return digest(read_bounded(folder.description, remedy)).decode()
 
 
 @contextmanager

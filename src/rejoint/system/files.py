@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
+from rich.filesize import decimal
 
 from rejoint.system.errors import FileError, UnsavedError, first_line
 
@@ -27,17 +28,11 @@ MEGABYTE = 10**6
 
 CHANGED = "damaged (it is not what was written: its digest is another)"
 
-JSON_MOST = 64 * MEGABYTE
-"""[bytes] (chosen)"""
-
-TOML_MOST = 4 * MEGABYTE
-"""[bytes] (chosen)"""
+FILE_MOST = 64 * MEGABYTE
+"""[bytes] of a file of text, unless it holds a table (chosen)"""
 
 SPACE = 50 * MEGABYTE
 """[bytes] free before an arm moves (chosen: a run takes 5 MB)"""
-
-MODEL_MOST = 64 * MEGABYTE
-"""[bytes] of a URDF or MJCF file (chosen)"""
 
 UNFINISHED = ".partial"
 """Suffix of unfinished files"""
@@ -88,7 +83,7 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def read_bounded(path: Path, most: int, remedy: str) -> bytes:
+def read_bounded(path: Path, remedy: str, most: int = FILE_MOST) -> bytes:
     """Read a file of at most ``most`` bytes; FileError, OSError."""
     require_file(path, most, remedy)
     return path.read_bytes()
@@ -112,7 +107,7 @@ def require_file(path: Path, most: int, remedy: str) -> None:
         kind = "a folder" if path.is_dir() else "a pipe or a device"
         raise FileError(path, f"cannot be read: it is {kind}", "give a file")
     if size > most:
-        raise FileError(path, f"{_size(size)} large, expected at most {_size(most)}", remedy)
+        raise FileError(path, f"{decimal(size)} large, expected at most {decimal(most)}", remedy)
 
 
 def begins_with(path: Path, first: bytes) -> bool:
@@ -131,7 +126,7 @@ def require_space(folder: Path) -> None:
     with writing(folder):
         free = shutil.disk_usage(folder).free
     if free < SPACE:
-        raise FileError(folder, f"{_size(free)} free on that disk, {_size(SPACE)} needed", UNWRITABLE)
+        raise FileError(folder, f"{decimal(free)} free on that disk, {decimal(SPACE)} needed", UNWRITABLE)
 
 
 def write_json(path: Path, value: object) -> None:
@@ -151,7 +146,7 @@ def read_json(path: Path, kind: type[T]) -> T:
     """Read JSON of `write_json` as ``kind``; FileError."""
     remedy = "delete what is left of it, and run its stage"
     with reading(path, "damaged", remedy):
-        data = read_bounded(path, JSON_MOST, remedy)
+        data = read_bounded(path, remedy)
         found = _DIGEST.search(data)
         if found:
             data = data[: found.start()] + b"\n}"
@@ -196,10 +191,6 @@ def digest(data: bytes) -> bytes:
     return hashlib.sha256(data).hexdigest()[:16].encode()
 
 
-def _size(size: int) -> str:
-    return f"{size / MEGABYTE:.1f} MB" if size < 1000 * MEGABYTE else f"{size / MEGABYTE / 1000:.1f} GB"
-
-
 Number = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e300)]
 Triple = tuple[Number, Number, Number]
@@ -214,7 +205,7 @@ class Table(msgspec.Struct, forbid_unknown_fields=True):
 def read_toml(path: Path, kind: type[T], remedy: str) -> T:
     """Read a TOML file as ``kind``; FileError names the key, or has the ``remedy``."""
     with reading(path, "it cannot be read", remedy):
-        text = read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig")
+        text = read_bounded(path, remedy).decode("utf-8-sig")
     try:
         return msgspec.toml.decode(text, type=kind)
     except (RecursionError, ValueError) as error:
@@ -250,7 +241,7 @@ def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, 
     """Read a ``name`` file of format ``version`` and ``build`` its content; FileError with the remedy ``again``."""
     remedy = f"{again} again"
     with reading(path, f"no {name}", remedy):
-        text = read_bounded(path, TOML_MOST, remedy)
+        text = read_bounded(path, remedy)
         sealed = _SEAL.search(text)
         if sealed and digest(text[sealed.end() :]) != sealed[1]:
             raise FileError(path, CHANGED, remedy)

@@ -144,7 +144,7 @@ def read_sheet(path: Path, *, names: Sequence[str] = (), whole: bool = True, mos
     empty.
     """
     with reading(path, "not readable", "check the path and its permissions"):
-        data = read_bounded(path, most, "cut it into several files")
+        data = read_bounded(path, "cut it into several files", most)
     return _parsed(*_decoded(data, path), path, names, whole=whole)
 
 

@@ -307,7 +307,7 @@ class Policy(Readable):
     def load(cls, path: Path | str) -> Policy:
         """Read a policy file; FileError."""
         with reading(Path(path), _DAMAGED, "train the policy again"):
-            data = read_bounded(Path(path), LARGEST_FILE, "check the path")
+            data = read_bounded(Path(path), "check the path", LARGEST_FILE)
             metadata = read_metadata(data)
         text = metadata.get(METADATA_KEY)
         if text is None:
