@@ -98,7 +98,7 @@ def returns(seen, next_value, **changes):
             parameter.zero_()
         critic.net[-1].bias.fill_(next_value)
     ppo = Ppo(Actor(2, 2, (4,), -0.7), critic, settings, agents=seen["reward"].shape[1])
-    ppo.learn(seen, 1e-3, iteration=0)
+    ppo.learn(seen, 1e-3)
     return ppo.memory.get_tensor_by_name("returns")[..., 0] - seen["values"]
 
 

@@ -141,7 +141,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self.optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], fused=True)
         self.init()
 
-    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> None:
+    def learn(self, rollout: Rollout, learning_rate: float) -> None:
         """Improve both networks by one rollout."""
         settings = self.settings
         # a time-out adds the value of its state
@@ -153,7 +153,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self._current_next_observations = rollout["observation"][-1]
         self._current_next_states = rollout["privileged"][-1]
         self.optimizer.param_groups[0]["lr"] = learning_rate
-        self.update(timestep=iteration, timesteps=settings.iterations)
+        self.update(timestep=0, timesteps=0)  # which nothing here depends on
         self.tracking_data.clear()
 
 
@@ -266,7 +266,7 @@ class Learner:
         with precision, on_one_thread():
             rollout = self.roll()
             self.actor.requires_grad_(done >= s.critic_first)
-            self.ppo.learn(rollout, rate, iteration=done)
+            self.ppo.learn(rollout, rate)
         noise, seconds = self.actor.log_std.exp().mean().item(), time.perf_counter() - start
         ends_on_success = self.task.ends_on_success
         point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=ends_on_success)
