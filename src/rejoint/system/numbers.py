@@ -81,7 +81,7 @@ def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np
         array = np.asarray(given)
         if array.dtype.kind in "biufO":  # the last: numbers of other kinds, such as Decimal
             return array.astype(float, copy=False)
-        found = {"M": "dates", "m": "spans of time", "c": "complex numbers"}.get(array.dtype.kind, "text")
+        found = "text" if array.dtype.kind in "SU" else f"values of type {array.dtype.name}"
     except (TypeError, ValueError):
         found = "rows of different length, or no numbers"
     raise InputError(f"{what}: expected {expected}, found {found}")
