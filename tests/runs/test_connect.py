@@ -15,7 +15,7 @@ from hearing import Hears
 from madetwin import made_calibration, made_twin
 from rejoint.arms import Array, Box, Displacement, clearances, mycobot280, plan, tcp_position
 from rejoint.control.controllers.posture import PlannedWay, Unloading
-from rejoint.control.correction import Apparent
+from rejoint.control.correction import Modelled
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput
@@ -288,7 +288,7 @@ def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() ->
 
 
 def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
-    stream, rng, at = GoalStream(Apparent(arm=ARM), ARM.rest), np.random.default_rng(0), ARM.rest
+    stream, rng, at = GoalStream(Modelled(ARM, Displacement.none(ARM)), ARM.rest), np.random.default_rng(0), ARM.rest
     for now in np.arange(0.0, 3.0, 0.02):
         stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
         wanted = stream.advance(now_at(at, now))

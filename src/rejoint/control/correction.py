@@ -129,11 +129,20 @@ ROUNDS = 4
 """Fixed-point steps (measured)"""
 MOST = 0.05
 """[m] largest shift (chosen)"""
+DAMPING = 0.01
+"""[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
+THERE = 1e-5
+"""[m] (chosen)"""
+SHOWN = np.radians(15.0)
+"""[rad] largest shift of a shown joint (chosen: what 5 cm take at the wrist)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Corrects targets by known displacements."""
+    """Corrects targets by known displacements.
+
+    It also maps postures of the arm to those of a perfect arm with its tool at the same true place, and back.
+    """
 
     arm: Arm
     displacement: Displacement
@@ -180,6 +189,37 @@ class Modelled:
         """Corrected targets (B, 3) [m] of arms at ``state``; None: as before."""
         return None
 
+    def shown(self, position: Array) -> Array:
+        """Posture (n,) [rad] of a perfect arm shown at ``position`` (n,)."""
+        place = self.tool(position)
+        return self._solved(position, lambda q: place - tcp_position(self.arm, q))
+
+    def measured(self, posture: Array) -> Array:
+        """Position (n,) [rad] that shows ``posture`` (n,) of a perfect arm."""
+        place = tcp_position(self.arm, posture)
+        return np.clip(self._solved(posture, lambda q: place - self.tool(q)), self.arm.lower, self.arm.upper)
+
+    def tool(self, position: Array) -> Array:
+        """Return the true place (3,) [m] at ``position`` (n,) [rad]."""
+        return tcp_position(self.arm, position) + self.shift(position)
+
+    def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
+        """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""
+        q, way, share = start, missing(start), 1.0
+        for _ in range(4 * ROUNDS):
+            if norm(way) < THERE:
+                break
+            both = jacobian(self.arm, q)
+            both[3:] *= DAMPING  # if possible without turning the tool
+            turn = dls(both, np.append(way, np.zeros(3)), 0.1 * DAMPING + float(norm(way)))
+            tried = start + clip_norm(q + share * turn - start, SHOWN)
+            left = missing(tried)
+            if norm(left) < norm(way):
+                q, way, share = tried, left, 1.0
+            else:  # the shift jumps where a joint's load changes its side
+                share *= 0.5
+        return q
+
 
 def checked(target: Array, aim: Array) -> Array:
     """``aim`` (..., 3) [m]; InputError if too far."""
@@ -189,60 +229,3 @@ def checked(target: Array, aim: Array) -> Array:
             f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * MOST:.0f}; calibrate again"
         )
     return aim
-
-
-DAMPING = 0.01
-"""[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
-THERE = 1e-5
-"""[m] (chosen)"""
-SHOWN = np.radians(15.0)
-"""[rad] largest shift of a shown joint (chosen: what 5 cm take at the wrist)"""
-
-
-@dataclass(kw_only=True, eq=False)
-class Apparent:
-    """Maps postures of ``arm`` to those of a perfect arm with its tool at the same true place, and back."""
-
-    arm: Arm
-    shift: Callable[[Array], Array] | None = None
-    """(3,) [m] as `Modelled.shift`; None: no shift"""
-
-    def shown(self, position: Array) -> Array:
-        """Posture (n,) [rad] shown at ``position`` (n,)."""
-        if self.shift is None:
-            return position
-        place = self.tool(position)
-        return self._solved(position, lambda q: place - tcp_position(self.arm, q))
-
-    def measured(self, posture: Array) -> Array:
-        """Position (n,) [rad] that shows ``posture`` (n,)."""
-        if self.shift is None:
-            return posture
-        place = tcp_position(self.arm, posture)
-        position = self._solved(posture, lambda q: place - self.tool(q))
-        return np.clip(position, self.arm.lower, self.arm.upper)
-
-    def tool(self, position: Array) -> Array:
-        """Return the true place (3,) [m] at ``position`` (n,) [rad]; without a shift that by the encoders."""
-        place = tcp_position(self.arm, position)
-        return place if self.shift is None else place + self.shift(position)
-
-    def _solved(self, start: Array, missing: Callable[[Array], Array]) -> Array:
-        """Joint positions (n,) [rad] near ``start`` where nothing (3,) [m] is missing."""
-        q, way, share = start, missing(start), 1.0
-        for _ in range(4 * ROUNDS):
-            if norm(way) < THERE:
-                break
-            tried = start + clip_norm(q + share * self._turn(q, way) - start, SHOWN)
-            left = missing(tried)
-            if norm(left) < norm(way):
-                q, way, share = tried, left, 1.0
-            else:  # the shift jumps where a joint's load changes its side
-                share *= 0.5
-        return q
-
-    def _turn(self, position: Array, way: Array) -> Array:
-        """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
-        both = jacobian(self.arm, position)
-        both[3:] *= DAMPING
-        return dls(both, np.append(way, np.zeros(3)), 0.1 * DAMPING + float(norm(way)))

@@ -22,11 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Motors, choose_postures, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Motors, choose_postures, tcp_position
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
-from rejoint.control.correction import Apparent
+from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput, JointState
@@ -91,7 +91,7 @@ class ServedArm(Computer, Reference):
         arm: Arm,
         position: Array,
         *,
-        apparent: Apparent | None = None,
+        apparent: Modelled | None = None,
         limits: GuardLimits | None = None,
         motors: Motors | None = None,
     ) -> None:
@@ -99,7 +99,7 @@ class ServedArm(Computer, Reference):
         self._limits, self._motors = limits, motors
         self.note = ""
         """what a motor is too weak for in the last order, or empty"""
-        self._apparent = apparent or Apparent(arm=arm)
+        self._apparent = apparent or Modelled(arm, Displacement.none(arm))
         self._unloading = Unloading(arm, motors)
         super().__init__(arm, self._apparent.shown(position))
         self.lock = threading.RLock()

@@ -15,13 +15,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Displacement, tcp_position
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
-from rejoint.control.correction import Apparent, Modelled
+from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
@@ -281,7 +281,7 @@ class GoalStream(Reference):
     Goals are those of a perfect arm.
     """
 
-    def __init__(self, apparent: Apparent, position: Array) -> None:
+    def __init__(self, apparent: Modelled, position: Array) -> None:
         """Begin at ``position`` (n,) [rad]."""
         self.apparent = apparent
         self.goal: Array | None = None
@@ -447,9 +447,9 @@ class ArmDriver:
         return correct and correct(self.arm)
 
     @property
-    def apparent(self) -> Apparent:
-        """Postures of a perfect arm with the tool in the same place, by the calibration."""
-        return Apparent(arm=self.arm, shift=None if self.correction is None else self.correction.shift)
+    def apparent(self) -> Modelled:
+        """What shows postures of a perfect arm with the tool in the same place, by the calibration."""
+        return self.correction or Modelled(self.arm, Displacement.none(self.arm))
 
     @property
     def controller(self) -> str:
