@@ -11,7 +11,7 @@ def test_commands_are_in_force_after_their_delay():
     for k in range(4):
         latency.send(np.full((2, 1), k + 1.0), np.full(2, 0.020 * k))  # at 0, 20, 40, 60 ms
     at = np.array([[0.0605, 0.0695, 0.0705], [0.0605, 0.0795, 0.0805]])
-    forced = latency.in_force(at)[..., 0]
+    forced = latency.in_force(at)[0][..., 0]
     np.testing.assert_array_equal(forced, [[3.0, 3.0, 4.0], [2.0, 2.0, 3.0]])
 
 
@@ -24,7 +24,7 @@ def test_the_longest_delay_fits_at_the_shortest_period(delay):
         latency.send(np.array([[float(k)]]), np.array([0.018 * k]))
         now = 0.018 * k + np.linspace(0.0, 0.0179, 6)[None]
         newest = np.floor((now - delay) / 0.018 + 1e-9)  # number of the last command that has arrived
-        np.testing.assert_array_equal(latency.in_force(now)[..., 0], np.maximum(newest, 0.0))
+        np.testing.assert_array_equal(latency.in_force(now)[0][..., 0], np.maximum(newest, 0.0))
 
 
 def test_positions_are_as_old_as_the_delay_says():

@@ -98,7 +98,7 @@ class LiveReference:
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
         """Follow the commands in force at ``starts`` (N, s) [s], ``step`` (N,) [s] each: (N, s, n) [rad]."""
-        goals, again = latency.in_force(starts), latency.sent_again(starts)
+        goals, again = latency.in_force(starts)
         steps = np.repeat(step[:, None], starts.shape[1], axis=1)
         path, speed = follow(self.position, self.velocity, goals, again, self._speed, self._acceleration, steps)
         self.position, self.velocity = path[:, -1].copy(), speed[:, -1].copy()
@@ -162,19 +162,12 @@ class Latency:
         self._sent[:, 1:] = self._sent[:, :-1]
         self._commands[:, 0], self._sent[:, 0] = command, time
 
-    def in_force(self, time: Array) -> Array:
-        """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
-        return self._commands[np.arange(len(time))[:, None], self._pending(time)]
-
-    def sent_again(self, time: Array) -> Mask:
-        """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
-        before = self._commands[np.arange(len(time))[:, None], self._pending(time) + 1]
-        return self.in_force(time) == before
-
-    def _pending(self, time: Array) -> Index:
-        """Numbers (N, s) of later commands that have not arrived at ``time`` (N, s) [s]."""
+    def in_force(self, time: Array) -> tuple[Array, Mask]:
+        """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s], and whether they repeat the ones before."""
         arrival = self._sent[:, None, : DEPTH - 1] + self.command_delay[:, None, None]
-        return (arrival > time[..., None]).sum(axis=-1)
+        arms, later = np.arange(len(time))[:, None], (arrival > time[..., None]).sum(axis=-1)  # not there yet
+        commands = self._commands[arms, later]
+        return commands, commands == self._commands[arms, later + 1]
 
     def record(self, time: Array, position: Array) -> None:
         """Record positions (N, substeps, n) [rad] at ``time`` (N, substeps) [s]."""

@@ -205,7 +205,7 @@ class Planner:
         count, n = inputs.sent.shape
         steps = int(np.ceil((delay.max() + HORIZON) / TIMESTEP))
         ahead = np.linspace(0.0, (steps - 1) * TIMESTEP, steps)
-        sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
+        sent, _ = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
         share = np.clip(since / BEND, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
