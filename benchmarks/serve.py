@@ -40,7 +40,7 @@ from rejoint.arms.rotations import difference, to_coords, to_pose
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
 from rejoint.robots.mycobot.wire import Frame, answer, encode, flag, pack_angles, pack_coords
-from rejoint.session.serving import Serving
+from rejoint.session.motions import Serving
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
 

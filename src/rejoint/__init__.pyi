@@ -46,10 +46,10 @@ from rejoint.runs.stages.fitting import identify as identify
 from rejoint.runs.stages.fitting import replay as replay
 from rejoint.runs.stages.fitting import train as train
 from rejoint.session.inputs import Settings as Settings
+from rejoint.session.motions import Serving as Serving
 from rejoint.session.motions import deploy as deploy
 from rejoint.session.motions import follow as follow
-from rejoint.session.serving import Serving as Serving
-from rejoint.session.serving import serve as serve
+from rejoint.session.motions import serve as serve
 from rejoint.session.session import ArmState as ArmState
 from rejoint.system.errors import AddressError as AddressError
 from rejoint.system.errors import ConnectionLostError as ConnectionLostError

@@ -443,7 +443,7 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
     with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
         bus = getattr(part_of(arm.robot, BusRobot), "bus", None)
         gripper = Gripper.find(bus) if isinstance(bus, ServoBus) else None
-        arm.beside += [] if gripper is None else [gripper.serve]
+        arm.watching += [] if gripper is None else [lambda _: gripper.serve()]
         arm.hold()
         middle = detail.middle(arm.arm).tolist() if isinstance(detail, ServoAddress) else [0.0] * arm.arm.joints
         _answer({"joints": arm.arm.joint_names, "middle": middle, "gripper": gripper is not None})

@@ -349,8 +349,6 @@ class ArmDriver:
         """[s] usual control period, after the first motion"""
         self.limits: GuardLimits | None = None
         """of the guard; None before the robot is open"""
-        self.beside: list[Callable[[], object]] = []
-        """called in every cycle"""
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
         self.given, self._pace = robot, pace
@@ -617,8 +615,6 @@ class ArmDriver:
         self._last = cycle
         for watch in (*watches, self.observer.cycle, *self.watching):
             watch(cycle)
-        for ask in self.beside:
-            ask()
 
     def _seen_through(self, motion: Callable[[OnCycle], Recording], *watches: OnCycle) -> Recording:
         """Do a motion that observers see, and keep its last command, also after an error."""
