@@ -149,7 +149,6 @@ class Modelled:
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        self._turned = np.eye(3)  # wanted encoder orientations
 
     def shift(self, position: Array) -> Array:
         """Shifts (..., 3) [m] from encoder TCP to tool at ``position`` (..., n) [rad]."""
@@ -165,11 +164,11 @@ class Modelled:
     def aim(
         self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
     ) -> tuple[Array, Orientation | None]:
-        """Corrected targets (B, 3) [m] and orientations (B,), at postures near ``near`` (B, n) [rad].
+        """Corrected targets (B, 3) [m] and orientations (B,) of arms in ``where`` (B,); the others as they are.
 
-        None: at postures found from ``start`` (B, n) [rad].
+        At postures near ``near`` (B, n) [rad]; None: at postures found from ``start`` (B, n) [rad].
         """
-        aims = np.array(target, dtype=float)
+        aims, turn = np.array(target, dtype=float), turn and replace(turn, rotation=turn.rotation.copy())
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
             goal, rest_gain = target[aimed], REST_GAIN if near is None else 0.0
@@ -180,10 +179,9 @@ class Modelled:
                 place = goal - self.shift(posture)
                 own = wanted and self.untwisted(wanted, posture)
             aims[aimed] = checked(goal, place)
-            if own is not None:
-                self._turned = np.array(np.broadcast_to(self._turned, (len(aims), 3, 3)))
-                self._turned[aimed] = own.rotation
-        return aims, turn and replace(turn, rotation=self._turned.copy())
+            if turn is not None and own is not None:
+                turn.rotation[aimed] = own.rotation
+        return aims, turn
 
     def again(self, state: JointState) -> Array | None:  # noqa: ARG002 - a model has no news
         """Corrected targets (B, 3) [m] of arms at ``state``; None: as before."""

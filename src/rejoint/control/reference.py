@@ -229,7 +229,8 @@ class TargetSequence(Reference):
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         self.count, self.legs = targets.shape[:2]
         self.planned = bool(ways)
-        self._arm, self._targets, self._turns, self._correction = arm, targets, turns, correction
+        self._arm, self._targets, self._correction = arm, targets, correction
+        self._turns = turns and replace(turns, rotation=turns.rotation.copy())  # corrected where legs have begun
         self._rows = ways or ()
         self._aim = targets[:, 0]
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
@@ -251,6 +252,8 @@ class TargetSequence(Reference):
         aim = target
         if correction is not None:
             aim, self._turn = correction.aim(target, sent, where, planned, self._turn)
+        if self._turns and self._turn:
+            self._turns.rotation[each, index] = self._turn.rotation
         self._aim_at(aim, sent if planned is None else planned, where)
 
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:

@@ -167,18 +167,16 @@ def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) ->
     return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))
 
 
-def correction_of(
-    calibration: Calibration | None, arm: Arm, targets: Array | None = None
-) -> Callable[[Arm], Modelled] | None:
-    """Return what makes a correction for each motion, or None.
+def correction_of(calibration: Calibration | None, arm: Arm, targets: Array | None = None) -> Modelled | None:
+    """Return the correction by a ``calibration``, or None.
 
     InputError where it shifts ``targets`` (..., 3) [m], by default the tool at rest, too far.
     """
     if calibration is None:
         return None
     places = (tcp_position(arm, arm.rest) if targets is None else targets).reshape(-1, 3)
-    correct = partial(Modelled, displacement=calibration.displacement)
-    correct(arm).aim(places, np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool))
+    correct = Modelled(arm, calibration.displacement)
+    correct.aim(places, np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool))
     return correct
 
 

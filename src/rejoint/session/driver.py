@@ -441,8 +441,7 @@ class ArmDriver:
     @cached_property
     def correction(self) -> Modelled | None:
         """Corrects where the tool is sent by the calibration."""
-        correct = correction_of(self.calibration, self.arm)
-        return correct and correct(self.arm)
+        return correction_of(self.calibration, self.arm)
 
     @property
     def apparent(self) -> Modelled:

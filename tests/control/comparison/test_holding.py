@@ -61,7 +61,7 @@ class Beside:
 @pytest.mark.parametrize("batched", [True, False])
 def test_the_arm_as_it_was_found_is_not_aimed(batched):
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
-    runner = holding(targets, batched=batched, correction=lambda _: Beside())
+    runner = holding(targets, batched=batched, correction=Beside())
     found = runner.as_found()
     assert [error.how for error in found.true] == ["known", "known"]
     np.testing.assert_allclose([error.value for error in found.true], BEHIND, rtol=0.1)

@@ -138,7 +138,7 @@ class TrialRunner:
     """(S, K); None: any"""
     limits: GuardLimits | None = None
     stance: Stance | None = None
-    correction: Callable[[Arm], Modelled] | None = None
+    correction: Modelled | None = None
     model: ToolModel | None = None
     """estimates unknown tool errors"""
     ways: Ways | None = None
@@ -343,7 +343,7 @@ class TrialRunner:
         on_cycle: OnCycle | None = None,
     ) -> Recording:
         controller = self.controllers[name](robot.arm)
-        correction = self.correction(robot.arm) if self.correction and corrected else None
+        correction = self.correction if corrected else None
         reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
         settings, limits = self.settings, limits_under(self.limits, robot, controller)
         plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)

@@ -223,7 +223,7 @@ def try_on(
             places[:, :count],
             Settings(seed=family.seed, batched=True, wait=True, protocol=protocol),
             ways=ways if kind == "hold" else None,
-            correction=None if calibrations is None else lambda _: OwnCorrections(calibrations()),
+            correction=None if calibrations is None else OwnCorrections(calibrations()),
             on_progress=part(on_progress, done / len(asked), (done + 2) / len(asked)),  # a runner expects two kinds
         ).drive_batch(key)
         if calibrations is not None and kind == "hold":
