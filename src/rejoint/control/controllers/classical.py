@@ -47,19 +47,14 @@ def fade(error: Array, distance: float) -> Array:
     return size / (size + distance)
 
 
-def between(values: Array, low: Array | float, high: Array | float) -> Array:
-    """Clip to [low, high]: arrays, and tensors of an exported law."""
-    return values.clip(low, high)
-
-
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
     """Keep ``command`` (..., n) [rad] within ``lead`` [rad] of the measured position (anti-windup)."""
-    return between(command, measured - lead, measured + lead)
+    return command.clip(measured - lead, measured + lead)
 
 
 def limit_position(arm: Arm, command: Array) -> Array:
     """Keep ``command`` (..., n) [rad] inside the joint limits."""
-    return between(command, arm.lower, arm.upper)
+    return command.clip(arm.lower, arm.upper)
 
 
 def null_space(jacobian: Array, motion: Array) -> Array:
@@ -87,7 +82,7 @@ class Pace:
         if len(self.last) != len(time):
             elapsed = np.full(len(time), NOMINAL_PERIOD)
         else:
-            elapsed = between(time - self.last, 0.0, LONGEST_PERIOD)
+            elapsed = (time - self.last).clip(0.0, LONGEST_PERIOD)
         self.last = time + 0.0  # a copy, also of a tensor
         return elapsed
 

@@ -22,7 +22,6 @@ from rejoint.control.controllers.classical import (
     STEP_LIMIT,
     DlsStep,
     Pace,
-    between,
     dls_step,
     fade,
     limit_lead,
@@ -126,7 +125,7 @@ class FeedforwardController:
     def _far(self, distance: Array) -> Array:
         """Share (B,), from 0 near to 1 far, at ``distance`` (B,) [m]."""
         near, far = self._gains.far
-        return between((distance - near) / (far - near), 0.0, 1.0)
+        return ((distance - near) / (far - near)).clip(0.0, 1.0)
 
     def _take(self, inputs: ControlInput, where: Mask) -> None:
         goal = self._goal[where] = inputs.goal[where]
@@ -156,11 +155,11 @@ class FeedforwardController:
         ``step`` (B, n) [rad]: joint errors; ``distance`` (B,) [m]: tool errors.
         """
         xp, moved = self.xp, inputs.state.position - self._position
-        elapsed = between(inputs.state.time - self._pace.last, 0.0, LONGEST_PERIOD)[:, None]
+        elapsed = (inputs.state.time - self._pace.last).clip(0.0, LONGEST_PERIOD)[:, None]
         stays = ~self.on_the_way(inputs)[:, None]
         sticks = stays & (moved == 0.0)
         most = xp.amax(abs(step), axis=-1, keepdims=True).clip(1e-9)
-        strength = between(distance / self.gentle + inputs.since_target / EARLY, LEAST_PUSH, 1.0)[:, None]
+        strength = (distance / self.gentle + inputs.since_target / EARLY).clip(LEAST_PUSH, 1.0)[:, None]
         added = (
             elapsed * self.loosen * strength * self._eager * (step / most) * (sticks & (distance > self.close)[:, None])
         )
@@ -188,8 +187,8 @@ class FeedforwardController:
         push = xp.where((abs(speed) > gains.moving) & (speed * push > 0.0), 0.0, push)
         self._position = xp.asarray(position, copy=True)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        self._correction = between(self._correction + push + extra, -limit, limit)
-        return between(self._raised + self._correction, *self._limits)
+        self._correction = (self._correction + push + extra).clip(-limit, limit)
+        return (self._raised + self._correction).clip(*self._limits)
 
     def _decay(self, distance: Array, elapsed: Array) -> None:
         """Let the null-space parts of corrections decay, after ``elapsed`` (B, 1) [s] at ``distance`` (B,) [m]."""
@@ -295,11 +294,11 @@ class Commander(FeedforwardController):
         near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = view.step * (law.step_limit / largest.clip(1e-12)).clip(None, 1.0)
         step = fade(view.error, law.learning.fade) * step * (1.0 - near[:, None] * self.spared)
-        extra = law.authority(largest) * self.moves * between(action, -1.0, 1.0)
+        extra = law.authority(largest) * self.moves * action.clip(-1.0, 1.0)
         if law.decay_start > 0.0:
             factor = xp.where(self.unloaded, law.decayed(inputs.since_target, largest), 1.0)
             step, extra = factor * step, factor * extra
         extra = xp.where(self.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
         extra = extra + self.loosening(inputs, view.step, view.distance)
         wanted, margin = self.correct(inputs, step, extra, view.distance), law.envelope_margin
-        return between(between(wanted, inputs.goal - margin, inputs.goal + margin), *self._limits)
+        return wanted.clip(inputs.goal - margin, inputs.goal + margin).clip(*self._limits)

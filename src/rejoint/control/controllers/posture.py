@@ -25,7 +25,7 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.postures import pool_of
-from rejoint.control.controllers.classical import between, limit_lead, limit_position
+from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
 from rejoint.control.correction import tool_error
 from rejoint.control.reference import Reference, pace
@@ -106,7 +106,7 @@ class PostureController(FeedforwardController):
         self._asked = np.where(rests, self._asked, limit_lead(command, position, lead))
         added, lost = self._correction + taken - before, self._raised + self._correction - self._asked
         self._correction -= lost  # nothing winds up beyond what can be sent
-        sent = between(added - lost, np.minimum(added, 0.0), np.maximum(added, 0.0))
+        sent = (added - lost).clip(np.minimum(added, 0.0), np.maximum(added, 0.0))
         self._pushed = np.where(stays, self._pushed + sent, 0.0)
         return self._asked.copy()
 
