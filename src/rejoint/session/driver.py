@@ -37,7 +37,7 @@ from rejoint.control.robot import (
     turned_off,
 )
 from rejoint.control.servogains import Rung, ServoGains, Tunable, gains_in_force, limits_under, under_gains
-from rejoint.control.start import Playback, begin, check_ready, move
+from rejoint.control.start import begin, check_ready, move
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
@@ -154,9 +154,8 @@ class RunRecorder:
             error.add_note("The disk had no room for what was recorded until then.")
         elif cycles:
             error.add_note(journal.rescue(_log(kind, cycles, "/stopped")))
-        elif partial is not None:
-            label = f"{kind[1]}/begin" if partial.controller == Playback.name else kind[2]
-            error.add_note(journal.rescue(partial.log(0, f"{label}/stopped")))
+        elif partial is not None:  # on the way to its beginning
+            error.add_note(journal.rescue(partial.log(0, f"{kind[1]}/begin/stopped")))
         else:
             journal.discard()
 
@@ -537,9 +536,7 @@ class ArmDriver:
             start = self._seen_through(lambda see: begin(self.robot, self.limits, stance, see))
             self.usual, self._rested = start.usual_period(), True
 
-    def drive(
-        self, controller: Controller, schedule: Schedule, reference: Reference, on_cycle: OnCycle | None = None
-    ) -> Recording:
+    def drive(self, controller: Controller, schedule: Schedule, reference: Reference, *watches: OnCycle) -> Recording:
         """Let ``controller`` drive from here where a ``reference`` says, by a ``schedule``.
 
         Every motion ends here, guarded and recorded; raises as `rejoint.control.loop.run`, with a note on the log.
@@ -549,9 +546,10 @@ class ArmDriver:
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun
         plan = replace(schedule, sent=self._sent, watch_falls=True)
-        recorded = (self.recorder.see, *filter(None, [on_cycle]))
         return self._seen_through(
-            lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), *recorded
+            lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see),
+            self.recorder.see,
+            *watches,
         )
 
     def arrive(
