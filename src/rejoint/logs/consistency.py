@@ -70,7 +70,9 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
     even = np.arange(time[0], time[-1], step)[:_ROWS_MOST]
     held = command[np.searchsorted(time, even, side="right") - 1]
     moved = interpolated(even, time, position)
-    return _of_steps(moved, held, step) or _of_velocities(moved, held, step, period)
+    speeds = _of_velocities(moved, held, step, period)
+    doubted = speeds is not None and speeds.plausible  # an answer to the step before may have been taken for this one's
+    return _of_steps(moved, held, step, 1 + doubted) or speeds
 
 
 def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag | None:
@@ -102,14 +104,14 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
     return Lag(float(lags[best]), sure=alike and bool(ratio > _SURE[inside not in (near[0], near[-1])]))
 
 
-def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
-    """Lag by lone steps of commands; None where there are few."""
+def _of_steps(moved: Array, held: Array, step: float, quiet: int) -> Lag | None:
+    """Lag by lone steps of commands, ``quiet`` times `SEARCHED` after the one before; None where there are few."""
     reach, shares = round(SEARCHED / step), []
     for way, asked in zip(moved.T, held.T, strict=True):
         change = np.diff(asked)
         changes = np.flatnonzero(change) + 1
-        gaps = np.diff(np.concatenate([[reach], changes, [len(held) - 1]]))
-        alone = np.minimum(gaps[:-1], gaps[1:]) >= reach
+        gaps = np.diff(np.concatenate([[0], changes, [len(held) - 1]]))
+        alone = (gaps[:-1] >= quiet * reach) & (gaps[1:] >= reach)
         for at in changes[alone & (np.abs(change[changes - 1]) > _JUMP)]:
             near = way[at - reach : at + reach + 1] - way[at - reach]
             if abs(near[-1]) > _JUMP:
@@ -335,7 +337,7 @@ FAR = 0.1
 RELATED = (0.3, 0.9)
 """correlations: unrelated, and related"""
 MUCH_BETTER = (0.95, 5.0)
-"""of exchanged joints: correlation, and how much closer to 1"""
+"""of exchanged or turned joints: correlation; and how much closer to 1"""
 SAME = 1e-5
 """[rad] rounding of a copied number"""
 COPIED = 0.9
