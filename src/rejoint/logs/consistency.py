@@ -375,7 +375,8 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
             raise FileError(motion.path, said, "give the true joint order of states and commands")
         if own < RELATED[0] and lowest[joint, joint] < -RELATED[1]:
             said = f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f})"
-            yield f"{said}; is its axis turned around?", ""
+            remedy = GEAR_REMEDY if lowest[joint, joint] < -MUCH_BETTER[0] else ""
+            yield f"{said}, as if its axis were turned around", remedy
         left = np.abs(error[:, joint])
         left -= np.minimum.accumulate(left)
         if left.max() > LEFT and not np.ptp(command[:, joint]):
