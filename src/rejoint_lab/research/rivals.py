@@ -47,7 +47,7 @@ class PidController:
     heeds_turn = True
     proportional, integral, derivative, period = 0.40, 0.01, 5e-3, 0.02
     """[1], [1] per cycle or [1/s], [s], and dt of the equation [s]"""
-    _sum = _last = np.zeros((0, 1))  # until the first target
+    _sum = _last = np.zeros(())  # until the first target
 
     def __init__(self, *, literal: bool) -> None:
         """``literal``: the sum is multiplied by dt, as printed; else a plain sum."""
@@ -55,17 +55,15 @@ class PidController:
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Clear the integral of ``where`` (B,)."""
-        if len(self._sum) != len(inputs.sent):
-            self._sum, self._last = np.zeros_like(inputs.sent), np.zeros_like(inputs.sent)
-        self._sum[where] = 0.0
+        self._sum = np.where(where[:, None], 0.0, self._sum)
         # The change of the error at a new target is the target's jump, not a motion of the arm.
-        self._last[where] = inputs.goal[where] - inputs.state.position[where]
+        self._last = np.where(where[:, None], inputs.goal - inputs.state.position, self._last)
 
     def command(self, inputs: ControlInput) -> Array:
         """See `Controller`."""
         measured = inputs.state.position
         error = inputs.goal - measured
-        self._sum += error * self._weight
+        self._sum = self._sum + error * self._weight
         change = (error - self._last) / self.period
         self._last = error
         return measured + self.proportional * error + self.integral * self._sum + self.derivative * change
@@ -95,20 +93,18 @@ class ScheduledController(TunedLaw):
     """The law, around a ramp to the goal posture raised against gravity."""
 
     name = "tuned-feedforward"
-    _start = _raised = _integral = np.zeros((0, 1))  # until the first target
+    _start = _raised = _integral = np.zeros(())  # until the first target
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
-        gains, sent = self._gains, inputs.sent
-        if len(self._integral) != len(sent):
-            self._integral, self._start, self._raised = np.zeros_like(sent), sent.copy(), sent.copy()
-        goal = inputs.goal[where]
+        gains, goal, sent, new = self._gains, inputs.goal, inputs.sent, where[:, None]
+        learned = np.broadcast_to(self._integral, sent.shape)
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
-        carry, share = (np.broadcast_to(one, (len(sent), 1))[where] for one in (gains.carry, gains.feedforward))
-        self._integral[where] = carry * (self._integral[where] - idle)
-        self._start[where] = sent[where] - self._integral[where]
-        self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
+        idle = null_space(position_kinematics(self._arm, goal)[1], learned)
+        self._integral = np.where(new, gains.carry * (learned - idle), learned)
+        self._start = np.where(new, sent - self._integral, self._start)
+        raised = goal + gains.feedforward * gravity_torque(self._arm, goal) / self._stiffness
+        self._raised = np.where(new, raised, self._raised)
 
     def command(self, inputs: ControlInput) -> Array:
         """Command (B, n) [rad]."""
@@ -126,6 +122,11 @@ class ScheduledController(TunedLaw):
         return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
 
 
+def _stacked(*gains: float | Array) -> Array:
+    """Gains (K, 1, 1) or (K, B, 1)."""
+    return np.stack(np.broadcast_arrays(*map(np.atleast_2d, gains)))
+
+
 _UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
 
 
@@ -133,19 +134,19 @@ class AdaptiveController(TunedLaw):
     """Tomei's law for position servos."""
 
     name = "adaptive"
-    _regressor = _estimate = np.zeros((3, 0, 1))  # until the first target
+    _regressor = np.zeros(())  # until the first target
+
+    def __init__(self, arm: Arm, gains: Gains) -> None:
+        super().__init__(arm, gains)
+        self._estimate = _stacked(self._gains.prior, 0.0, 0.0)
+        self._rates = _stacked(self._gains.softness_rate, self._gains.load_rate, self._gains.offset_rate)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new goals in ``where`` (B,); the estimates stay."""
-        count, n = inputs.sent.shape
-        if self._estimate.shape[1] != count:
-            self._estimate, self._regressor = np.zeros((2, 3, count, n))
-            self._estimate[0] = self._gains.prior
-        goal = inputs.goal[where]
-        lever = position_kinematics(self._arm, goal)[1][..., 2, :]
-        self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
-        self._regressor[1][where] = _UNIT_MASS * -GRAVITY[2] * lever / self._stiffness
-        self._regressor[2][where] = 1.0
+        goal = inputs.goal
+        load = gravity_torque(self._arm, goal) / self._stiffness
+        lever = _UNIT_MASS * -GRAVITY[2] * position_kinematics(self._arm, goal)[1][..., 2, :] / self._stiffness
+        self._regressor = np.where(where[:, None], [load, lever, np.ones_like(load)], self._regressor)
 
     def command(self, inputs: ControlInput) -> Array:
         """Goal posture with its compensation, (B, n) [rad]."""
@@ -154,9 +155,7 @@ class AdaptiveController(TunedLaw):
         outside = np.sign(error) * np.maximum(np.abs(error) - gains.dead_zone, 0.0)
         size = np.linalg.norm(error / gains.scale, axis=-1, keepdims=True)
         drive = outside / (1.0 + size**2) - gains.damping * speed * (np.abs(outside) > 0.0)
-        rates = (gains.softness_rate, gains.load_rate, gains.offset_rate)
-        for estimate, regressor, rate in zip(self._estimate, self._regressor, rates, strict=True):
-            estimate += elapsed * rate * regressor * drive
+        self._estimate = self._estimate + elapsed * self._rates * self._regressor * drive
         raised = inputs.goal + (self._estimate * self._regressor).sum(axis=0)
         return limit_position(self._arm, raised + gains.proportional * error - gains.derivative * speed)
 
