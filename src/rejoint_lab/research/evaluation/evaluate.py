@@ -143,8 +143,6 @@ class Pair:
     rival: str
     differences: dict[str, Estimate | None]
     """[m] or [s] by column, negative where the controller is better; never: the hold's length"""
-    worst_true: float | None
-    """[m] that of the settled true error on the arm where it is largest"""
 
 
 @value_type
@@ -243,17 +241,17 @@ def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: Arm
 def pair(variant: str, found: Comparison, controller: str, rival: str) -> Pair:
     """Compare two controllers on the same arms and targets, as means over their training seeds."""
     names = ("settled", "settled_true", *found.protocol.stay_names, "crossing_time")
-    arrays = {name: [np.ma.masked_invalid(found.array(name, one)) for one in (controller, rival)] for name in names}
-    means = {name: [array.mean(axis=1).filled(np.nan) for array in both] for name, both in arrays.items()}
+    means = {
+        name: [np.ma.masked_invalid(found.array(name, one)).mean(axis=1).filled(np.nan) for one in (controller, rival)]
+        for name in names
+    }
     means["cycle_time"] = [found.shape[-1] * one for one in means.pop("crossing_time")]
     arms = np.indices(means["settled"][0].shape)[0].ravel()
-    worst = np.ma.masked_invalid(np.subtract(*means["settled_true"])).mean(axis=1).max()
     return Pair(
         variant=variant,
         controller=controller,
         rival=rival,
         differences={name: paired_difference(one.ravel(), other.ravel(), arms) for name, (one, other) in means.items()},
-        worst_true=None if worst is np.ma.masked else float(worst),
     )
 
 
@@ -311,17 +309,16 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
     pairs = [one for one in evaluation.pairs if one.rival == evaluation.best.get(one.variant)]
     if pairs:
         factor = {name: (MM, "[mm]") if name.startswith("settled") else (1.0, "[s]") for name in pairs[0].differences}
-        headers = ["variant", "against the best rival", "worst arm, true [mm]"]
-        headers += [f"{name} {unit}" for name, (_, unit) in factor.items()]
+        units = [f"{name} {unit}" for name, (_, unit) in factor.items()]
         rows = [
             [
                 one.variant,
                 f"{one.controller} against {one.rival}",
-                number(one.worst_true and MM * one.worst_true, 2),
                 *(str(measured(value, factor[name][0])) for name, value in one.differences.items()),
             ]
             for one in pairs
         ]
+        headers = ["variant", "against the best rival", *units]
         tables.append(("Paired differences, 95 % intervals over arms", headers, rows))
     return tables
 
