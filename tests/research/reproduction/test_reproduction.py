@@ -63,7 +63,7 @@ def test_every_experiment_finds_something_and_the_page_shows_it(bench):
 
 
 def test_trainings_and_trials_are_kept(bench):
-    kept = [*bench.folder.rglob("*.onnx"), *bench.folder.rglob("*.parquet"), *bench.folder.rglob("course-*.json")]
+    kept = [*bench.folder.rglob("*.onnx"), *bench.folder.rglob("*.parquet")]
     kept += (bench.folder / "trials").iterdir()
     before = {path: path.stat().st_mtime_ns for path in kept}
     chosen = choose(["fig-9", "table-3", "fig-12"])

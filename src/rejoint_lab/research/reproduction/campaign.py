@@ -8,7 +8,7 @@ action.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +28,7 @@ from rejoint.system.files import read_json, read_shipped, write_json, write_whol
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.records import value_type
 from rejoint.training.ranges import Interval
-from rejoint.training.task import PpoSettings, Preset, ReachTask, TaskSettings
+from rejoint.training.task import Preset, ReachTask
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
@@ -123,14 +123,7 @@ class PaperTask(ReachTask):
         return paper_reward(distance, joint_speed, collided, reached, late & ~reached), reached, collided
 
 
-@dataclass(frozen=True)
-class _PaperRecipe:
-    task: TaskSettings
-    ppo: PpoSettings
-
-
-_RECIPE = read_shipped(__file__, "paper.toml", _PaperRecipe)
-PAPER = Preset(name="paper", make=PaperTask, task=_RECIPE.task, ppo=_RECIPE.ppo)
+PAPER = replace(read_shipped(__file__, "paper.toml", Preset), make=PaperTask)
 """Park et al. 2024, section III-D and Table 3"""
 
 DPI = 100

@@ -5,7 +5,6 @@ policies at the paper's task, on randomised twins that no training has seen. Fig
 a healthy and on a worn arm, by the trials of all evaluations.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -34,7 +33,7 @@ from rejoint.pages.report.page import read_curves
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
-from rejoint.system.files import read_json, read_shipped, write_json
+from rejoint.system.files import read_shipped
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
@@ -304,26 +303,15 @@ def measure_course(bench: Bench) -> Found:
 
 def course(bench: Bench, name: str, arms: str) -> Columns:
     """Judge the policies of a training: means (K,) over the episodes, with the ``updates`` (K,) of the policies."""
-    folder = bench.training(name)
+    folder, ranges = bench.training(name), ranges_of(bench.arm, arms)
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
     files[max(files) + bench.snapshot_every] = folder.policy
-
-    identity = "-".join((__version__, str(bench.judged), str(bench.seed), *map(str, files)))
-    kept = folder.path / f"course-{arms}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}.json"
-    if not kept.exists():
-        played = [
-            play(
-                load_policy(file, bench.arm),
-                ranges_of(bench.arm, arms),
-                bench.judged,
-                seed=bench.seed,
-                threads=bench.threads,
-            )
-            for file in files.values()
-        ]
-        means = {key: [float(one[key].mean()) for one in played] for key in MEASURES}
-        write_json(kept, means | {"updates": list(map(float, files))})
-    return {key: np.array(values) for key, values in read_json(kept, dict[str, list[float]]).items()}
+    played = [
+        play(load_policy(file, bench.arm), ranges, bench.judged, seed=bench.seed, threads=bench.threads)
+        for file in files.values()
+    ]
+    means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
+    return means | {"updates": np.array(list(files), float)}
 
 
 def _over(label: str, values: Array) -> Series:
