@@ -84,7 +84,7 @@ def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
 
 def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
     take(studio, "emulated:healthy")
-    assert studio.do("calibration", lambda machine: jobs.calibrate(machine, jobs.RULER, 2, None, 0))
+    assert studio.do("calibration", lambda machine: jobs.calibrate(machine, jobs.RULER, 2, "", 0))
     asked = set()
     while studio.status.busy:
         question = studio.status.question

@@ -127,7 +127,7 @@ def nudge(studio: Studio) -> None:
     studio.change(step="diagnose", done=f"{name} answers. The arm is ready.")
 
 
-def diagnose(studio: Studio, *, quick: bool = False) -> None:
+def diagnose(studio: Studio, quick: bool) -> None:
     """Find out what is wrong with the arm."""
     studio.keep(diagnosis=None)
     done = studio.call(rejoint.diagnose, run=studio.begin_run(quick=quick), quick=quick)
@@ -168,7 +168,7 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
-def repair(studio: Studio, *, quick: bool = False) -> None:
+def repair(studio: Studio, quick: bool) -> None:
     """Repair the arm; it goes on where an earlier repair ended."""
     run = studio.begin_run(quick=quick)
     done = studio.call(rejoint.repair, run=run, quick=quick)
@@ -189,7 +189,7 @@ def again(studio: Studio) -> None:
     studio.keep(diagnosis=None, repaired=None, advice=None, proof=None)
 
 
-def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> None:
+def calibrate(studio: Studio, by: str, count: float, board: str, camera: float) -> None:
     """Measure where the tool is, ``by`` a ruler, the ``camera`` of this number or the emulator."""
     run = studio.begin_run()
     gauge: GaugeLike | None = None
@@ -200,9 +200,9 @@ def calibrate(studio: Studio, by: str, count: int, board: Path, camera: int) -> 
         from rejoint.camera.filming import camera_gauge
 
         emulated = is_virtual(studio.status.address)
-        drawn = ON_TOOL if emulated and not board.exists() else read_board(board)
-        gauge = replace(camera_gauge(None if emulated else camera, drawn), show=partial(show, studio))
-    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=count)
+        drawn = ON_TOOL if emulated and not Path(board).exists() else read_board(Path(board))
+        gauge = replace(camera_gauge(None if emulated else int(camera), drawn), show=partial(show, studio))
+    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=max(int(count), 2))
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
     known = f"{1e3 * found.after:.1f} mm from where the calibration does"
@@ -262,13 +262,13 @@ SPEED = 0.05
 """[m/s] of a played path (chosen)"""
 
 
-def play(studio: Studio, points: Sequence[Array], repeat: int) -> None:
+def play(studio: Studio, points: Sequence[Array], repeat: float) -> None:
     """Drive through ``points`` (3,) [m] as a smooth path."""
     if len(points) < 2:
         raise InputError("a path needs two points; add the places where the tool is to go")
     legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
-    _followed(studio, path, repeat)
+    _followed(studio, path, max(int(repeat), 1))
 
 
 def play_file(studio: Studio, content: bytes) -> None:
@@ -288,12 +288,12 @@ def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
         )
 
 
-def carry(studio: Studio, mass: float) -> None:
-    """Tell the arm that its hand carries a ``mass`` [kg]."""
+def carry(studio: Studio, grams: float) -> None:
+    """Tell the arm that its hand carries so many ``grams``."""
     studio.release()
-    studio.settings = replace(studio.settings, payload=mass or None)
+    studio.settings = replace(studio.settings, payload=1e-3 * grams if grams > 0.0 else None)
     studio.session()
-    studio.change(done=f"The hand carries {1e3 * mass:.0f} g from now on.")
+    studio.change(done=f"The hand carries {max(grams, 0.0):.0f} g from now on.")
 
 
 def serve(studio: Studio, listen: str) -> None:

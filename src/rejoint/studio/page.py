@@ -6,10 +6,10 @@ Each panel shows the status, and offers what one can do next.
 import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import partial
 from http import HTTPStatus
 from http.cookies import SimpleCookie
-from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -28,7 +28,7 @@ from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
-from rejoint.studio.machine import Job, Status, StepName, Studio
+from rejoint.studio.machine import Status, StepName, Studio
 from rejoint.system.errors import InputError
 from rejoint.system.shell import is_loopback
 
@@ -150,9 +150,17 @@ class StudioPage(WebPage):
         act()
         self._drawn = ()
 
-    def job(self, label: str, job: Job, *, first: bool = False) -> None:
-        """Add a button that begins a job of the same name."""
-        self.button(label, lambda: self.studio.do(label, job), first=first)
+    def job(self, label: str, job: Callable[..., object], *keys: str, first: bool = False) -> None:
+        """Add a button that begins a job of the same name, with what is typed and chosen under ``keys``."""
+
+        def work(studio: Studio) -> None:
+            job(studio, *(copy(self.form[key]) for key in keys))
+
+        self.button(label, lambda: self.studio.do(label, work), first=first)
+
+    def go(self, studio: Studio) -> None:
+        """Go to the typed point: a job."""
+        jobs.go_to(studio, point(self.form), 1e-3 * self.form["within"])
 
     def field(self, label: str, key: str, usual: str | float = "", step: float = 1.0) -> None:
         """Add a line to type into, a box to tick or a number, by the kind of its ``usual`` value."""
@@ -274,7 +282,7 @@ class StudioPage(WebPage):
         self.server.scene.add_icosphere("/clicked", 0.006, TARGET, position=place)
         self._drawn = ()
         if self.form.get("at once"):
-            self.studio.do("Go", lambda studio: jobs.go_to(studio, point(self.form)))
+            self.studio.do("Go", self.go)
 
 
 class StudioView(LiveView):
@@ -324,11 +332,7 @@ def diagnose(page: StudioPage, status: Status) -> None:
     found = status.found.get("diagnosis")
     page.html("hint", f"The arm goes to ten targets and turns each joint. {QUICK}")
     page.field("Quick try", "quick", False)
-    page.job(
-        "Diagnose",
-        lambda studio: jobs.diagnose(studio, quick=bool(page.form["quick"])),
-        first=found is None,
-    )
+    page.job("Diagnose", jobs.diagnose, "quick", first=found is None)
     if found is not None:
         page.html("diagnosis", found)
         page.button("Next: repair", lambda: page.studio.change(step="repair"), first=True)
@@ -341,7 +345,7 @@ def repair(page: StudioPage, status: Status) -> None:
         "hint", f"It fits a simulation of this arm, trains a policy, and compares all controllers on the arm. {QUICK}"
     )
     page.field("Quick try", "quick", False)
-    page.job("Repair", lambda studio: jobs.repair(studio, quick=bool(page.form["quick"])), first=done is None)
+    page.job("Repair", jobs.repair, "quick", first=done is None)
     if done is not None:
         page.html("repaired", done, status.found.get("advice"))
         page.button("Next: before and after", lambda: page.studio.change(step="prove"), first=True)
@@ -355,12 +359,7 @@ def calibrate(page: StudioPage, status: Status) -> None:
     page.field("Postures", "count", 10)
     page.field("Board", "board", "board.toml")
     page.field("Camera", "camera", 0)
-
-    def measure(studio: Studio) -> None:
-        form = page.form
-        jobs.calibrate(studio, form["gauge"], max(int(form["count"]), 2), Path(form["board"]), int(form["camera"]))
-
-    page.job("Calibrate", measure, first=True)
+    page.job("Calibrate", jobs.calibrate, "gauge", "count", "board", "camera", first=True)
 
 
 def prove(page: StudioPage, status: Status) -> None:
@@ -371,7 +370,7 @@ def prove(page: StudioPage, status: Status) -> None:
     page.html("points", points)
     page.button("Add the point", lambda: points.append(point(page.form)))
     page.button("Remove all points", points.clear)
-    page.job("Compare before and after", lambda studio: jobs.prove(studio, list(points)), first=True)
+    page.job("Compare before and after", jobs.prove, "points", first=True)
     if status.found.get("proof"):
         page.html("proof", status.found["proof"])
         page.button("Next: use it", lambda: page.studio.change(step="use"), first=True)
@@ -379,10 +378,8 @@ def prove(page: StudioPage, status: Status) -> None:
 
 def places(page: StudioPage, status: Status) -> None:
     """Type a point."""
-    middle = (
-        [150.0, 0.0, 150.0] if status.arm is None else 500.0 * (status.arm.targets.lower + status.arm.targets.upper)
-    )
-    for name, usual in zip("xyz", middle, strict=True):
+    targets = (status.arm or load_arm(DEFAULT_ARM)).targets
+    for name, usual in zip("xyz", 500.0 * (targets.lower + targets.upper), strict=True):
         page.field(f"{name} mm", name, round(float(usual)))
 
 
@@ -392,26 +389,22 @@ def use(page: StudioPage, status: Status) -> None:
     places(page, status)
     page.field("Accept mm", "within", 2.0, step=0.1)
     page.field("Click to go", "at once", False)
-    page.job(
-        "Go",
-        lambda studio: jobs.go_to(studio, point(page.form), 1e-3 * page.form["within"]),
-        first=True,
-    )
+    page.job("Go", page.go, first=True)
     path = page.form.setdefault("path", [])
     page.html("points", path)
     page.button("Record the point", lambda: path.append(point(page.form)))
     page.job("Record where the tool is", lambda studio: path.append(studio.session().state.tool_m))
     page.button("Forget the path", path.clear)
     page.field("Times", "times", 1.0)
-    page.job("Play the path", lambda studio: jobs.play(studio, list(path), max(int(page.form["times"]), 1)))
+    page.job("Play the path", jobs.play, "path", "times")
     page.upload("Play a path file (CSV)", jobs.play_file)
     page.field("Load g", "load", 0.0)
-    page.job("The hand carries this load", lambda studio: jobs.carry(studio, 1e-3 * max(page.form["load"], 0.0)))
+    page.job("The hand carries this load", jobs.carry, "load")
     page.field("For programs", "listen", "127.0.0.1:9001")
-    page.job("Let programs drive it", lambda studio: jobs.serve(studio, str(page.form["listen"])))
+    page.job("Let programs drive it", jobs.serve, "listen")
     page.choice("Export", "export", KINDS)
     page.field("LeRobot file", "lerobot")
-    page.job("Write the file", lambda studio: jobs.export(studio, page.form["export"], str(page.form["lerobot"])))
+    page.job("Write the file", jobs.export, "export", "lerobot")
     page.job("Check again", jobs.check_again)
     page.job("History of all arms", jobs.history)
     page.html("history", status.found.get("history") or ())
