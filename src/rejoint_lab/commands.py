@@ -15,7 +15,6 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
 from rejoint.system.progress import part
-from rejoint.system.shell import is_loopback
 from rejoint_lab.family import SIMULATOR
 
 if TYPE_CHECKING:
@@ -63,8 +62,8 @@ def emulate(
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         stack.callback(server.stop)
         call.message(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
-        if not (pty or is_loopback(host)):
-            call.message(f"Other machines can drive it too, without a password: it listens on {host}.")
+        if not pty:
+            call.say_open(host)
         if fault:
             call.message(f"Faults: {fault}")
         server.run()

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, TypeVar, cast
+from typing import IO, Any, Literal, TextIO, cast
 
 import msgspec
 import numpy as np
@@ -24,13 +24,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rejoint.system.progress import Progress
-from rejoint.system.shell import host_and_port, is_loopback
+from rejoint.system.shell import is_loopback
 from rejoint.system.stopping import raise_again
-
-if TYPE_CHECKING:
-    from rejoint.pages.live.view import LiveView
-
-T = TypeVar("T")
 
 WIDTH = 80
 """Characters of a line of a table where the terminal does not say its own"""
@@ -92,9 +87,9 @@ Shown = Iterable[str | tuple[Any, ...]]
 class Terminal:
     """Where a command writes. One per command."""
 
-    def __init__(self, *, json: bool = False, dry: bool = False, live: str | None = None) -> None:
-        """Take whether the command ends with JSON, whether it simulates, and where the page of the live view is."""
-        self.json, self.live, self._dry, self._of = json, live, dry, "In the simulation: " if dry else ""
+    def __init__(self, *, json: bool = False, dry: bool = False) -> None:
+        """Take whether the command ends with JSON, and whether it simulates."""
+        self.json, self._dry, self._of = json, dry, "In the simulation: " if dry else ""
         self.results = Console(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
         self.bars = ExitStack()
@@ -103,6 +98,11 @@ class Terminal:
     def message(self, line: str) -> None:
         """Tell what is going on."""
         self.notes.print(line, markup=False)
+
+    def say_open(self, host: str) -> None:
+        """Tell that other computers reach what listens at ``host``, if they do."""
+        if not is_loopback(host):
+            self.message(f"Other computers can use it too, without a password: it listens on {host}.")
 
     def result(self, text: str) -> None:
         """Print a line of the result."""
@@ -217,23 +217,3 @@ def with_place(words: Sequence[str]) -> list[str]:
         f"{OPTION}={HERE}" if word == OPTION and not _PLACE.fullmatch("".join(words[k + 1 : k + 2])) else word
         for k, word in enumerate(words)
     ]
-
-
-@contextmanager
-def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[LiveView | None]:
-    """Serve the page at ``place`` while a command, called ``title``, does its work; None where it is not wanted."""
-    if place is None:
-        yield None
-        return
-    from rejoint.pages.live.view import LiveView
-
-    host, port = host_and_port(OPTION, place)
-    with LiveView(host, port) as view:
-        terminal.message(f"Live view: {view.address}")
-        if not is_loopback(host):
-            terminal.message(
-                "Anyone who reaches this computer can look and press the button there: there is no password. "
-                f"Better use {OPTION} alone, and on the computer with the browser: ssh -L {port}:127.0.0.1:{port} HOST"
-            )
-        view.begin(title)
-        yield view

@@ -1,12 +1,15 @@
 """The options that commands share, each declared once, and the call of a command that receives them."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
+from urllib.parse import urlsplit
 
 import numpy as np
 import typer
@@ -16,7 +19,7 @@ from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_arm_toml
 from rejoint.arms.workspace import NoPostureError
 from rejoint.cli import show, texts
-from rejoint.cli.console import Terminal, live_view
+from rejoint.cli.console import OPTION, Terminal
 from rejoint.control.recording import Observer, Observers
 from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
@@ -26,6 +29,7 @@ from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError, UnsavedError
 from rejoint.system.extras import compiles_first
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.shell import host_and_port
 
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
@@ -63,7 +67,8 @@ class Call(Terminal, Observer):
         self._stage: Stage | None = None
         self._view: LiveView | None = None
         self._title = ""
-        super().__init__(json=given["json"], dry=self.settings.dry_run, live=given.get("live"))
+        self.live = given.get("live")
+        super().__init__(json=given["json"], dry=self.settings.dry_run)
 
     def address(self, robot: str) -> str:
         """Return the address of a robot that may be given by name; what is known of it holds by default."""
@@ -123,12 +128,19 @@ class Call(Terminal, Observer):
         """Show what an arm does, on the page too where one is asked for, and a result of `show` that is cut short."""
         self.say_compiling()
         self._title = title
-        with live_view(self, self.live, title) as view, self.bars:
-            self._view = view
+        with ExitStack() as stack, self.bars:
+            if self.live is not None:
+                from rejoint.pages.live.view import LiveView
+
+                host, port = host_and_port(OPTION, self.live)
+                self._view = stack.enter_context(LiveView(host, port))
+                self.message(f"Live view: {self._view.address}")
+                self.say_open(host)
+                self._view.begin(title)
             if bar:
                 self._show_bar(title)
             try:
-                yield self if view is None else Observers(self, view)
+                yield self if self._view is None else Observers(self, self._view)
             except UnsavedError as error:
                 self.partial(error.result)
                 raise
@@ -172,8 +184,7 @@ class Call(Terminal, Observer):
     def served(self, address: str) -> None:
         """Print where a served arm is."""
         self.message(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
-        if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            self.message("Other machines can drive it too, without a password.")
+        self.say_open(urlsplit(address).hostname or "localhost")
 
 
 def held_positions(text: str | None) -> dict[str, float | str]:
