@@ -5,7 +5,7 @@ import platform
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -61,13 +61,13 @@ class Surroundings:
 def examine(case: Surroundings) -> Iterator[tuple[str, Symptom]]:
     """Go through `CHECKS`; an error of the project is a finding, and names its remedy behind the semicolon."""
     with case.stack:
-        for name, check in CHECKS.items():
+        for check in CHECKS:
             try:
                 for found in check(case):
-                    yield name, found
+                    yield check.__name__, found
             except (RejointError, OSError, ImportError, RuntimeError) as error:
                 text, _, fix = (explain(error) or first_line(error)).partition("; ")
-                yield name, Symptom(text, fix or "see docs/troubleshooting.md")
+                yield check.__name__, Symptom(text, fix or "see docs/troubleshooting.md")
 
 
 def extras(case: Surroundings) -> Iterator[Symptom]:
@@ -123,7 +123,7 @@ def clock(case: Surroundings) -> Iterator[Symptom]:
     yield Symptom(now + ", but files here are newer" * late, "set it: sudo timedatectl set-ntp true" * late)
 
 
-def serial_ports(_: Surroundings) -> Iterator[Symptom]:
+def ports(_: Surroundings) -> Iterator[Symptom]:
     """List the ports, with who may open them."""
     found = lines.ports()
     for device, what in found.items():
@@ -225,18 +225,7 @@ def link(case: Surroundings) -> Iterator[Symptom]:
     )
 
 
-CHECKS: dict[str, Callable[[Surroundings], Iterator[Symptom]]] = {
-    "extras": extras,
-    "compiler": compiler,
-    "disk": disk,
-    "ports": serial_ports,
-    "camera": camera,
-    "run": run,
-    "robot": robot,
-    "servos": servos,
-    "link": link,
-    "clock": clock,
-}
+CHECKS = (extras, compiler, disk, ports, camera, run, robot, servos, link, clock)
 """All checks, in their order"""
 
 

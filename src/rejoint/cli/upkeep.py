@@ -10,15 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
-import numpy as np
-
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal, picked
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
-from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.logs.history import find_rows
@@ -87,22 +84,14 @@ def calibrate(
     found = call.do(rejoint.calibrate, **about)
     if found.calibration.used:
         call.next(command("deploy", robot, run))
-    own, wear = found.calibration, found.preload
     value = {
         "run": run,
-        **picked(own, "used", "points", "suspects"),
+        **picked(found.calibration, "used", "points", "suspects"),
         "before_mm": 1e3 * found.before,
         "after_mm": 1e3 * found.after,
         "reversal_mm": [1e3 * one for one in found.reversal],
         "calibration": job.folder.calibration,
-        "preload": {
-            "joints": wear.joints,
-            "chance_mm": 1e3 * wear.chance,
-            "wedge_side": wear.side,
-            "wedge_deg": float(np.degrees(WEDGE)),
-            "wedge_mm": 1e3 * wear.wedge,
-            "wedge_helps": wear.wedge_helps,
-        },
+        "preload": found.preload,
     }
     if found.filmed is not None:
         value |= {**picked(found.filmed, "left_out", "residuals"), "camera": job.folder.camera}
