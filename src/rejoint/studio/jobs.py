@@ -36,8 +36,8 @@ if TYPE_CHECKING:  # an extra
     from rejoint.camera.board import BoardView, Picture
 
 _TABLES = read_shipped(__file__, "jobs.toml", dict[str, dict[str, Any]])
-SAYS, EXPECTED, TURNS = (_TABLES[name] for name in ("says", "expected", "turns"))
-"""What a finding says at its joint; seconds, and turns of all joints, of stages before their own pace is known"""
+SAYS, EXPECTED = (_TABLES[name] for name in ("says", "expected"))
+"""What a finding says at its joint; seconds of stages before their own pace is known"""
 LEAST = 1.0
 """[mm] at the tool that is worth a word at a joint (chosen)"""
 EARLY = 0.05
@@ -146,22 +146,18 @@ def marks(arm: Arm, diagnosis: rejoint.Diagnosis | None) -> dict[int, str]:
 
 
 def left(studio: Studio) -> str:
-    """Return in words how long the job still takes, and how many turns the joints make; empty: unknown."""
-    status = studio.status
-    elapsed, share, turns = time.monotonic() - status.began, status.share, studio.travel / (2.0 * np.pi)
+    """Return in words how long the job still takes; empty: unknown."""
+    status, stage = studio.status, studio.status.stage
     if not status.busy or status.question:
         return ""
-    stage, arm = status.stage, status.arm
-    if stage is None or status.run is None or arm is None:
-        return "" if share < EARLY else f"about {_minutes(elapsed * (1.0 - share) / share)} left"
-    planned = list(stages_of(status.address, arm, RunFolder(status.run)))
-    within = stage.total * share - (stage.number - 1)
-    now = elapsed * (1.0 - within) / within if within > EARLY else max(EXPECTED.get(stage.name, 0.0) - elapsed, 0.0)
-    later = planned[planned.index(stage.name) + 1 :]
-    pace = 0.2 if is_virtual(status.address) else 1.0
-    seconds = now + pace * sum(EXPECTED[name] for name in later)
-    coming = sum(TURNS.get(name, 0.0) for name in later) + (1.0 - within) * TURNS.get(stage.name, 0.0)
-    return f"about {_minutes(seconds)} and {coming:.0f} turns of the joints left; {turns:.0f} turns done"
+    elapsed, share, usual, later = time.monotonic() - status.began, status.share, 0.0, 0.0
+    if stage is not None and status.run is not None and status.arm is not None:
+        planned = list(stages_of(status.address, status.arm, RunFolder(status.run)))
+        coming = planned[planned.index(stage.name) + 1 :]
+        share, usual = stage.total * share - (stage.number - 1), EXPECTED.get(stage.name, 0.0)
+        later = (0.2 if is_virtual(status.address) else 1.0) * sum(EXPECTED[name] for name in coming)
+    now = elapsed * (1.0 - share) / share if share > EARLY else max(usual - elapsed, 0.0)
+    return f"about {_minutes(now + later)} left" if now + later else ""
 
 
 def _minutes(seconds: float) -> str:

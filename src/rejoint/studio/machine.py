@@ -10,8 +10,6 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-import numpy as np
-
 import rejoint
 from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer
@@ -94,8 +92,6 @@ class Studio(Observer):
         self._session: rejoint.Session | None = None
         self.seen: JointState | None = None
         """newest reading of the arm"""
-        self.travel = 0.0
-        """[rad] of all joints in this job"""
         warnings = logging.Handler(logging.WARNING)
         warnings.emit = lambda record: self.message(record.getMessage())  # type: ignore[method-assign]
         LOGGER.addHandler(warnings)
@@ -124,7 +120,7 @@ class Studio(Observer):
         with self._lock:
             if self.status.busy or self.left.is_set():
                 return False
-            self._stopped_by, self.travel = "", 0.0
+            self._stopped_by = ""
             while not self._answers.empty():
                 self._answers.get()
             self.change(job=title, share=0.0, what="", began=time.monotonic(), stage=None)
@@ -172,12 +168,9 @@ class Studio(Observer):
     def session(self) -> rejoint.Session:
         """Return the session of the chosen arm, which stays open for the next job."""
         if self._session is None:
-            status = self.status
-            if not status.address:
+            if not self.status.address:
                 raise InputError("no arm is chosen yet; find it first")
-            self._session = rejoint.connect(
-                status.address, run=self.run, arm=status.arm, settings=self.settings, observer=self.observer
-            )
+            self._session = self.call(rejoint.connect, run=self.run)
         return self._session
 
     def call(self, work: Callable[..., T], *given: object, **options: object) -> T:
@@ -260,6 +253,4 @@ class Studio(Observer):
     def _see(self, state: JointState, _: Array | None) -> None:
         """Keep a reading, unless the job is to end: a stop between two motions counts in the next one."""
         self.heed()
-        last, self.seen = self.seen, state
-        if last is not None and last.position.shape == state.position.shape:
-            self.travel += float(np.abs(state.position[0] - last.position[0]).sum())
+        self.seen = state
