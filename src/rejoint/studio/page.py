@@ -120,15 +120,16 @@ class StudioPage(WebPage):
             return _text(HTTPStatus.OK, run.page.read_text(encoding="utf-8"), "html")
         return None
 
-    def furnish(self, gui: viser.GuiApi) -> None:
+    def furnish(self) -> None:
         """Put the parts that never change into the panel, in the order of what matters."""
+        gui = self.server.gui
         gui.add_html(str(self._words.style()))
-        self.add_stop(gui)
+        self.add_stop()
         self._step = gui.add_dropdown("Step", list(TITLES.values()))
         self._step.on_update(lambda event: self._go(event.client is not None))
         self._panel_of_step = gui.add_folder("Find the arm")
         with gui.add_folder("The arm now", expand_by_default=False):
-            self.add_state(gui)
+            self.add_state()
         with gui.add_folder("When the browser is closed", expand_by_default=False):
             self._closed = gui.add_dropdown("The arm", [HOLDS, "goes on"])
         self.build(load_arm(DEFAULT_ARM), Protocol.threshold)

@@ -22,14 +22,12 @@ from rejoint.system.stopping import ask
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
 
-Colour = tuple[int, int, int]
-
-LINKS: tuple[Colour, Colour] = (214, 219, 225), (168, 179, 192)
+LINKS = (214, 219, 225), (168, 179, 192)
 """of the links in turn"""
-GHOST: Colour = (47, 111, 237)
-TRAIL: Colour = (235, 120, 30)
-TARGET: Colour = (30, 160, 90)
-TRUE: Colour = (200, 30, 160)
+GHOST = (47, 111, 237)
+TRAIL = (235, 120, 30)
+TARGET = (30, 160, 90)
+TRUE = (200, 30, 160)
 """of the tool"""
 TRAIL_POINTS = 400
 """(chosen: at `APART` that is 0.8 m)"""
@@ -145,28 +143,29 @@ class WebPage:
         """the run that is drawn"""
         self._count, self._recent = -1, list[SeenCycle]()
         self._panel = macros("live.html")
-        self.furnish(gui)
+        self.furnish()
 
     def serve(self, host: str, port: int) -> viser.ViserServer:
         """Begin to listen."""
         return viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
 
-    def furnish(self, gui: viser.GuiApi) -> None:
+    def furnish(self) -> None:
         """Put everything into the panel."""
-        self.add_stop(gui)
-        self.add_state(gui)
+        self.add_stop()
+        self.add_state()
 
-    def add_stop(self, gui: viser.GuiApi) -> None:
+    def add_stop(self) -> None:
         """Add the button that stops the arm, and what is being done."""
+        gui = self.server.gui
         hint = "The arm stops and keeps its position, powered."
         self._stop = gui.add_button(self.stop_label, color="red", hint=hint, icon=viser.Icon.HAND_STOP)
         self._stop.on_click(lambda _: self.stop())
         self._head, self._bar = gui.add_html(""), gui.add_progress_bar(0.0, color="teal")
 
-    def add_state(self, gui: viser.GuiApi) -> None:
+    def add_state(self) -> None:
         """Add what follows the arm."""
-        self.state = gui.add_html("")
-        self._pace = gui.add_dropdown("Emulated arm", list(PACES), visible=False)
+        self.state = self.server.gui.add_html("")
+        self._pace = self.server.gui.add_dropdown("Emulated arm", list(PACES), visible=False)
 
     @property
     def pace(self) -> float:
@@ -300,7 +299,7 @@ def _place(handle: viser.IcosphereHandle, point: Array) -> None:
 class Trail:
     """The way of a point."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, colour: Colour) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, colour: tuple[int, int, int]) -> None:
         nowhere = np.zeros((1, 2, 3), dtype=np.float32)
         self._line = scene.add_line_segments(name, nowhere, colour, thickness=2.5, thickness_units="screen")
         self.points = deque[Array](maxlen=TRAIL_POINTS)
