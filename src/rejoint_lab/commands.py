@@ -107,7 +107,7 @@ def evaluate(
     from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
 
     names = {"all": KNOWN, "none": ()}.get(controllers, controller_names(controllers))
-    chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
+    chosen = [find_variant(name) for name in controller_names(variants)] or VARIANTS
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
     contestants, file = _contestants(arm, [*names, *map(str, policy or ())], gains), out.resolve() / "evaluation.json"
     with call.bar("evaluate") as update:
@@ -131,8 +131,7 @@ def calibrate(
     from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
 
     (one,) = _contestants(arm, [controller])
-    names = [] if variants == "all" else controller_names(variants)
-    conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
+    conditions = [find_variant(name, CALIBRATED) for name in controller_names(variants)] or CALIBRATED
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
     file = out.resolve() / "calibration.json"
     with call.bar("calibrate") as update:
