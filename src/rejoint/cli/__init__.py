@@ -23,7 +23,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from rejoint.cli.console import Terminal, into_nothing, notes, with_place
+from rejoint.cli.console import Terminal, into_nothing, with_place
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import require_compiler
 from rejoint.system.shell import __version__
@@ -189,21 +189,17 @@ def _ended(error: BaseException, *, json: bool) -> int:
         close()  # a signal that was swallowed is sent again, at a time of its own
     from rejoint.runs.failure import failure_of, kept
 
-    misused = isinstance(error, typer.TyperException)
+    misused, terminal = isinstance(error, typer.TyperException), Terminal(json=json)
     text, kind, code = (_misused(error), "UsageError", 2) if misused else kept(failure_of(error))[:3]
     if isinstance(error, Interrupted) and sys.argv[1:2] and sys.argv[1] in RESUMED:
         text += f"; what is finished is kept: the same `rejoint {sys.argv[1]}` goes on from there"
     if not {*VERBOSE}.isdisjoint(sys.argv):
-        _say("".join(traceback.format_exception(error)).rstrip())
-    _say(f"error: {text}")
+        terminal.message("".join(traceback.format_exception(error)).rstrip())
+    terminal.message(f"error: {text}")
     try:
-        Terminal(json=json).finish({"error": kind, "message": text, "exit_code": code})
+        terminal.finish({"error": kind, "message": text, "exit_code": code})
     except OSError:  # its disk is full: what is left in its buffer has nowhere to go either
         into_nothing(sys.stdout)
     for note in getattr(error, "__notes__", ()):
-        _say(note)
+        terminal.message(note)
     return code
-
-
-def _say(text: str) -> None:
-    notes().print(text, markup=False)

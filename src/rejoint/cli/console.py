@@ -71,11 +71,6 @@ def into_nothing(file: IO[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
 
 
-def notes() -> Console:
-    """Return standard error, for what is no result."""
-    return Console(file=cast(TextIO, _OutputFile(sys.stderr, lossy=True)), highlight=False, soft_wrap=True)
-
-
 def _results() -> TextIO:
     return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
 
@@ -91,7 +86,9 @@ class Terminal:
         """Take whether the command ends with JSON, and whether it simulates."""
         self.json, self._dry, self._of = json, dry, "In the simulation: " if dry else ""
         self.results = Console(file=_results(), highlight=False, soft_wrap=True)
-        self.notes = notes()
+        notes = cast(TextIO, _OutputFile(sys.stderr, lossy=True))
+        self.notes = Console(file=notes, highlight=False, soft_wrap=True)
+        """standard error, for what is no result"""
         self.bars = ExitStack()
         """bars that are shown; closed where something else is to be seen"""
 
