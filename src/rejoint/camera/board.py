@@ -155,20 +155,13 @@ def page_of(board: Board, page: str = "A4") -> Image.Image:
     sheet.paste(Image.fromarray(board.drawing(1e3 * DOTS)), (round(DOTS * x), round(DOTS * y)))
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(round(DOTS * _TEXT))
 
-    def line(*ends: float) -> None:
-        pen.line([round(DOTS * end) for end in ends], fill=0, width=round(DOTS * _LINE))
-
-    for name, left, top, level in (
-        ("x", x, y + down + _QUIET, 1.0),
-        ("y", x + across + _QUIET, y, 0.0),
-    ):
-        upright = 1.0 - level
-        line(left, top, left + RULER * level, top + RULER * upright)
-        for way in np.linspace(0.0, RULER, 11):
-            a, b = left + way * level, top + way * upright
-            line(a, b, a + _TICK * upright, b + _TICK * level)
-        at = (DOTS * (left + (RULER + 2) * level), DOTS * (top + (RULER + 2) * upright))
-        pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
+    starts = np.array([[x, y + down + _QUIET], [x + across + _QUIET, y]])
+    for name, start, along in zip("xy", starts, np.eye(2), strict=True):
+        marks = start + np.linspace(0.0, RULER, 11)[:, None] * along
+        for ends in ((marks[0], marks[-1]), *zip(marks, marks + _TICK * along[::-1], strict=True)):
+            pen.line(np.rint(DOTS * np.ravel(ends)).tolist(), fill=0, width=round(DOTS * _LINE))
+        at = DOTS * (start + (RULER + 2) * along)
+        pen.text((at[0], at[1]), f"{RULER:g} mm in {name}", fill=0, font=font)
     caption = (
         f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
         f"markers {1e3 * board.marker:g} mm, {DICTIONARY}. "
