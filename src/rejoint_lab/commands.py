@@ -167,7 +167,7 @@ def tune(
     from rejoint_lab.research.rivals import RIVALS, make_rival
     from rejoint_lab.research.rivals import tune as search
 
-    arm = load_arm(call.pick.arm or "mycobot280")
+    arm = call.arm()
     ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     tuned = dict[str, dict[str, float]]()
@@ -205,17 +205,12 @@ def reproduce(
         call.table(chosen[name].title, ["", "ours", "paper"], finished.numbers)
     page = write_page(bench)
     call.result(str(page))
-    rows = [
-        {"experiment": name, "what": what, "ours": ours, "paper": paper}
-        for name, finished in found.items()
-        for what, ours, paper in finished.numbers
-    ]
-    return {"page": page, "run": folder, "numbers": rows}
+    return {"page": page, "run": folder, "found": found}
 
 
 def _arm(call: Call) -> Arm:
     require("rejoint research", "train", "report")
-    return load_arm(call.pick.arm or "mycobot280")
+    return call.arm()
 
 
 def _contestants(arm: Arm, words: list[str], gains: Path | None = None) -> list[Contestant]:
