@@ -97,7 +97,7 @@ def chain_links(arm: Arm) -> Array:
         place, com, mass = before.T @ arm.offset[j, :3, 3], after.T @ arm.com[j], arm.mass[j]
         inertia = after.T @ arm.inertia[j] @ after + mass * (com @ com * np.eye(3) - np.outer(com, com))
         rotation, carried = before.T @ arm.offset[j, :3, :3] @ after, arm.mass[j:].sum()
-        rows.append([*rotation.flat, *place, mass, *(mass * com), *inertia_values(inertia), carried])
+        rows.append([*rotation.T.flat, *place, mass, *(mass * com), *inertia_values(inertia), carried])
         before = after
     return np.array(rows)
 

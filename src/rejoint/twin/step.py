@@ -22,16 +22,16 @@ from rejoint.twin import parameters
 LANES, GROUP = 64, 8
 """Arms stepped together, at most, and their granularity; chosen"""
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
-"""Indices of a link's constants: rotation and place of its joint; mass, first moment and inertia about it; the mass
-behind it; their number"""
-# Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each element: columns of its
-# rotation, place, moment of its axis about the origin, angular and linear velocity and acceleration, torque; and, of
-# all that it carries, force, moment, first moment and inertia (xx, yy, zz, xy, xz, yz).
-_ROWS = (0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 28, 31, 34, 37, 43)
-X, Y, Z, AT, AXIS, SPIN, SPEED, TURN, ACCELERATION, TORQUE, FORCE, MOMENT_OF, FIRST, SPREAD, KEPT_ROW = (
-    LANES * k for k in _ROWS
+"""Indices of a link's constants: columns of the rotation, and place, of its joint; mass, first moment and inertia about
+it; the mass behind it; their number"""
+VECTOR = 3 * LANES
+# Where the vectors of a joint begin in the row of it that is kept, LANES numbers of each element: columns of its
+# rotation, place, moment of its axis about the origin, angular and linear velocity and acceleration, torque (a number);
+# and, of all that it carries, force, moment, first moment and inertia (xx, yy, zz; xy, xz, yz).
+X, Y, Z, AT, AXIS, SPIN, SPEED, TURN, ACCELERATION, TORQUE, FORCE, MOMENT_OF, FIRST, SPREAD, SKEW, KEPT_ROW = range(
+    0, 16 * VECTOR, VECTOR
 )
-_LINEAR, _ANGULAR, REACH_ROW = 0, 3 * LANES, 6 * LANES  # momentum of a joint's unit motion
+_LINEAR, _ANGULAR, REACH_ROW = 0, VECTOR, 2 * VECTOR  # momentum of a joint's unit motion
 
 
 class NoAlias(Compiler):  # type: ignore[misc]
@@ -94,8 +94,14 @@ def _plus(a, b, factor):
 
 
 @njit(**INLINE)
-def _combined(x, y, z, a):
-    """Turn a vector by the rotation with columns x, y and z, or multiply it by such a matrix."""
+def _constants(link, first):
+    return link[first], link[first + 1], link[first + 2]
+
+
+@njit(**INLINE)
+def _turned(columns, a):
+    """Multiply a vector by a matrix, such as a rotation, with these columns."""
+    x, y, z = columns
     return (
         x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
         x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
@@ -104,9 +110,19 @@ def _combined(x, y, z, a):
 
 
 @njit(**INLINE)
+def _product(columns, others):
+    return _turned(columns, others[0]), _turned(columns, others[1]), _turned(columns, others[2])
+
+
+@njit(**INLINE)
+def _symmetric(diagonal, beside):
+    (xx, yy, zz), (xy, xz, yz) = diagonal, beside
+    return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+
+
+@njit(**INLINE)
 def _spun(row, l, a):
-    (xx, yy, zz), (xy, xz, yz) = _load(row, SPREAD, l), _load(row, SPREAD + 3 * LANES, l)
-    return _combined((xx, xy, xz), (xy, yy, yz), (xz, yz, zz), a)
+    return _turned(_symmetric(_load(row, SPREAD, l), _load(row, SKEW, l)), a)
 
 
 @njit(**OPTIONS)
@@ -135,20 +151,19 @@ def turn(lanes, q, sine, cosine):
 @njit(**OPTIONS)
 def forward(lanes, link, before, here, speed, sine, cosine):
     """Carry motion from the joint ``before``; store the link's inertia, inertial force and moment."""
-    x0, y0, z0 = (link[0], link[3], link[6]), (link[1], link[4], link[7]), (link[2], link[5], link[8])
-    place, first = (link[PLACE], link[PLACE + 1], link[PLACE + 2]), (link[MOMENT], link[MOMENT + 1], link[MOMENT + 2])
-    xx, yy, zz = link[INERTIA], link[INERTIA + 1], link[INERTIA + 2]
-    xy, xz, yz = link[INERTIA + 3], link[INERTIA + 4], link[INERTIA + 5]
-    mass, none = link[MASS], (0.0, 0.0, 0.0)
+    joint = _constants(link, ROTATION), _constants(link, ROTATION + 3), _constants(link, ROTATION + 6)
+    inertia = _symmetric(_constants(link, INERTIA), _constants(link, INERTIA + 3))
+    place, first, mass, none = _constants(link, PLACE), _constants(link, MOMENT), link[MASS], (0.0, 0.0, 0.0)
     for l in range(lanes):
         s, c, v = sine[l], cosine[l], speed[l]
-        bx, by, bz = _load(before, X, l), _load(before, Y, l), _load(before, Z, l)
-        a, b, z = _combined(bx, by, bz, x0), _combined(bx, by, bz, y0), _combined(bx, by, bz, z0)
+        base = _load(before, X, l), _load(before, Y, l), _load(before, Z, l)
+        a, b, z = _product(base, joint)
         x, y = _plus(_plus(none, a, c), b, s), _plus(_plus(none, b, c), a, -s)
+        frame = x, y, z
         _store(here, X, l, x)
         _store(here, Y, l, y)
         _store(here, Z, l, z)
-        at = _plus(_load(before, AT, l), _combined(bx, by, bz, place), 1.0)
+        at = _plus(_load(before, AT, l), _turned(base, place), 1.0)
         axis = _cross(at, z)
         _store(here, AT, l, at)
         _store(here, AXIS, l, axis)
@@ -160,17 +175,16 @@ def forward(lanes, link, before, here, speed, sine, cosine):
         _store(here, TURN, l, dw)
         _store(here, ACCELERATION, l, du)
         # First moment h; inertia: R I R', then the parallel axis.
-        h = _combined(x, y, z, first)
+        h = _turned(frame, first)
         g = _plus(h, at, 0.5 * mass)
         h = _plus(h, at, mass)
         _store(here, FIRST, l, h)
-        a, b, d = _combined(x, y, z, (xx, xy, xz)), _combined(x, y, z, (xy, yy, yz)), _combined(x, y, z, (xz, yz, zz))
-        p, q, r = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
-        e, f, t = _combined(a, b, d, p), _combined(a, b, d, q), _combined(a, b, d, r)
+        back = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+        e, f, t = _product(_product(frame, inertia), back)
         sx, sy, sz = at[0] * g[0], at[1] * g[1], at[2] * g[2]
         _store(here, SPREAD, l, _plus((e[0], f[1], t[2]), (sy + sz, sx + sz, sx + sy), 2.0))
         cross = at[0] * g[1] + at[1] * g[0], at[0] * g[2] + at[2] * g[0], at[1] * g[2] + at[2] * g[1]
-        _store(here, SPREAD + 3 * LANES, l, _plus((e[1], e[2], f[2]), cross, -1.0))
+        _store(here, SKEW, l, _plus((e[1], e[2], f[2]), cross, -1.0))
         # Momentum p and k, and what changes it: force and moment.
         p = _plus(_cross(w, h), u, mass)
         k = _plus(_spun(here, l, w), _cross(h, u), 1.0)
