@@ -26,10 +26,9 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge, predict_logs
-from rejoint.twin.motionfit import cut_windows, thin
-from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
-from rejoint.twin.replay import Replay
+from rejoint.twin.replay import Replay, cut_windows, thin
+from rejoint.twin.replay import folds as fold_numbers
 from rejoint.twin.structure import OPTIONAL, Structure, rough_fit
 from rejoint.twin.table import twin_spec
 

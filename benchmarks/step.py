@@ -7,7 +7,7 @@ import numpy as np
 
 from rejoint.arms import mycobot280
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.simulation import SUBSTEPS, ChainBatch
+from rejoint.twin.simulation import SUBSTEPS, ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
 ROUNDS, CYCLES = 9, 8
@@ -23,7 +23,7 @@ def main(arms: int = 1024) -> None:
     )
     chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
     start = np.tile(arm.rest, (arms, 1))
-    chain.write(twins)
+    chain.write(Draw.of(twins))
     for batch in (chain, judge):
         batch.restart(start)
     goals = start[:, None] + rng.normal(0.0, 0.2, (CYCLES, arms, 1, arm.joints)).repeat(SUBSTEPS, axis=2)

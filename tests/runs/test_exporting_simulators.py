@@ -64,7 +64,7 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     # A weaker joint breaks loose, or does not, by the least difference.
     starts = p.torque_limit > load + p.stiction * p.coulomb
     assert starts.sum() >= arm.joints - 1
-    ours = rms([path[0][:, starts] for path in replay.predict(p.repeat(1))], measured[:, starts])
+    ours = rms(replay.predict(p.repeat(1))[..., starts], measured[:, starts])
     alone = [predicted(path, logs[window.log], window)[:, starts] for window in windows]
     assert rms(alone, measured[:, starts]) < 1.1 * ours
 

@@ -8,7 +8,7 @@ from rejoint.arms import so101
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
@@ -54,7 +54,7 @@ def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, o
     twin = truth.repeat(1)
     arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP)
     if table is None:
-        arm.write(twin)
+        arm.write(Draw.of(twin))
     arm.restart(command[:1])
     reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed))
     if acceleration < np.inf:

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.training.ranges import BroadRanges
-from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.step import RESTITUTION, cross
 
 ARM = mycobot280()
@@ -75,8 +75,9 @@ def test_only_joints_that_carry_no_weight_have_play():
     values = {"stiffness": 10.0, "damping": 2.0, "coulomb": 0.02, "armature": 1e-3, "torque_limit": 5.0, "offset": 0.0}
     twin = dataclasses.replace(draw.twin, **{name: np.full((2, 6), value) for name, value in values.items()})
     twins, start = ChainBatch(ARM, 2, MS), np.tile(ARM.rest, (2, 1))
-    twins.write(twin, gravity_scale=0.0)
-    twins.loosen(np.repeat([[0.0], [0.04]], 6, axis=1), np.full(2, 0.1), np.ones(2, dtype=bool))
+    play = np.repeat([[0.0], [0.04]], 6, axis=1)
+    floating = {"backlash": play, "grease": np.full(2, 0.1), "gravity_scale": np.zeros(2)}
+    twins.write(dataclasses.replace(Draw.of(twin), **floating))
     twins.restart(start)
     stiff, loose = np.abs(twins.rollout(np.repeat(start[:, None] + 0.1, count, axis=1))[:, -1] - start)
     assert (stiff > 1e-3).all()

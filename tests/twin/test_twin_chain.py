@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280, so101
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.step import GROUP, LANES, turn
 from rejoint.twin.table import TableBatch
 
@@ -34,7 +34,7 @@ def drawn(arm, count, rng, **changes):
 
 def both(arm, twins, position, velocity, timestep=0.005, gravity_scale=1.0):
     judge, chain = TableBatch(arm, twins, (), timestep, 1, gravity_scale), ChainBatch(arm, len(position))
-    chain.write(twins, gravity_scale=gravity_scale)
+    chain.write(replace(Draw.of(twins), gravity_scale=np.broadcast_to(gravity_scale, len(position))))
     chain.timestep[:] = timestep
     for batch in (judge, chain):
         batch.restart(position, velocity)
@@ -80,7 +80,7 @@ def test_friction_holds_a_joint_for_ten_minutes_and_lets_it_go_at_its_limit():
     load = np.zeros((2, 6))
     load[:, 0] = np.array([0.999, 1.001]) * twins.coulomb[:, 0] / twins.stiffness[:, 0]  # joint 1 carries no weight
     chain = ChainBatch(arm, 2, timestep=0.01)
-    chain.write(twins, gravity_scale=0.0)
+    chain.write(replace(Draw.of(twins), gravity_scale=np.zeros(2)))
     chain.restart(start)
     chain.rollout(np.repeat((start + load)[:, None], 60_000, axis=1))
     assert abs(chain.qpos[0, 0] - start[0, 0]) < arm.encoder_step
@@ -94,12 +94,12 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
     control = position[:, None] + rng.normal(0.0, 0.2, (count, 12, 6))
     twins = replace(twins, stiction=rng.uniform(1.0, 2.0, (count, 6)))
     together = ChainBatch(arm, count, threads=threads)
-    together.write(twins)
+    together.write(Draw.of(twins))
     together.restart(position, velocity)
     path = together.rollout(control)
     for i in (0, GROUP, LANES - 1, LANES, count - GROUP, count - 1):
         alone = ChainBatch(arm, 1)
-        alone.write(twins[i : i + 1])
+        alone.write(Draw.of(twins[i : i + 1]))
         alone.restart(position[i : i + 1], velocity[i : i + 1])
         assert_array_equal(alone.rollout(control[i : i + 1])[0], path[i])
 

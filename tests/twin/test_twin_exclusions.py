@@ -6,7 +6,7 @@ from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
-from rejoint.twin.motionfit import cut_windows
+from rejoint.twin.replay import cut_windows
 from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)

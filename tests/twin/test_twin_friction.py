@@ -50,7 +50,7 @@ def log(position):
 
 def predicted(twin):
     logs = [log(np.tile(command[:1], (len(time), 1)))]
-    return Replay(arm, logs, cut(logs, 100.0)).predict(twin.repeat(1))[0][0]
+    return Replay(arm, logs, cut(logs, 100.0)).predict(twin.repeat(1))[0]
 
 
 logs, belief = [log(predicted(truth))], prior(arm)

@@ -11,9 +11,8 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin import replay
 from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
-from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
-from rejoint.twin.replay import Replay, cut
+from rejoint.twin.replay import Replay, cut, part, repeated
 from rejoint.twin.structure import EARLIER, Structure, find_acceleration
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
 

@@ -77,7 +77,7 @@ def test_descent_never_gains_by_leaving_the_optimum(arm, truth, log):
 def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):
     weak = replace(truth, torque_limit=0.6 * truth.torque_limit)
     for twin, reached in ((weak, True), (replace(truth, torque_limit=np.full(arm.joints, 3.0)), False)):
-        moved = replace(log, position=Replay(arm, [log], cut([log], 100.0)).predict(twin.repeat(1))[0][0])
+        moved = replace(log, position=Replay(arm, [log], cut([log], 100.0)).predict(twin.repeat(1))[0])
         found = limiting(Problem(Replay(arm, [moved], cut([moved], 6.0)), prior(arm)), pack(twin))
         assert found[[1, 2]].all() == reached
         assert found.any() == reached

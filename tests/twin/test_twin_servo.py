@@ -10,7 +10,7 @@ from rejoint.arms import mycobot280
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.replay import GAIN, TORQUE_OFF, Replay, at_gain, cut, gains, powered, recorded_gain
-from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
 ARM = mycobot280()
@@ -36,7 +36,7 @@ def swung(batch):
 
 def chain(twin):
     batch = ChainBatch(ARM, 1)
-    batch.write(twin.repeat(1))
+    batch.write(Draw.of(twin.repeat(1)))
     return swung(batch)
 
 

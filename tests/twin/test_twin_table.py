@@ -7,8 +7,7 @@ from motion_logs import ARM, TRUTH, pressing, record, surface
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import position_kinematics
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.twin.motionfit import cut_windows
-from rejoint.twin.replay import Replay
+from rejoint.twin.replay import Replay, cut_windows
 from rejoint.twin.table import TableBatch, fit_table
 from rejoint.twin.twin import TablePlane
 

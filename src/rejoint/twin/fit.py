@@ -94,7 +94,7 @@ class Problem:
 
     def residuals(self, vectors: Array) -> Array:
         """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k)."""
-        return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
+        return self.replay.predict(unpack(vectors, self.joints)) - self.measured
 
     def weights(self, residual: Array) -> Array:
         """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
@@ -136,7 +136,7 @@ class Problem:
         moved = vector + np.where(own, steps, 0.0)
         for row in self._scaled():
             moved[STIFFNESS, own[row]] += steps[own[STIFFNESS]]
-        return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
+        return self.prior.clip(moved[self._live])
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
         """Vectors (f, k) with torques and inertia scaled by ``factors``."""
@@ -147,7 +147,7 @@ class Problem:
         scaled[:, at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))
         held = (1.0 - vector[at("compensation")]) * self.gravity
         scaled[:, at("offset")] += held / stiffness * (1.0 / factor - 1.0)
-        return np.clip(np.where(self.frozen, vector, scaled), self.prior.lower, self.prior.upper)
+        return self.prior.clip(np.where(self.frozen, vector, scaled))
 
     @cached_property
     def gravity(self) -> Array:
@@ -197,7 +197,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
     First joints take the best of the ``scales`` as long as that gains.
     """
-    x = np.clip(start, problem.prior.lower, problem.prior.upper)
+    x = problem.prior.clip(start)
     fixed = problem.frozen
     converged, iteration, rescaling = False, 0, np.inf if scales else 0.0
     residual = problem.residuals(x[None])[0]
@@ -232,7 +232,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         chosen = layout.fitted(rng.choice([0.0, 1.0], size=(count, layout.is_fitted.sum())))
         spread = np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * chosen
         around = x + spread * layout.normal(rng, count)
-        candidates = np.clip(np.vstack([x, around]), prior.lower, prior.upper)
+        candidates = prior.clip(np.vstack([x, around]))
     return x
 
 
@@ -253,7 +253,7 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
     damped = block + np.multiply.outer(DAMPINGS, np.diag(np.diag(block)))
     trial = np.tile(x, (len(DAMPINGS), 1))
     trial[:, free] -= np.clip(np.linalg.solve(damped, gradient[free, None])[..., 0], -sigma, sigma)
-    return np.clip(trial, problem.prior.lower, problem.prior.upper)
+    return problem.prior.clip(trial)
 
 
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Array) -> tuple[Array, float, Array]:
@@ -373,7 +373,7 @@ def fixed_covariance(
     """
     moved = []
     for other, sigma in others(problem.replay):
-        path = np.concatenate(other.predict(unpack(found.vector[None], problem.joints)), axis=1)[0]
+        path = other.predict(unpack(found.vector[None], problem.joints))[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))

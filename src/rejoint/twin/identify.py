@@ -20,15 +20,6 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
-from rejoint.twin.motionfit import (
-    MOSTLY,
-    SHORTEST_STRETCH,
-    cut_windows,
-    farthest,
-    part,
-    repeated,
-    thin,
-)
 from rejoint.twin.parameters import (
     Prior,
     healthy_parameters,
@@ -40,14 +31,21 @@ from rejoint.twin.parameters import (
 )
 from rejoint.twin.replay import (
     GAIN,
+    MOSTLY,
+    SHORTEST_STRETCH,
     VELOCITY,
     Replay,
     Window,
     at_gain,
     cut,
+    cut_windows,
     durations,
+    farthest,
+    part,
     powered,
     recorded_gain,
+    repeated,
+    thin,
 )
 from rejoint.twin.structure import (
     Structure,
@@ -160,7 +158,7 @@ def identify(
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    predicted = [replay.commands, *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
+    predicted = [replay.commands, *replay.predict(unpack(both, arm.joints))]
     no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 

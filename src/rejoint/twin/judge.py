@@ -25,7 +25,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.system.records import value_type
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import Replay, Window, at_gain, in_force
+from rejoint.twin.replay import MOVED, Replay, Window, at_gain, in_force
 from rejoint.twin.twin import (
     NO_TWIN,
     Errors,
@@ -107,7 +107,7 @@ def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
     logs, window = at_gain([log], candidate.gain), Window(log=0, first=0, last=len(log))
     replay = Replay(arm, logs, [window], TIMESTEP, candidate.acceleration)
-    return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0][0]
+    return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0]
 
 
 def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
@@ -158,8 +158,6 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
 
 HALVED = 2.0
 """Distance of motion from commands over the error of a trusted twin; chosen"""
-MOVED = np.radians(2.0)
-"""[rad] least travel of a moving joint; chosen"""
 
 
 def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
@@ -177,7 +175,10 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
         found.append(
             f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
         )
-    late = [_motion(arm, log, own, {"": _delayed(log, lag)}) for log, own in zip(logs, rows, strict=True)]
+    late = []
+    for log, own in zip(logs, rows, strict=True):
+        row = np.searchsorted(log.time, log.time - lag, side="right") - 1
+        late.append(_motion(arm, log, own, {"": log.command[np.clip(row, 0, len(log) - 1)]}))
 
     def errors(found: Sequence[MotionErrors], name: str) -> Array:
         return np.array([own.tcp for motion in found if (own := motion.errors[name].free)])
@@ -191,11 +192,6 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
     if not any(smaller(HALVED * twin, command) for twin in twins):
         found.append("no twin explains half of the distance between commands and motion")
     return found
-
-
-def _delayed(log: RunLog, lag: float) -> Array:
-    """Commands (T, n) [rad] in force ``lag`` [s] before each reading."""
-    return log.command[np.clip(np.searchsorted(log.time, log.time - lag, side="right") - 1, 0, len(log) - 1)]
 
 
 Values = Positive | list[Positive]

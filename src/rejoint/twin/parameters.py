@@ -260,14 +260,13 @@ def shaped(values: Array, joints: int) -> TwinParameters:
 
 def pack(parameters: TwinParameters) -> Array:
     """Parameter vector (..., k), with logarithms of the positive quantities."""
-    values, log = flat(parameters), Layout(parameters.joints).is_log
-    return np.where(log, np.log(np.where(log, values, 1.0)), values)
+    values = flat(parameters)
+    return np.log(values, out=values, where=Layout(parameters.joints).is_log)
 
 
 def unpack(vector: Array, joints: int) -> TwinParameters:
     """Inverse of `pack` for ``vector`` (..., k)."""
-    log = Layout(joints).is_log
-    return shaped(np.where(log, np.exp(np.where(log, vector, 0.0)), vector), joints)
+    return shaped(np.exp(vector, out=vector.copy(), where=Layout(joints).is_log), joints)
 
 
 @entity
@@ -295,6 +294,10 @@ class Prior:
     def precision(self) -> Array:
         """(k, k) inverse covariance."""
         return np.linalg.inv(self.correlation) / np.outer(self.sigma, self.sigma)
+
+    def clip(self, vectors: Array) -> Array:
+        """Vectors (..., k) within the bounds."""
+        return np.clip(vectors, self.lower, self.upper)
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:

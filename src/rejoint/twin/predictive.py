@@ -181,8 +181,7 @@ class Planner:
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
         self._rollouts = ChainBatch(self._arm, count * SAMPLES, timestep=TIMESTEP)
-        samples = arms.rows(np.repeat(np.arange(count), SAMPLES))
-        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
+        self._rollouts.write(arms.rows(np.repeat(np.arange(count), SAMPLES)))
         self._offset = np.zeros((count, n))
         self._plan = np.zeros((count, 2, n))  # first command, and the one after `bend`
 

@@ -29,83 +29,6 @@ ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature")
 """Rows of parameters for `rejoint.twin.step`, before the share of the damping within the limit"""
 
 
-class ChainBatch:
-    """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
-
-    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
-        self.arm, self.nsim = arm, nsim
-        shape = (nsim, arm.joints)
-        self.qpos, self.qvel = np.zeros((2, *shape))
-        self.timestep = np.full(nsim, float(timestep))
-        """(nsim,) [s]"""
-        self._links = chain_links(arm)
-        self._impulse, self._motors = np.zeros(shape), np.zeros((TERMS + len(DRY), *shape))
-        self._gravity, self._carried = np.zeros((nsim, 3)), link_inertia(arm, arm.rest)
-        self._gear = np.zeros((5, *shape))
-        """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
-        groups = -(-nsim // GROUP)
-        bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
-        self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
-        self._each = ThreadPoolExecutor(len(self._parts)).map if len(self._parts) > 1 else map
-
-    def write(
-        self,
-        parameters: TwinParameters,
-        ids: Mask | slice = ALL,
-        *,
-        gravity_scale: float | Array = 1.0,
-    ) -> None:
-        """Set parameters (m,) of the simulations ``ids`` (a mask or slice), not their state.
-
-        ``gravity_scale``: a number or (m,).
-        """
-        for row, name in enumerate(ROWS):
-            self._motors[row, ids] = getattr(parameters, name)
-        self._motors[GAIN, ids] = parameters.damping - back_emf(self.arm, parameters)
-        self._motors[TERMS:, ids] = friction_terms(parameters)
-        self._gravity[ids] = np.multiply.outer(gravity_scale, GRAVITY)
-
-    def loosen(self, backlash: Array, grease: Array, ids: Mask | slice = ALL) -> None:
-        """Put motors in the middle of the ``backlash`` (m, n) [rad], in joints that no load presses to a flank.
-
-        ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
-        """
-        half = 0.5 * backlash * unloaded_joints(self.arm)
-        still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
-        self._gear[:, ids] = np.stack([half, still, still, flank, still + grease[:, None]])
-
-    def rollout(self, control: Array) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
-        path = np.empty_like(control)
-        control = np.ascontiguousarray(control)
-        state = self.qpos, self.qvel, self._impulse
-        gears = (self._gear, self._carried, bool(self._gear[0].any()))
-        arrays = (self._links, self._motors, gears, (self._gravity, self.timestep), control, state, path)
-        list(self._each(lambda part: advance(*arrays, part), self._parts))
-        return path
-
-    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Mask | slice = ALL) -> None:
-        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
-        self.qpos[ids] = position
-        self.qvel[ids], self._impulse[ids] = velocity, 0.0
-
-
-def chain_links(arm: Arm) -> Array:
-    """(n, LINK) the constants of each link, see `rejoint.twin.step`: in frames with the joint as z axis."""
-    rows, before = [], np.eye(3)
-    for j, after in enumerate(turned(between_directions(np.eye(3)[2], arm.axis))):
-        place, com, mass = before.T @ arm.offset[j, :3, 3], after.T @ arm.com[j], arm.mass[j]
-        inertia = after.T @ arm.inertia[j] @ after + mass * (com @ com * np.eye(3) - np.outer(com, com))
-        rotation, carried = before.T @ arm.offset[j, :3, :3] @ after, arm.mass[j:].sum()
-        rows.append([*rotation.T.flat, *place, mass, *(mass * com), *inertia_values(inertia), carried])
-        before = after
-    return np.array(rows)
-
-
-SUBSTEPS = 6
-"""Physics steps per control cycle: 3 to 9 ms each"""
-
-
 @entity
 class Draw:
     """All differences of N simulated arms."""
@@ -147,6 +70,71 @@ class Draw:
         return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+class ChainBatch:
+    """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
+
+    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
+        self.arm, self.nsim = arm, nsim
+        shape = (nsim, arm.joints)
+        self.qpos, self.qvel = np.zeros((2, *shape))
+        self.timestep = np.full(nsim, float(timestep))
+        """(nsim,) [s]"""
+        self._links = chain_links(arm)
+        self._impulse, self._motors = np.zeros(shape), np.zeros((TERMS + len(DRY), *shape))
+        self._gravity, self._carried = np.zeros((nsim, 3)), link_inertia(arm, arm.rest)
+        self._gear = np.zeros((5, *shape))
+        """half of the backlash, place of the motor, its speed, flank, and grease, see `cross` of the step"""
+        groups = -(-nsim // GROUP)
+        bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
+        self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
+        self._each = ThreadPoolExecutor(len(self._parts)).map if len(self._parts) > 1 else map
+
+    def write(self, draw: Draw, ids: Mask | slice = ALL) -> None:
+        """Set servos, friction, gravity and backlash of the simulations ``ids`` (a mask or slice); they go on moving.
+
+        Motors are put in the middle of the backlash; joints have it where no load presses them to a flank.
+        """
+        parameters, half = draw.twin, 0.5 * draw.backlash * unloaded_joints(self.arm)
+        for row, name in enumerate(ROWS):
+            self._motors[row, ids] = getattr(parameters, name)
+        self._motors[GAIN, ids] = parameters.damping - back_emf(self.arm, parameters)
+        self._motors[TERMS:, ids] = friction_terms(parameters)
+        self._gravity[ids] = np.multiply.outer(draw.gravity_scale, GRAVITY)
+        still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
+        self._gear[:, ids] = np.stack([half, still, still, flank, still + draw.grease[:, None]])
+
+    def rollout(self, control: Array) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
+        path = np.empty_like(control)
+        control = np.ascontiguousarray(control)
+        state = self.qpos, self.qvel, self._impulse
+        gears = (self._gear, self._carried, bool(self._gear[0].any()))
+        arrays = (self._links, self._motors, gears, (self._gravity, self.timestep), control, state, path)
+        list(self._each(lambda part: advance(*arrays, part), self._parts))
+        return path
+
+    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Mask | slice = ALL) -> None:
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
+        self.qpos[ids] = position
+        self.qvel[ids], self._impulse[ids] = velocity, 0.0
+
+
+def chain_links(arm: Arm) -> Array:
+    """(n, LINK) the constants of each link, see `rejoint.twin.step`: in frames with the joint as z axis."""
+    rows, before = [], np.eye(3)
+    for j, after in enumerate(turned(between_directions(np.eye(3)[2], arm.axis))):
+        place, com, mass = before.T @ arm.offset[j, :3, 3], after.T @ arm.com[j], arm.mass[j]
+        inertia = after.T @ arm.inertia[j] @ after + mass * (com @ com * np.eye(3) - np.outer(com, com))
+        rotation, carried = before.T @ arm.offset[j, :3, :3] @ after, arm.mass[j:].sum()
+        rows.append([*rotation.T.flat, *place, mass, *(mass * com), *inertia_values(inertia), carried])
+        before = after
+    return np.array(rows)
+
+
+SUBSTEPS = 6
+"""Physics steps per control cycle: 3 to 9 ms each"""
+
+
 class Simulation:
     """``count`` arms of one build, with live ``twins`` and ``time``."""
 
@@ -168,12 +156,11 @@ class Simulation:
 
         At ``position`` with constant ``command`` (m, n) [rad].
         """
-        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
+        self.twins.write(draw, where)
         self.twins.restart(position, ids=where)
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
         self.latency.clear(where, command, position)
         self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
-        self.twins.loosen(draw.backlash, draw.grease, where)
         self.feed[where] = draw.twin.compensation / draw.twin.stiffness
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)

@@ -98,7 +98,7 @@ def decide_compensation(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exc
     softness, value, error = sags(data)
     told = np.eye(layout.size)[stiffness] / error[:, None]
     moved, covariance = fit_believed(told, (value - belief.mean[stiffness]) / error, belief.precision)
-    mean, sigma = np.clip(belief.mean + moved, belief.lower, belief.upper), np.sqrt(np.diag(covariance))
+    mean, sigma = belief.clip(belief.mean + moved), np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sigma, sigma)
     mean[fed] = np.clip(1.0 - softness * np.exp(mean[stiffness]), np.where(np.isinf(error), LEAST_FED, -1.0), 1.0)
     sigma[fed] = sigma[stiffness]
@@ -138,7 +138,7 @@ def _drawn(problem: Problem, x: Array, count: int, rng: np.random.Generator, wid
     """Random vectors (count, k), with the frozen elements of ``x`` (k,)."""
     belief = problem.prior
     drawn = belief.mean + wider * belief.sigma * problem.layout.normal(rng, count)
-    return np.clip(np.where(problem.frozen, x, drawn), belief.lower, belief.upper)
+    return belief.clip(np.where(problem.frozen, x, drawn))
 
 
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
@@ -158,10 +158,11 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
     without, (problem, y) = _losses(*fitted(np.inf)), fitted(usual)
     around = np.tile(y, (len(DELAYS), 1))
     around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
-    around = np.clip(around, problem.prior.lower, problem.prior.upper)
     ratios = {}
     for acceleration in usual * FACTORS:
-        losses = loss(make(replace(simple, acceleration=float(acceleration))).residuals(around)).sum(axis=1)
+        losses = loss(
+            make(replace(simple, acceleration=float(acceleration))).residuals(problem.prior.clip(around))
+        ).sum(axis=1)
         ratios[float(acceleration)] = _ratio(losses[np.argmin(losses.sum(axis=1))], without)
     best = min(ratios, key=lambda a: ratios[a])
     if ratios[best] < 1.0 - LIMIT_GAIN:

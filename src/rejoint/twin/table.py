@@ -190,7 +190,7 @@ def fit_table(replay: Replay, parameters: TwinParameters, height: float) -> Tabl
         moves = np.where(x + _STEP > _UPPER, -_STEP, _STEP)
         vectors = np.vstack([x, x + np.diag(moves)])
         paths = replay.predict(parameters.repeat(len(vectors)), [_plane(v) for v in vectors])
-        base, *moved = (np.concatenate(paths, axis=1) - measured).reshape(len(vectors), -1)
+        base, *moved = (paths - measured).reshape(len(vectors), -1)
         slopes = (np.array(moved) - base) / moves[:, None]
         weighted = slopes * influence(base) / noise**2
         curvature, pull = weighted @ slopes.T + np.diag(_SIGMA**-2.0), weighted @ base + (x - mean) / _SIGMA**2

@@ -37,7 +37,7 @@ from rejoint.system.files import read_shipped
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Spread
 from rejoint.training.ranges import Ranges
-from rejoint.twin.simulation import ChainBatch
+from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.reproduction.campaign import (
     HEALTHY,
@@ -147,7 +147,7 @@ def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
     arm = bench.arm
     twins, free = ChainBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
-    twins.write(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS)))
+    twins.write(Draw.of(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS))))
     twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
     steps, goal, paths = round(FIG_10_DWELL / STEP), arm.rest, []
     for target in targets:
