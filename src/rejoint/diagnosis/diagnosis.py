@@ -1,13 +1,13 @@
 """The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joints
+from rejoint.diagnosis.measurement import Measurement, measure, measure_logs
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import (
@@ -83,18 +83,16 @@ KINDS = {
 }
 """What each kind of finding makes of a joint"""
 
-QUESTIONS: dict[str, Callable[[JointMetrics], bool]] = {
-    "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does not load it enough in "
-    "these motions, or they disagree too much.": lambda row: row.stiffness_nm_per_rad is None,
-    "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too weak, in "
-    "one direction only, with readings too far apart or without commands.": lambda row: row.lag_s is None,
-    "Whether {} shoots over cannot be told: too few steps.": lambda row: row.overshoot is None,
-    "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.": (
-        lambda row: row.noise_rad is None
-    ),
-    "The torque limit of {} was not seen.": lambda row: row.torque_limit_nm is None and row.lag_s is not None,
+UNKNOWN = {
+    "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does "
+    "not load it enough in these motions, or they disagree too much.",
+    "lag_s": "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too "
+    "weak, in one direction only, with readings too far apart or without commands.",
+    "overshoot": "Whether {} shoots over cannot be told: too few steps.",
+    "noise_rad": "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.",
+    "torque_limit_nm": "The torque limit of {} was not seen.",
 }
-"""What motions leave open, and of which joints"""
+"""What motions leave open where a quantity is unknown"""
 
 BEHIND = "Play and flex behind the encoders, and so the true error of the tool, cannot be seen."
 LAG_ALONE = (
@@ -189,7 +187,7 @@ def diagnose_logs(
             "table and stops, or give the right zeros of the joints, which look like a table too"
         )
     on_progress(0.1, "joints")
-    measurement = Measurement(joints=measure_joints(data), period_s=data.log.period)
+    measurement = measure_logs(data)
     rest = _rest(logs, excluded)
     findings = () if bare else find(arm, measurement, rest, healthy)
     grown = _grown(measurement, healthy) if bare else None
@@ -260,13 +258,13 @@ def _usual(healthy: HealthyReference | None) -> str:
 
 
 def _untold(measurement: Measurement) -> tuple[str, ...]:
-    named = {words: [row.joint for row in measurement.joints if asks(row)] for words, asks in QUESTIONS.items()}
-    whole = len(measurement.joints)
-    return tuple(
-        words.format("every joint" if len(joints) == whole else ", ".join(joints))
-        for words, joints in named.items()
-        if joints
-    )
+    rows, told = measurement.joints, []
+    for quantity, words in UNKNOWN.items():
+        asked = [row for row in rows if quantity != "torque_limit_nm" or row.lag_s is not None]
+        joints = [row.joint for row in asked if getattr(row, quantity) is None]
+        if joints:
+            told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
+    return tuple(told)
 
 
 def _hidden(loop: OpenLoop) -> str:

@@ -202,11 +202,14 @@ def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitat
         raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):
-        leaves = _first_leaving(excitation := build(plan))
-        if leaves is None:
-            return excitation
-        segment, posture = leaves
-        where = f"{segment.name!r} ({unsafe(arm, posture)})"
+        motion = build(plan)
+        time = np.union1d(motion.time, np.arange(0.0, motion.duration, 0.05))
+        safe = is_safe(arm, q := motion.command(time))
+        if safe.all():
+            return motion
+        first = np.argmin(safe)
+        segment = next((s for s in motion.segments if s.stop >= time[first]), motion.segments[-1])
+        where = f"{segment.name!r} ({unsafe(arm, q[first])})"
         if segment.kind not in _AMPLITUDES:
             break
         plan = replace(plan, **{name: _SMALLER * getattr(plan, name) for name in _AMPLITUDES[segment.kind]})
@@ -286,18 +289,6 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
     )
 
 
-def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
-    arm, time = excitation.arm, excitation.time
-    fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
-    q = excitation.command(fine)
-    good = is_safe(arm, q)
-    if good.all():
-        return None
-    first = np.argmin(good)
-    segment = next((s for s in excitation.segments if s.stop >= fine[first]), excitation.segments[-1])
-    return segment, q[first]
-
-
 EXCITATION_LABEL = "diagnosis/excitation"
 
 
@@ -325,15 +316,19 @@ def record(robot: Robot, *, seed: int, on_progress: Progress = no_progress) -> t
     see = reporting("ten targets", duration, part(on_progress, 0.0, share), robot)
     open_loop = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL), on_cycle=see)
     move(robot, arm.rest)
-    see = reporting("excitation", excitation.duration, part(on_progress, share, 1.0), robot)
-    excited = play(robot, excitation.command, excitation.duration, on_cycle=see)
+    excited = played(robot, excitation, EXCITATION_LABEL, part(on_progress, share, 1.0), extra)
     return tuple(
-        DiagnosisLogs(
-            targets=open_loop.log(b, TARGETS_LABEL, extra),
-            excitation=attach_segments(excited.log(b, EXCITATION_LABEL, extra), excitation.segments, excited.waits(b)),
-        )
-        for b in range(robot.count)
+        DiagnosisLogs(targets=open_loop.log(b, TARGETS_LABEL, extra), excitation=log) for b, log in enumerate(excited)
     )
+
+
+def played(
+    robot: Robot, excitation: Excitation, label: str, on_progress: Progress, extra: dict[str, str] | None = None
+) -> list[RunLog]:
+    """Drive every arm through an excitation; return the logs of each, with its segments."""
+    see = reporting(label.rpartition("/")[2], excitation.duration, on_progress, robot)
+    done = play(robot, excitation.command, excitation.duration, on_cycle=see)
+    return [attach_segments(done.log(b, label, extra), excitation.segments, done.waits(b)) for b in range(robot.count)]
 
 
 def reporting(what: str, duration: float, on_progress: Progress, robot: Robot) -> OnCycle:

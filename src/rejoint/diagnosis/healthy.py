@@ -113,7 +113,10 @@ def as_set(
         return reference
     rows = []
     for joint, of in enumerate(map(_nearest, p)):
-        rows.append(_stiffer(_measured(arm, of).joints[joint], p[joint] / of * share[joint]))
+        row, stiffer = _measured(arm, of).joints[joint], p[joint] / of * share[joint]
+        k, width = row.stiffness_nm_per_rad, row.hysteresis_rad
+        k, width = k and scaled(k, stiffer), width and scaled(width, 1.0 / stiffer)
+        rows.append(replace(row, stiffness_nm_per_rad=k, hysteresis_rad=width))
     typical = np.exp(np.log(p).mean())
     of = _nearest(typical)
     whole = _measured(arm, of)
@@ -139,15 +142,6 @@ def _nearest(p: float) -> int:
 
 def _measured(arm: Arm, p: int) -> HealthyReference:
     return read_json(reference_path(arm, p), HealthyReference)
-
-
-def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
-    stiffness, width = row.stiffness_nm_per_rad, row.hysteresis_rad
-    return replace(
-        row,
-        stiffness_nm_per_rad=None if stiffness is None else scaled(stiffness, factor),
-        hysteresis_rad=None if width is None else scaled(width, 1.0 / factor),
-    )
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
@@ -234,7 +228,7 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         source=f"an arm known to be good ({good.robot})",
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
-        error_mm=None if error is None else _range([error]),
+        error_mm=error and _range([error]),
     )
 
 

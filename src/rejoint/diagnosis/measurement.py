@@ -155,10 +155,11 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     return Measurement(joints=tuple(joints), period_s=log.period)
 
 
-def measure_joints(data: ExcitationLog) -> tuple[JointMetrics, ...]:
+def measure_logs(data: ExcitationLog) -> Measurement:
     """Measure every joint from joined logs."""
     laws = [fit_law(data, joint) for joint in range(data.arm.joints)]
-    return tuple(_row(data, joint, law, k) for joint, (law, k) in enumerate(zip(laws, _known(data, laws), strict=True)))
+    rows = [_row(data, joint, law, k) for joint, (law, k) in enumerate(zip(laws, _known(data, laws), strict=True))]
+    return Measurement(joints=tuple(rows), period_s=data.log.period)
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:

@@ -85,13 +85,7 @@ class ExcitationLog:
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
         segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
-        free = Segment(
-            name="0/free",
-            kind=FREE,
-            start=float(log.time[0]),
-            stop=float(log.time[-1]),
-            joints=tuple(range(arm.joints)),
-        )
+        free = Segment(name="0/free", kind=FREE, start=float(log.time[0]), stop=float(log.time[-1]))
         return cls(arm=arm, log=log, segments=(*segments, free))
 
     @cached_property

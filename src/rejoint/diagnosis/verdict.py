@@ -165,24 +165,24 @@ def find(
             encoder_step=arm.encoder_step,
             common_lag=common,
         )
-        kinds = [kind for kind in RULES if kind not in SEEMING or not stuck(case)]
-        found += [_finding(case, kind, told, bad) for kind in kinds if (told := RULES[kind][1](case))]
+        for kind, (quantity, rule) in RULES.items():
+            told = None if kind in SEEMING and stuck(case) else rule(case)
+            if told is None:
+                continue
+            tcp = 1e3 * float(told[0])
+            cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
+            one = Finding(
+                joint=row.joint,
+                kind=kind,
+                severity="bad" if tcp >= bad else "worn",
+                quantity=quantity,
+                measured=getattr(row, quantity, None) or mean_of(case.errors),
+                healthy=getattr(case.healthy, quantity, None),
+                tcp_mm=tcp,
+                sentence=f"{row.joint} {told[1]} {cost}",
+            )
+            found.append(one)
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
-
-
-def _finding(case: _Case, kind: str, told: tuple[float, str], bad_mm: float) -> Finding:
-    quantity, tcp = RULES[kind][0], 1e3 * float(told[0])
-    cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
-    return Finding(
-        joint=case.row.joint,
-        kind=kind,
-        severity="bad" if tcp >= bad_mm else "worn",
-        quantity=quantity,
-        measured=getattr(case.row, quantity, None) or mean_of(case.errors),
-        healthy=getattr(case.healthy, quantity, None),
-        tcp_mm=tcp,
-        sentence=f"{case.row.joint} {told[1]} {cost}",
-    )
 
 
 def stuck(case: _Case) -> Found:

@@ -158,7 +158,11 @@ class PriorCase:
     """log odds against the others"""
 
 
-def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
+NOTHING = np.zeros((0, 0))
+"""Precision of no parameters"""
+
+
+def belief(arm: Arm, case: PriorCase, outside: Array = NOTHING) -> Belief:
     """Prior of an arm in a case: mean, sigma and bounds of each kind; bounds are chosen.
 
     ``outside`` (o, o): precision of the parameters of the measuring device, zero and unbounded.
@@ -179,11 +183,10 @@ def belief(arm: Arm, case: PriorCase, outside: Array | None = None) -> Belief:
     for name, row in rows.items():
         for column, value in zip((mean, sigma, lower, upper), row, strict=True):
             column[layout.at(name)] = value
-    more = np.zeros((0, 0)) if outside is None else outside
-    free = np.full(len(more), np.inf)
+    free = np.full(len(outside), np.inf)
     return Belief(
-        mean=np.append(mean, np.zeros(len(more))),
-        precision=block_diag(np.diag(sigma**-2.0), more),
+        mean=np.append(mean, np.zeros(len(outside))),
+        precision=block_diag(np.diag(sigma**-2.0), outside),
         lower=np.append(lower, -free),
         upper=np.append(upper, free),
         odds=case.odds,

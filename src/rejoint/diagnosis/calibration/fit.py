@@ -22,6 +22,7 @@ from rejoint.diagnosis.calibration.calibration import (
     ANYWHERE,
     ASKEW,
     LEVEL,
+    NOTHING,
     Belief,
     Calibration,
     DisplacementLayout,
@@ -250,13 +251,6 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     )
 
 
-def suspects_of(surprise: Array, known: Mask) -> tuple[int, ...]:
-    """Rows that do not fit the others, the worst first, by chi-squared (M,); ``known`` (M, 3) where measured."""
-    freedom = known.sum(axis=1)
-    excess = surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
-    return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
-
-
 def astray(arm: Arm, after: Array) -> bool:
     """Whether over a fifth of the errors (M,) [m] are too large."""
     return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
@@ -270,13 +264,6 @@ def disturbed(suspects: tuple[int, ...], points: int) -> bool:
 def fitting(suspects: tuple[int, ...], points: int) -> Mask:
     """Points (M,) that count in a mean error: all, where so many do not fit."""
     return ~np.isin(np.arange(points), suspects) | disturbed(suspects, points)
-
-
-def merge_repeats(measured: Measurements) -> Measurements:
-    """Give rows of the same posture one number."""
-    near = cdist(measured.position, measured.position, "chebyshev") < SAME
-    same = near | (measured.posture[:, None] == measured.posture)
-    return replace(measured, posture=connected_components(same)[1])
 
 
 def leave_out(problem: ToolProblem, fitted: Fitted) -> Array:
@@ -317,9 +304,10 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
             f"measurements of {measurements.position.shape[1]} joints, the arm {arm.name} has {arm.joints}; take those "
             "of this arm"
         )
-    if not np.isfinite(measurements.point).any():
-        raise InputError("measurements: no coordinate was measured; expected at least one")
-    measurements, foreign = merge_repeats(measurements), measurements.frame != "base"
+    near = cdist(measurements.position, measurements.position, "chebyshev") < SAME
+    same = near | (measurements.posture[:, None] == measurements.posture)
+    measurements = replace(measurements, posture=connected_components(same)[1])  # rows of one posture, one number
+    foreign = measurements.frame != "base"
     seen = np.tile(np.eye(4), (len(measurements), 1, 1))
     seen[:, :3, 3] = np.nan_to_num(measurements.point)
     beliefs = beliefs_of(arm, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
@@ -346,7 +334,7 @@ def beliefs_of(arm: Arm, prior: Calibration | None, outside: Array) -> list[Beli
     return [belief(arm, case, outside) for case in CASES]
 
 
-def earlier(arm: Arm, prior: Calibration, outside: Array | None = None) -> Belief:
+def earlier(arm: Arm, prior: Calibration, outside: Array = NOTHING) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
     layout = DisplacementLayout(arm)
     body, fits_links = slice(0, layout.body), prior.displacement.twist.any()
@@ -366,7 +354,9 @@ def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem,
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
-    suspects = suspects_of(surprise, problem.known[:, :3])
+    freedom = problem.known[:, :3].sum(axis=1)
+    excess = surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)  # by chi-squared
+    suspects = tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
     fits = fitting(suspects, len(measured))
     return Calibration(
         arm=problem.arm,

@@ -6,7 +6,6 @@ chapter 10). Joints approach alternately from below and above.
 
 from __future__ import annotations
 
-import hashlib
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -54,7 +53,7 @@ from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
-from rejoint.system.files import MEGABYTE, reading, require_file
+from rejoint.system.files import MEGABYTE, digest, reading, require_file
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.records import entity
 from rejoint.system.stopping import check, noted
@@ -87,7 +86,7 @@ class Suggestion:
     @property
     def digest(self) -> str:
         """Digest of the postures, to a microradian."""
-        return hashlib.sha256(np.round(1e6 * self.postures).astype("<i8").tobytes()).hexdigest()[:16]
+        return digest(np.round(1e6 * self.postures).astype("<i8").tobytes()).decode()
 
 
 def before(posture: Array, visit: int) -> Array:

@@ -18,10 +18,10 @@ from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import iso_poses, reversal
 from rejoint.control.comparison.result import position_repeatability
 from rejoint.control.robot import Robot
-from rejoint.control.start import begin, play
-from rejoint.diagnosis.excitation import Excitation, Plan, fitted, reporting
+from rejoint.control.start import begin
+from rejoint.diagnosis.excitation import Excitation, Plan, fitted, played
 from rejoint.diagnosis.metrics import SETTLED_LAST
-from rejoint.diagnosis.segments import ExcitationLog, attach_segments
+from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.progress import Progress, no_progress
@@ -69,14 +69,11 @@ def record_check(robot: Robot, *, on_progress: Progress = no_progress) -> Sequen
     plan = plan_check(robot.arm)  # refused, if it is, before anything moves
     begin(robot)
     before = robot.read().temperature
-    see = reporting("check", plan.duration, on_progress, robot)
-    done = play(robot, plan.command, plan.duration, on_cycle=see)
+    logs = played(robot, plan, LABEL, on_progress)
     after = robot.read().temperature
-    warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))
-    return [
-        (attach_segments(done.log(b, LABEL), plan.segments, done.waits(b)), None if warm is None else warm[b])
-        for b in range(robot.count)
-    ]
+    if before is None or after is None:
+        return [(log, None) for log in logs]
+    return list(zip(logs, 0.5 * (np.array(before) + np.array(after)), strict=True))
 
 
 LEAST_LEVER = 0.02
