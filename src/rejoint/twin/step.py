@@ -276,8 +276,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
             limit = servo[LIMIT, j, l]
             gain = gain if abs(torque) < limit else 0.0
             inertia[j, j, l] += servo[ARMATURE, j, l] + h * (beside + gain)
-            torque = limit if torque > limit else torque
-            torque = -limit if torque < -limit else torque
+            torque = min(max(torque, -limit), limit)
             # The impulse of everything but friction, and with that of the step before as a first guess.
             scratch[l] = 0.5 * abs(
                 torque + kept[j + 1, TORQUE + l]
@@ -312,9 +311,7 @@ def _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch):
                 most = timestep[l] * servo[FRICTION, j, l]
                 old = impulse[j, l]
                 wrong = next_speed[j, l] - KEPT * speed[j, l] + SOFTNESS * own * old
-                new = old - wrong / (own * (1.0 + SOFTNESS))
-                new = most if new > most else new
-                new = -most if new < -most else new
+                new = min(max(old - wrong / (own * (1.0 + SOFTNESS)), -most), most)
                 impulse[j, l] = new
                 scratch[l] = new - old
             for i in range(joints):
