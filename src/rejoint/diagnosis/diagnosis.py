@@ -20,7 +20,7 @@ from rejoint.diagnosis.segments import (
     resting_postures,
     settled_postures,
 )
-from rejoint.diagnosis.verdict import Finding, find
+from rejoint.diagnosis.verdict import RULES, Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
@@ -68,20 +68,6 @@ EXPLAINED = 0.5
 
 IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
-
-KINDS = {
-    "stuck": "not following its commands",
-    "weak_gain": "soft, so that it sags or stops short",
-    "friction": "stiff to turn",
-    "hysteresis": "stopping short of where it is sent",
-    "play_in_loop": "loose inside its servo loop, so that it hunts",
-    "torque_limit": "out of torque",
-    "low_damping": "badly damped, so that it rings",
-    "lag": "late",
-    "offset": "beside its commands everywhere",
-    "noise": "restless in its readings",
-}
-"""What each kind of finding makes of a joint"""
 
 UNKNOWN = {
     "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does "
@@ -240,7 +226,7 @@ def _verdict_of(
     felt = standing or felt
     joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
-    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
+    named = "; ".join(f"{f.joint} is {RULES[f.kind][1]} ({f.tcp_mm:.1f} mm)" for f in worst)
     ringing, rings = ringing_most(findings), ""
     if ringing is not None and ringing not in worst:
         worst.append(ringing)

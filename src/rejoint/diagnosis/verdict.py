@@ -165,7 +165,7 @@ def find(
             encoder_step=arm.encoder_step,
             common_lag=common,
         )
-        for kind, (quantity, rule) in RULES.items():
+        for kind, (quantity, _, rule) in RULES.items():
             told = None if kind in SEEMING and stuck(case) else rule(case)
             if told is None:
                 continue
@@ -306,19 +306,19 @@ def noise(case: _Case) -> Found:
     return case.lever * level, f"has a restless encoder: readings scatter by {np.degrees(level):.2f} deg at rest,"
 
 
-RULES: dict[str, tuple[str, Callable[[_Case], Found]]] = {
-    "stuck": ("following_error_rad", stuck),
-    "weak_gain": ("stiffness_nm_per_rad", weak_gain),
-    "friction": ("coulomb_nm", friction),
-    "hysteresis": ("hysteresis_rad", hysteresis),
-    "play_in_loop": ("hunting_rad", play_in_loop),
-    "torque_limit": ("torque_limit_nm", torque_limit),
-    "low_damping": ("damping_ratio", low_damping),
-    "lag": ("lag_s", lag),
-    "offset": ("offset_rad", offset),
-    "noise": ("noise_rad", noise),
+RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
+    "stuck": ("following_error_rad", "not following its commands", stuck),
+    "weak_gain": ("stiffness_nm_per_rad", "soft, so that it sags or stops short", weak_gain),
+    "friction": ("coulomb_nm", "stiff to turn", friction),
+    "hysteresis": ("hysteresis_rad", "stopping short of where it is sent", hysteresis),
+    "play_in_loop": ("hunting_rad", "loose inside its servo loop, so that it hunts", play_in_loop),
+    "torque_limit": ("torque_limit_nm", "out of torque", torque_limit),
+    "low_damping": ("damping_ratio", "badly damped, so that it rings", low_damping),
+    "lag": ("lag_s", "late", lag),
+    "offset": ("offset_rad", "beside its commands everywhere", offset),
+    "noise": ("noise_rad", "restless in its readings", noise),
 }
-"""Judged quantity and rule for one joint, by the kind of finding"""
+"""By the kind of finding: judged quantity, what it makes of a joint, and rule for one joint"""
 SEEMING = ("lag", "offset")
 """Kinds that a joint which does not follow only seems to show"""
 
