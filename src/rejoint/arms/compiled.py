@@ -66,6 +66,27 @@ def dot(row, vector):  # noqa: ANN001, ANN201
 
 
 @inner
+def fill(out, values):  # noqa: ANN001, ANN201
+    """Copy ``values`` (n,) into ``out``; slices would compile for seconds, since they can fail."""
+    for i in range(len(out)):
+        out[i] = values[i]
+
+
+@inner
+def along(start, goal, share, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (n,) with what is a ``share`` of the way from ``start`` to ``goal``."""
+    for i in range(len(out)):
+        out[i] = start[i] + share * (goal[i] - start[i])
+
+
+@inner
+def clip(q, limits):  # noqa: ANN001, ANN201
+    """Bring ``q`` (n,) within ``limits`` (2, n)."""
+    for i in range(len(q)):
+        q[i] = np.minimum(np.maximum(q[i], limits[0, i]), limits[1, i])
+
+
+@inner
 def _cross(a, b):  # noqa: ANN001, ANN202
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
@@ -79,28 +100,32 @@ def _times(matrix, vector):  # noqa: ANN001, ANN202
     return out
 
 
-@compiled(OUT3(CHAIN, IN1))
-def place(chain, q):  # noqa: ANN001, ANN201
-    """Frames (n + 1, 4, 4) of joints and TCP at one posture (n,)."""
-    joints = len(q)
-    frames, step = np.empty((joints + 1, 4, 4)), np.empty((4, 4))
+@compiled(void(CHAIN, IN1, OUT3))
+def put(chain, q, frames):  # noqa: ANN001, ANN201
+    """Fill ``frames`` (n + 1, 4, 4) of joints and TCP at one posture (n,)."""
+    joints, step = len(q), np.empty((4, 4))
     for i in range(joints + 1):
-        if i < joints:
-            terms, sine, cosine = chain.terms[i], np.sin(q[i]), np.cos(q[i])
-            for r in range(4):
-                for k in range(4):
-                    step[r, k] = terms[0, r, k] + terms[1, r, k] * sine + terms[2, r, k] * cosine
-        else:
-            step[:] = chain.tip
-        if i == 0:
-            frames[i] = step
-            continue
+        sine, cosine = (np.sin(q[i]), np.cos(q[i])) if i < joints else (0.0, 0.0)
         for r in range(4):
             for k in range(4):
-                value = 0.0
-                for j in range(4):
+                if i < joints:
+                    terms = chain.terms[i]
+                    step[r, k] = terms[0, r, k] + terms[1, r, k] * sine + terms[2, r, k] * cosine
+                else:
+                    step[r, k] = chain.tip[r, k]
+        for r in range(4):
+            for k in range(4):
+                value = 0.0 if i else step[r, k]
+                for j in range(4 if i else 0):
                     value += frames[i - 1, r, j] * step[j, k]
                 frames[i, r, k] = value
+
+
+@inner
+def place(chain, q):  # noqa: ANN001, ANN201
+    """Frames (n + 1, 4, 4) of joints and TCP at one posture (n,)."""
+    frames = np.empty((len(q) + 1, 4, 4))
+    put(chain, q, frames)
     return frames
 
 
@@ -109,7 +134,7 @@ def place_all(chain, q):  # noqa: ANN001, ANN201
     """Frames (B, n + 1, 4, 4) of `place` at postures (B, n)."""
     frames = np.empty((len(q), q.shape[1] + 1, 4, 4))
     for b in range(len(q)):
-        frames[b] = place(chain, q[b])
+        put(chain, q[b], frames[b])
     return frames
 
 
@@ -134,7 +159,7 @@ def torques_all(chain, q, gravity):  # noqa: ANN001, ANN201
     """`torques` (B, n) [N m] at postures (B, n)."""
     held = np.empty(q.shape)
     for b in range(len(q)):
-        held[b] = torques(chain, place(chain, q[b]), gravity)
+        fill(held[b], torques(chain, place(chain, q[b]), gravity))
     return held
 
 
@@ -154,7 +179,7 @@ def missing_turn(goal, frame):  # noqa: ANN001, ANN201
     if goal[16] == 2.0:
         relative = np.empty((3, 3))
         for r in range(3):
-            relative[r] = _times(frame, wanted[r])
+            fill(relative[r], _times(frame, wanted[r]))
         cosine = 0.5 * (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1.0)
         vector = np.empty(3)
         for r in range(3):
@@ -166,12 +191,17 @@ def missing_turn(goal, frame):  # noqa: ANN001, ANN201
         half[most] += 1.0
     else:
         now, own = _times(frame, goal[12:15]), _times(wanted, goal[12:15])
-        vector, cosine = np.array(_cross(now, own)), dot(now, own)
-        half = np.array(_cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1]))
+        vector, cosine, across = np.array(_cross(now, own)), dot(now, own), np.zeros(3)
+        across[0 if abs(now[0]) < 0.7 else 1] = 1.0
+        half = np.array(_cross(now, across))
     sine = np.sqrt(dot(vector, vector))
-    if sine > 1e-9:
-        return vector * (np.arctan2(sine, cosine) / sine)
-    return half * (np.pi / np.sqrt(dot(half, half))) if cosine < 0.0 else vector
+    if sine <= 1e-9 and cosine < 0.0:
+        vector, factor = half, np.pi / np.sqrt(dot(half, half))
+    else:
+        factor = np.arctan2(sine, cosine) / sine if sine > 1e-9 else 1.0
+    for r in range(3):
+        vector[r] *= factor
+    return vector
 
 
 @compiled(types.Tuple((OUT1, OUT2))(CHAIN, IN1, IN1))
@@ -182,15 +212,15 @@ def task(chain, goal, q):  # noqa: ANN001, ANN201
     for r in range(3):
         error[r] = goal[r] - frames[joints, r, 3]
     own = _times(goal[3:12].reshape(3, 3), goal[12:15])
-    if rows == 6:
-        error[3:] = goal[15] * missing_turn(goal, frames[joints, :3])
+    turn = missing_turn(goal, frames[joints, :3]) if rows == 6 else error
+    for r in range(3, rows):
+        error[r] = goal[15] * turn[r - 3]
     for i in range(joints):
         axis, lever = _times(frames[i, :3], chain.axes[i]), _from_to(frames[:, :, 3], i, joints)
         jacobian[0, i], jacobian[1, i], jacobian[2, i] = _cross(axis, lever)
-        if rows == 6:
-            if goal[16] == 1.0:
-                axis -= dot(axis, own) * own
-            jacobian[3:, i] = goal[15] * axis
+        twist = dot(axis, own) if goal[16] == 1.0 else 0.0
+        for r in range(3, rows):
+            jacobian[r, i] = goal[15] * (axis[r - 3] - twist * own[r - 3])
     return error, jacobian
 
 
@@ -199,7 +229,9 @@ def fill_tasks(chain, goals, q, errors, jacobians):  # noqa: ANN001, ANN201
     """Fill `task` of ``goals`` (B, 17) at ``q`` (B, n): (B, k) and (B, k, n); zeros where no orientation counts."""
     for b in range(len(q)):
         error, jacobian = task(chain, goals[b], q[b])
-        errors[b, : len(error)], jacobians[b, : len(error)] = error, jacobian
+        for r in range(len(error)):
+            errors[b, r] = error[r]
+            fill(jacobians[b, r], jacobian[r])
 
 
 @compiled(OUT1(IN2, IN1, float64))
@@ -229,7 +261,10 @@ def damped(jacobian, error, damping):  # noqa: ANN001, ANN201
 @compiled(OUT1(IN2, IN1))
 def in_null_space(jacobian, motion):  # noqa: ANN001, ANN201
     """Share (n,) of a ``motion`` (n,) that moves no goal."""
-    return motion - damped(jacobian, _times(jacobian, motion), 1e-6 if len(jacobian) == 3 else 1e-4)
+    left = damped(jacobian, _times(jacobian, motion), 1e-6 if len(jacobian) == 3 else 1e-4)
+    for i in range(len(motion)):
+        left[i] = motion[i] - left[i]
+    return left
 
 
 @compiled(float64(CHAIN, IN1, OUT1, IN2, float64, int64, float64))
@@ -238,8 +273,8 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
 
     ``pull``: to rest per step, in the null space.
     """
-    q[:] = np.minimum(np.maximum(q, limits[0]), limits[1])
-    missed = np.inf
+    clip(q, limits)
+    missed, home = np.inf, np.empty(len(q))
     for k in range(rounds + 1):
         error, jacobian = task(chain, goal, q)
         missed = largest(error)
@@ -247,9 +282,15 @@ def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN
             break
         step = damped(jacobian, error, min(DAMPING, np.sqrt(dot(error, error)) + 1e-4))
         if pull > 0.0:
-            step += in_null_space(jacobian, pull * (chain.rest - q))
+            for i in range(len(q)):
+                home[i] = pull * (chain.rest[i] - q[i])
+            home = in_null_space(jacobian, home)
+            for i in range(len(q)):
+                step[i] += home[i]
         scale = MOST_STEP / max(MOST_STEP, largest(step))
-        q[:] = np.minimum(np.maximum(q + scale * step, limits[0]), limits[1])
+        for i in range(len(q)):
+            q[i] += scale * step[i]
+        clip(q, limits)
     return missed
 
 
@@ -312,8 +353,11 @@ def _count(shape):  # noqa: ANN001, ANN202
 def gaps(frames, shape):  # noqa: ANN001, ANN201
     """`collision.clearances` (n + P + G + L K,) [m] of one posture's ``frames`` (n + 1, 4, 4)."""
     ends, row, at = np.zeros((len(frames) + 1, 3)), np.empty(_count(shape)), len(shape.floors)
-    ends[1:] = frames[:, :3, 3]
-    row[:at] = ends[2 : at + 2, 2] - shape.floors
+    for i in range(len(frames)):
+        for r in range(3):
+            ends[i + 1, r] = frames[i, r, 3]
+    for i in range(at):
+        row[i] = ends[i + 2, 2] - shape.floors[i]
     for pair in shape.pairs:
         row[at] = _axis_distance(ends, pair[0], pair[1]) - 2.0 * shape.radius
         at += 1
@@ -332,5 +376,5 @@ def clearances(chain, shape, q):  # noqa: ANN001, ANN201
     """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n)."""
     out = np.empty((len(q), _count(shape)))
     for b in range(len(q)):
-        out[b] = gaps(place(chain, q[b]), shape)
+        fill(out[b], gaps(place(chain, q[b]), shape))
     return out

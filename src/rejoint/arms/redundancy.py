@@ -19,7 +19,9 @@ from rejoint.arms.compiled import (
     OUT1,
     OUT2,
     SHAPE,
+    along,
     compiled,
+    fill,
     gaps,
     in_null_space,
     inner,
@@ -103,7 +105,10 @@ def _judge(body, q, load):  # noqa: ANN001, ANN202
 @compiled(float64(BODY, IN1, IN1, IN2))
 def _cost(body, q, start, load):  # noqa: ANN001, ANN202
     """Cost of a posture (n,) with its travel, nearly that of the joint that turns most."""
-    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt((((q - start) / np.pi) ** 4).sum()))
+    travel = 0.0
+    for i in range(len(q)):
+        travel += ((q[i] - start[i]) / np.pi) ** 4
+    return _judge(body, q, load)[0] + TRAVEL * np.sqrt(np.sqrt(travel))
 
 
 @compiled(float64(BODY, IN1, OUT1, IN1, IN2, float64, int64))
@@ -113,8 +118,9 @@ def _descend(body, goal, q, start, load, reach, rounds):  # noqa: ANN001, ANN202
     No joint moves more than ``reach`` [rad].
     """
     joints, limits = len(q), np.empty((2, len(q)))
-    limits[0], limits[1] = np.maximum(body.inner[0], q - reach), np.minimum(body.inner[1], q + reach)
-    cost, slope = _cost(body, q, start, load), np.zeros(joints)
+    for i in range(joints):
+        limits[0, i], limits[1, i] = max(body.inner[0, i], q[i] - reach), min(body.inner[1, i], q[i] + reach)
+    cost, slope, trial = _cost(body, q, start, load), np.zeros(joints), np.empty(joints)
     length, fresh = 0.15, True
     for _ in range(rounds):
         if fresh:
@@ -126,12 +132,13 @@ def _descend(body, goal, q, start, load, reach, rounds):  # noqa: ANN001, ANN202
             slope = in_null_space(task(body.chain, goal, q)[1], slope)
             if largest(slope) < 1e-3:
                 return cost
-        trial = q + length * slope / largest(slope)
-        fresh = False
+        steepest, fresh = largest(slope), False
+        for i in range(joints):
+            trial[i] = q[i] + length * slope[i] / steepest
         if solve(body.chain, goal, trial, limits, 0.0, 8, TOLERANCE) < TOLERANCE:
             there = _cost(body, trial, start, load)
             if there < cost - 1e-4:
-                q[:] = trial
+                fill(q, trial)
                 cost, fresh = there, True
         length *= 1.5 if fresh else 0.4
         if length < 0.005:
@@ -161,7 +168,7 @@ def stay(body, goal, start, load, near):  # noqa: ANN001, ANN201
         if cost < FAR and light and lack <= 0.0 and away >= COMFORT_LIMIT:
             return 0.0, q
     if near or missed >= TOLERANCE:
-        q[:] = start
+        fill(q, start)
     if solve(body.chain, goal, q, body.inner, 0.0, ROUNDS, TOLERANCE) >= TOLERANCE:
         return np.inf, q
     return _descend(body, goal, q, start, load, NEAR_REACH if near else np.inf, DESCENTS), q
@@ -178,7 +185,8 @@ def search(body, found, goal, start, load, bests, descents):  # noqa: ANN001, AN
     for s in range(len(found)):
         missed = solve(body.chain, goal, found[s], body.inner, 0.0, ROUNDS, TOLERANCE)
         if missed < least:
-            nearest[:], least = found[s], missed
+            fill(nearest, found[s])
+            least = missed
         if missed < TOLERANCE:
             cost[s] = _cost(body, found[s], start, load)
     best, q = np.inf, nearest.copy()
@@ -208,10 +216,14 @@ def passable(body, start, goal, least, leaving):  # noqa: ANN001, ANN201
 
     ``leaving``: too small distances at the start may grow.
     """
-    rates = (body.levers * np.abs(goal - start)).sum(axis=1)
+    rates, here = np.zeros(len(least)), np.empty(len(start))
+    for k in range(len(least)):
+        for i in range(len(start)):
+            rates[k] += body.levers[k, i] * abs(goal[i] - start[i])
     before, share, safe = np.full(len(least), -np.inf), 0.0, 0.0
     while True:
-        clear, ahead = gaps(place(body.chain, start + share * (goal - start)), body.shape), 1.0
+        along(start, goal, share, here)
+        clear, ahead = gaps(place(body.chain, here), body.shape), 1.0
         for k in range(len(least)):
             leaves = leaving and before[k] < least[k] and clear[k] >= before[k]
             if clear[k] < least[k] - ROUNDING and not leaves:
@@ -240,18 +252,25 @@ def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
     """
     joints, most = len(start), 2 * len(drawn) + 2
     nodes, parents, counts = np.empty((2, most, joints)), np.empty((2, most), np.int64), np.ones(2, np.int64)
-    nodes[0, 0], nodes[1, 0], parents[0, 0], parents[1, 0] = start, goal, -1, -1
+    parents[0, 0], parents[1, 0], end = -1, -1, np.empty(joints)
+    fill(nodes[0, 0], start)
+    fill(nodes[1, 0], goal)
     for k in range(len(drawn)):
         tree, aim = k % 2, drawn[k].copy()
         for side in (tree, 1 - tree):
-            apart = nodes[side, : counts[side]] - aim
-            near = (apart * apart).sum(axis=1).argmin()
+            near, least_apart = 0, np.inf
+            for node in range(counts[side]):
+                apart = 0.0
+                for i in range(joints):
+                    apart += (nodes[side, node, i] - aim[i]) ** 2
+                if apart < least_apart:
+                    near, least_apart = node, apart
             origin = nodes[side, near]
             size = largest(aim - origin)
             if size < 1e-9:
                 continue
             reach = 1.0 if side != tree else min(1.0, LONGEST / size)
-            end = origin + reach * (aim - origin)
+            along(origin, aim, reach, end)
             share = passable(body, origin, end, least, False)[0]
             joined = side != tree and share == 1.0
             if share * reach * size < SHORTEST and not joined:
@@ -259,7 +278,9 @@ def connect(body, start, goal, drawn, least):  # noqa: ANN001, ANN201
                     break
                 continue
             count = counts[side]
-            nodes[side, count] = aim if share == 1.0 and reach == 1.0 else origin + share * (end - origin)
+            along(origin, end, share, nodes[side, count])
+            if share == 1.0 and reach == 1.0:
+                fill(nodes[side, count], aim)
             parents[side, count] = near
             counts[side] += 1
             if joined:

@@ -7,7 +7,7 @@ Arrays are contiguous float64. Constants without a source are chosen.
 import numpy as np
 from numba import float64, from_dtype, int64, njit, types, uint16, void
 
-from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, compiled, gaps, inner, place
+from rejoint.arms.compiled import CHAIN, IN1, IN2, IN3, OUT1, OUT3, SHAPE, along, compiled, fill, gaps, inner, place
 from rejoint.control.guard import MAX_AGE, MAX_LEAD, MAX_PERIOD, RANGE_MARGIN, Reason, Rules
 
 HISTORY = 8
@@ -92,9 +92,9 @@ def watch(tracks, sent_at, sent, clock, reading, verdict):  # noqa: ANN001, ANN2
             continue
         for h in range(HISTORY - 1, 0, -1):
             sent_at[i, h] = sent_at[i, h - 1]
-            sent[i, h] = sent[i, h - 1]
+            fill(sent[i, h], sent[i, h - 1])
         sent_at[i, 0] = last[i]
-        sent[i, 0] = command[i]
+        fill(sent[i, 0], command[i])
         reach = 0  # the newest command that has certainly arrived
         while reach < HISTORY - 1 and (reach < AFTER or sent_at[i, reach] > now[i] - SETTLE):
             reach += 1
@@ -177,6 +177,15 @@ def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
     return found
 
 
+@inner
+def _keeps(clear, least):  # noqa: ANN001, ANN202
+    """Whether no clearance (c,) is less than its ``least``."""
+    kept = True
+    for c in range(len(clear)):
+        kept &= clear[c] >= least[c]
+    return kept
+
+
 @compiled(int64(CHAIN, SHAPE, RULES, IN1, IN1, OUT1))
 def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     """Shorten the step from ``last`` to ``out`` (n,), with ``clear`` (c,) there, until it is clear; returns flags.
@@ -186,17 +195,17 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
     least = gaps(place(chain, last), shape)
     for c in range(len(least)):
         least[c] = least[c] - TOLERANCE if least[c] < 0.0 else 0.0
-    if (clear >= least).all():
+    if _keeps(clear, least):
         return 0
-    way, found, k = out - last, 0, 0
+    tried, found, k = np.empty(len(out)), 0, 0
     while found == 0:
         k += 1
-        tried = last + k / rules.parts * way
+        along(last, out, k / rules.parts, tried)
         there = clear if k == rules.parts else gaps(place(chain, tried), shape)
         for c in range(len(least)):
             if there[c] < least[c]:
-                found |= _FLOOR if c < len(way) else _COLLISION
-    out[:] = last + (k - 1) / rules.parts * way
+                found |= _FLOOR if c < len(out) else _COLLISION
+    along(last, out, (k - 1) / rules.parts, out)
     return found
 
 
@@ -207,21 +216,28 @@ def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
     A step takes at most `CLOSING` of the distance that is left (a discrete control barrier: Agrawal and Sreenath 2017);
     each joint alone, since others may be stuck. ``asked`` (4, n).
     """
-    last, position, found = asked[1], asked[3], 0
-    if (np.abs(position - last) < FOLLOWS).all():  # the commanded posture tells
-        return found
-    here = gaps(place(chain, position), shape)
-    if (here > rules.near + WATCHED).all():
-        return found
-    least = np.minimum(here - APPROACH, here - CLOSING * (here - rules.near))
-    moved, least_ahead = np.empty((2, len(out))), np.minimum(here, rules.near)
+    last, position, found, off, wide = asked[1], asked[3], 0, 0.0, True
     for j in range(len(out)):
-        moved[0], moved[1], share = position, position, 1.0
+        off = max(off, abs(position[j] - last[j]))
+    if off < FOLLOWS:  # the commanded posture tells
+        return found
+    here, moved = gaps(place(chain, position), shape), np.empty((2, len(out)))
+    as_far, least, least_ahead = np.empty(len(here)), np.empty(len(here)), np.empty(len(here))
+    for c in range(len(here)):
+        near = rules.near[c]
+        wide, as_far[c] = wide and here[c] > near + WATCHED, here[c] - APPROACH
+        least[c], least_ahead[c] = min(as_far[c], here[c] - CLOSING * (here[c] - near)), min(here[c], near)
+    if wide:
+        return found
+    for j in range(len(out)):
+        fill(moved[0], position)
+        fill(moved[1], position)
+        share = 1.0
         while share > 0.0:
             step = share * (out[j] - last[j])
             moved[0, j], moved[1, j] = position[j] + step, last[j] + step
             there, ahead = gaps(place(chain, moved[0]), shape), gaps(place(chain, moved[1]), shape)
-            if (there >= here - APPROACH).all() or ((there >= least) & (ahead >= least_ahead)).all():
+            if _keeps(there, as_far) or (_keeps(there, least) and _keeps(ahead, least_ahead)):
                 break
             share = 0.5 * share if share > SHORTEST else 0.0
         if share < 1.0:
@@ -237,7 +253,7 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
     """
     for b in range(len(asked)):
         command, last = out[0, b], asked[b, 1]
-        out[1, b] = 0.0
+        fill(out[1, b], np.zeros(len(last)))
         reasons[b] |= _trips(chain, asked[b], times[0, b])
         if reasons[b]:
             _hold(chain, rules, asked[b], command)
@@ -245,11 +261,14 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
         elapsed = min(times[1, b], MAX_PERIOD) if times[1, b] > 0.0 else 0.0  # NaN counts as no time
         found = _limit(rules, asked[b], elapsed, command)
         found |= _keep_away(chain, shape, rules, asked[b], command)
-        clear = gaps(place(chain, command), shape)
-        if (clear < 0.0).any():
+        clear, touches = gaps(place(chain, command), shape), False
+        for c in range(len(clear)):
+            touches |= clear[c] < 0.0
+        if touches:
             found |= shorten(chain, shape, rules, last, clear, command)
-        if (command != asked[b, 0]).any():
-            reasons[b] = found
-        for j in range(len(last) if elapsed > 0.0 else 0):
-            speed = (command[j] - last[j]) / elapsed
-            out[1, b, j] = _between(speed, -rules.max_speed[j], rules.max_speed[j])
+        for j in range(len(last)):
+            if command[j] != asked[b, 0, j]:
+                reasons[b] = found
+            if elapsed > 0.0:
+                speed = (command[j] - last[j]) / elapsed
+                out[1, b, j] = _between(speed, -rules.max_speed[j], rules.max_speed[j])
