@@ -166,7 +166,7 @@ class Modelled:
     ) -> tuple[Array, Orientation | None]:
         """Corrected targets (B, 3) [m] and orientations (B,) of arms in ``where`` (B,); the others as they are.
 
-        At postures near ``near`` (B, n) [rad]; None: at postures found from ``start`` (B, n) [rad].
+        The postures are near ``near`` (B, n) [rad]; None: found from ``start`` (B, n) [rad].
         """
         aims, turn = np.array(target, dtype=float), turn and replace(turn, rotation=turn.rotation.copy())
         aimed = where & np.isfinite(target).all(axis=-1)
@@ -193,7 +193,7 @@ class Modelled:
         return self._solved(position, lambda q: place - tcp_position(self.arm, q))
 
     def measured(self, posture: Array) -> Array:
-        """Position (n,) [rad] that shows ``posture`` (n,) of a perfect arm."""
+        """Position (n,) [rad], within the limits, that shows ``posture`` (n,) of a perfect arm."""
         place = tcp_position(self.arm, posture)
         return np.clip(self._solved(posture, lambda q: place - self.tool(q)), self.arm.lower, self.arm.upper)
 

@@ -444,7 +444,7 @@ class ArmDriver:
 
     @property
     def apparent(self) -> Modelled:
-        """What shows postures of a perfect arm with the tool in the same place, by the calibration."""
+        """Shows postures of a perfect arm with the tool in the same place; without a calibration, the arm's own."""
         return self.correction or Modelled(self.arm, Displacement.none(self.arm))
 
     @property
