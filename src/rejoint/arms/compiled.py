@@ -105,18 +105,20 @@ def put(chain, q, frames):  # noqa: ANN001, ANN201
     """Fill ``frames`` (n + 1, 4, 4) of joints and TCP at one posture (n,)."""
     joints, step = len(q), np.empty((4, 4))
     for i in range(joints + 1):
-        sine, cosine = (np.sin(q[i]), np.cos(q[i])) if i < joints else (0.0, 0.0)
-        for r in range(4):
-            for k in range(4):
-                if i < joints:
-                    terms = chain.terms[i]
+        if i < joints:
+            terms, sine, cosine = chain.terms[i], np.sin(q[i]), np.cos(q[i])
+            for r in range(4):
+                for k in range(4):
                     step[r, k] = terms[0, r, k] + terms[1, r, k] * sine + terms[2, r, k] * cosine
-                else:
-                    step[r, k] = chain.tip[r, k]
         for r in range(4):
+            if i == joints:
+                fill(step[r], chain.tip[r])
+            if i == 0:
+                fill(frames[i, r], step[r])
+        for r in range(4 if i > 0 else 0):
             for k in range(4):
-                value = 0.0 if i else step[r, k]
-                for j in range(4 if i else 0):
+                value = 0.0
+                for j in range(4):
                     value += frames[i - 1, r, j] * step[j, k]
                 frames[i, r, k] = value
 

@@ -253,7 +253,7 @@ def guard(chain, shape, rules, asked, times, reasons, out):  # noqa: ANN001, ANN
     """
     for b in range(len(asked)):
         command, last = out[0, b], asked[b, 1]
-        fill(out[1, b], np.zeros(len(last)))
+        out[1, b] = 0.0
         reasons[b] |= _trips(chain, asked[b], times[0, b])
         if reasons[b]:
             _hold(chain, rules, asked[b], command)
