@@ -21,7 +21,7 @@ from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish
 from rejoint.runs.stages.calibrate import Calibrated, calibrate
-from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.compare import ONE_ARM_PROTOCOL, Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
@@ -199,7 +199,8 @@ def repair(
         return about
     found = about.begin()
     files = stages_of(robot, found.arm, found.folder, what, quick=quick)
-    prepared, ahead = partial(_comparison, robot, found, what, chosen, quick=quick), None
+    prepared = partial(_comparison, robot, found, what, chosen, quick=quick)
+    ahead = None
 
     def compared(observer: Observer) -> Compared:
         with prepared(observer) as job:
@@ -215,8 +216,8 @@ def repair(
         "compare": compared,
         "report": lambda observer: report(found),  # noqa: ARG005
     }
-    early = is_batchable(robot) and only is None and not what.controllers
-    early = early and not (found.folder.policy.exists() or found.folder.comparison.exists())
+    done = found.folder.policy.exists() or found.folder.comparison.exists()
+    early = is_batchable(robot) and only is None and not (what.controllers or done)
     with ExitStack() as stack:
         for number, (name, file) in enumerate(files.items(), start=1):
             if name == "train" and early:  # a comparison of an emulated arm begins during the training
@@ -237,10 +238,11 @@ def _comparison(
 ) -> Iterator[ComparisonJob]:
     compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
     targets, given, emulated = plan.targets, plan.trials or TrialPlan(), is_batchable(robot)
+    small = ONE_ARM_PROTOCOL if quick else Protocol(crossings=False)
     usual = TrialPlan(
         sets=1 if quick else 3 if emulated else None,
         repetitions=1 if quick else 2 if emulated else None,
-        protocol=Protocol(crossings=False) if emulated and not given.full else None,  # as on a real arm
+        protocol=small if emulated and not given.full else None,  # as on a real arm
     )
     trials = replace(usual, **{name: value for name, value in vars(given).items() if value is not None})
     if quick and targets is None:
