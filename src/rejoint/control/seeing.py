@@ -252,9 +252,10 @@ class Finishing:
         if self.state == "fine":  # the tool is hidden: by the model again
             self.state = "far"
             self._controller.reset(inputs, np.full(1, True))
-        if missing is None or len(self._seen.readings) < LOOK:
+        readings = self._seen.readings
+        if missing is None or len(readings) < LOOK:
             return self._controller.command(inputs)
-        moved = np.abs(self._seen.readings[-1][1] - self._seen.readings[-LOOK][1]).max()
+        moved = np.abs(readings[-1][1] - readings[-LOOK][1]).max()
         off = norm(missing)
         if off < CALM and moved < AT_REST:
             self._begin("hold", inputs)
@@ -278,7 +279,9 @@ class Finishing:
             self._moving, self._renew = self._choose(jacobian), False
         motion = clip_norm(dls(jacobian * self._moving, missing, DAMPING), STEP)
         elapsed, self._time = now - self._time, now
-        swing = self._swing()
+        readings = self._seen.readings
+        period = (readings[-1][0] - readings[0][0]) / max(len(readings) - 1, 1)
+        swing = int(np.clip(round(HALF_SWING / max(period, 1e-3)), 1, 4))
         self._recent.append(missing)
         self._watch(now, swing)
         share = np.clip(1.0 - (now - self._fading) / FADE, 0.0, 1.0)
@@ -294,11 +297,6 @@ class Finishing:
         side = 1.0 - 2.0 * ((self._cycles + (1 - odd) * (swing // 2)) // swing % 2)
         wanted: Array = self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving
         return wanted[None]
-
-    def _swing(self) -> int:
-        readings = self._seen.readings
-        period = (readings[-1][0] - readings[0][0]) / max(len(readings) - 1, 1)
-        return int(np.clip(round(HALF_SWING / max(period, 1e-3)), 1, 4))
 
     def _watch(self, now: float, swing: int) -> None:
         if self._fading <= now:

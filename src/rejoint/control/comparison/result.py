@@ -374,13 +374,13 @@ def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) ->
     return Comparison(
         repetitions=together["crossed"].shape[2],
         targets=tuple(tuple(map(tuple, points)) for points in targets.tolist()),
-        results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
+        results={
+            name: tuple(float(value) if np.isfinite(value) else None for value in array.ravel())
+            for name, array in together.items()
+            if np.isfinite(array).any()
+        },
         **facts,
     )
-
-
-def _values(array: Array) -> Values:
-    return tuple(float(value) if np.isfinite(value) else None for value in array.ravel())
 
 
 def _mean(values: Array) -> float | None:
