@@ -60,6 +60,8 @@ class Bands:
     """[rad] lead of the largest torque"""
     width: Array | float = np.inf
     """[rad] largest push of a stationary joint; infinite: unknown"""
+    stood: Array | float = 0.0
+    """[rad] the same, also where the balance is unknown"""
     lifted: Array | float = 0.0
     """[rad] largest lead against gravity at which the joint moved on; above it the motor may be too weak"""
 
@@ -140,12 +142,13 @@ class Following:
         return several & (now - self._excused_since < EXCUSED)
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
-        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings."""
+        """Keep ``wanted`` (B, n) [rad] near constant readings: within `TRAVEL`, or where the joint may still stand."""
         held = self._tracks["held"]
         far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
         if not far.any():
             return wanted
-        reach = TRAVEL / self._levers(position)
+        reach, balance = TRAVEL / self._levers(position), self._bands.balance(self._arm, position)
+        reach = np.clip(compiled.MOST * (self._bands.stood + np.abs(balance)), reach, reach + STICKING * STICKS)
         return np.where(far, np.clip(wanted, held - reach, held + reach), wanted)
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
@@ -259,12 +262,12 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     """
     logs, known = [log for log in logs if len(log) > FEWEST], np.isfinite(softness + offset)
     found = Bands(slope=np.where(known, softness, 0.0), offset=np.where(known, offset, 0.0))
-    if not logs or not known.any():
+    if not logs:
         return found
     balances = [found.balance(arm, log.position) for log in logs]
     lifted = np.max([_lifted(log, balance) for log, balance in zip(logs, balances, strict=True)], axis=0)
     reach, width = _narrowest(arm, logs, balances)
-    found = replace(found, lifted=lifted, reach=reach, width=np.where(known, width, np.inf))
+    found = replace(found, lifted=lifted, reach=reach, stood=width, width=np.where(known, width, np.inf))
     return replace(found, width=np.where(doubted(arm, logs, found), np.inf, found.width))
 
 
