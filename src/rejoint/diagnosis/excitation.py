@@ -231,12 +231,12 @@ def _add_steps(path: Excitation, plan: Plan) -> None:
 def _add_multisine(path: Excitation, plan: Plan, rng: np.random.Generator) -> None:
     joints, duration = path.arm.joints, plan.multisine_period
     time = np.arange(0.0, duration + 1e-9, 0.01)
-    lines = np.arange(1, int(plan.multisine_band * plan.multisine_period) + 1)
+    lines = np.arange(1, int(plan.multisine_band * duration) + 1)
     motion = np.zeros((len(time), joints))
     for joint in range(joints):
         own = lines[lines % joints == joint % joints]
         phase = rng.uniform(0.0, 2 * np.pi, len(own))
-        angle = 2 * np.pi * np.outer(time, own) / plan.multisine_period + phase
+        angle = 2 * np.pi * np.outer(time, own) / duration + phase
         wave = (np.cos(angle) / np.sqrt(own)).sum(axis=1)  # 1/sqrt(f): between equal position and equal speed
         speed = np.abs(np.gradient(wave, time)).max()
         motion[:, joint] = wave * min(plan.multisine_amplitude / np.abs(wave).max(), plan.multisine_speed / speed)
@@ -310,15 +310,14 @@ def record(robot: Robot, *, seed: int, on_progress: Progress = no_progress) -> t
     arm, extra = robot.arm, {"seed": str(seed)}
     excitation = plan_excitation(arm, seed=seed)  # refused, if it is, before anything moves
     targets = np.tile(draw_set(arm, np.random.default_rng(seed), TARGETS), (robot.count, 1, 1))
-    begin(robot)
-    duration = TARGETS * DWELL
+    duration, sent = TARGETS * DWELL, begin(robot).command[-1]
     share = duration / (duration + excitation.duration)
     see = reporting("ten targets", duration, part(on_progress, 0.0, share), robot)
-    open_loop = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL), on_cycle=see)
+    open_loop = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL, sent=sent), on_cycle=see)
     move(robot, arm.rest)
-    excited = played(robot, excitation, EXCITATION_LABEL, part(on_progress, share, 1.0), extra)
     return tuple(
-        DiagnosisLogs(targets=open_loop.log(b, TARGETS_LABEL, extra), excitation=log) for b, log in enumerate(excited)
+        DiagnosisLogs(targets=open_loop.log(b, TARGETS_LABEL, extra), excitation=log)
+        for b, log in enumerate(played(robot, excitation, EXCITATION_LABEL, part(on_progress, share, 1.0), extra))
     )
 
 
@@ -333,5 +332,5 @@ def played(
 
 def reporting(what: str, duration: float, on_progress: Progress, robot: Robot) -> OnCycle:
     """Progress callback for a motion of ``duration`` [s]."""
-    since = float(robot.read().time[0])
-    return lambda cycle: on_progress(min((float(cycle.time[0]) - since) / duration, 1.0), what)
+    since = robot.read().time[0]
+    return lambda cycle: on_progress(float(min((cycle.time[0] - since) / duration, 1.0)), what)
