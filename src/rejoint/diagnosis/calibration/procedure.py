@@ -26,6 +26,7 @@ from rejoint.arms import (
     collides,
     gravity_torque,
     heights,
+    levers,
     plan,
     solve_position,
     tcp_position,
@@ -107,7 +108,7 @@ def suggest(
 
     InputError for too few free postures.
     """
-    known = earlier(arm, prior) if prior is not None else belief(arm, PriorCase(twist=LINKS))
+    known = earlier(arm, prior) if prior else belief(arm, PriorCase(twist=LINKS))
     postures = np.concatenate(_candidates(arm, seed))
     if len(postures) * visits < count:
         raise InputError(
@@ -115,14 +116,13 @@ def suggest(
             "be measured; ask for fewer"
         )
     slopes, noises = _seen(arm, known, postures, sigma)
-    covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
+    covariance = np.linalg.inv(known.precision).astype(float)
     places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed + 1)]
     region = _seen(arm, known, np.concatenate(places), 0.0)[0]
     weight = np.einsum("pik,pil->kl", region, region)
-    chosen: list[int] = []
+    chosen = list[int]()
     while len(chosen) < count:
-        again = len(chosen) % visits > 0
-        best = chosen[-1] if again else _most_telling(slopes, noises, covariance, weight, chosen)
+        best = chosen[-1] if len(chosen) % visits else _most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
     return Suggestion(postures=postures[chosen], posture=np.unique(chosen, return_inverse=True)[1])
@@ -132,7 +132,8 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides."""
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
-    inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
+    inside = solution.q[solution.converged]
+    anywhere = comfortable_postures(arm)
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
     ways = np.stack([anywhere - BEFORE, anywhere, anywhere + BEFORE])
     light = anywhere[(np.abs(gravity_torque(arm, ways)) <= most).all(axis=(0, 2))]
@@ -141,10 +142,11 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
-    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank."""
+    """Those of postures (C, n) [rad] that are free, and from both sides, where play hardly moves the tool."""
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
     either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)
+    either &= _WIDEST * levers(arm, q) > floor_of(arm)
     return q[np.logical_and.reduce(free) & ~either.any(axis=1)]
 
 
