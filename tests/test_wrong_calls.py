@@ -48,6 +48,7 @@ deploy emulated:worn --dwell -1 | found '-1'
 deploy emulated:worn --within=0 | found '0'
 deploy emulated:worn --payload 100g | kg
 deploy emulated:worn --payload 250 | kg
+deploy emulated:worn --payload -1 | kg
 deploy emulated:worn --period 0.05 | milliseconds
 deploy emulated:worn --tool 0,0 | x,y,z
 deploy emulated:warn | worn

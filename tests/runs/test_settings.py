@@ -28,7 +28,9 @@ def run(tmp_path):
     "wrong",
     [
         {"within": 2.0},
-        {"within": float("nan")},
+        {"within": np.nan},
+        {"payload": -1.0},
+        {"tool": [0.0, 0.0, 50.0]},
     ],
 )
 def test_settings_that_cannot_be_meant_are_refused_at_once(wrong):
@@ -40,6 +42,8 @@ def test_what_is_no_settings_is_refused_before_anything_moves():
     for call in (rejoint.connect, rejoint.deploy, rejoint.diagnose, rejoint.repair):
         with pytest.raises(rejoint.InputError, match=r"rejoint\.Settings"):
             call("emulated:worn", settings={"payload": 0.1})
+        with pytest.raises(rejoint.InputError, match=r"'5'|got 5"):
+            call(5)
 
 
 def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run):

@@ -102,7 +102,7 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
     pointed = np.where(lengths[:, None] > 1e-9, ends, [0.0, 0.0, least])
     ends = pointed * np.maximum(1.0, least / np.linalg.norm(pointed, axis=1))[:, None]
     solid = LINK_DENSITY * np.pi * radius**2 * np.linalg.norm(ends, axis=1)
-    whole, usual = float(arm.mass.sum()), float(solid.sum())
+    whole, usual = arm.mass.sum(), solid.sum()
     if 0.0 < whole < usual / IMPLAUSIBLE_MASS_RATIO:
         notes.append(
             f"masses: {whole:.3g} kg in all, where solid links of that length have {usual:.3g} kg; is it kilograms? "
@@ -158,6 +158,12 @@ class Payload:
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """[m] from the bare arm's TCP, in its axes"""
 
+    def __post_init__(self) -> None:
+        mass = as_floats("payload", self.mass, "a mass in kg, or a Payload")
+        if mass.shape or not 0.0 <= mass < np.inf:
+            raise InputError(f"payload: expected a mass in kg, got {self.mass}")
+        object.__setattr__(self, "mass", float(mass))
+
 
 @entity
 class LoadedArm(Arm):
@@ -174,19 +180,17 @@ def bare(arm: Arm) -> Arm:
 def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
     """Add a payload (a number: kg at the TCP) and a ``tool`` (3,) [m] in the TCP frame; InputError."""
     load = payload if isinstance(payload, Payload) else Payload(mass=0.0 if payload is None else payload)
-    mass = as_floats("payload", load.mass, "a mass in kg, or a Payload")
-    if tool is None and mass.shape == () and mass == 0.0:
+    if tool is None and load.mass == 0.0:
         return arm
-    whole, places = float(arm.mass.sum()), f"x, y, z of at most {LONGEST_TOOL:g} m"
-    if mass.shape or not 0.0 <= mass <= whole:
-        told = " ".join(f"{one:g}" for one in mass.flat)
-        raise InputError(f"payload: {told} kg, expected 0 to the {whole:.2g} kg of the arm itself")
+    whole, places = arm.mass.sum(), f"x, y, z of at most {LONGEST_TOOL:g} m"
+    if load.mass > whole:
+        raise InputError(f"payload: {load.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
     com = as_place("payload: the centre of mass", load.com, places, most=LONGEST_TOOL)
     tip = arm.tip.copy()
     tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, places, most=LONGEST_TOOL)
     fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
-    return LoadedArm(**fields | {"tip": tip} | heavier(arm, float(mass), place), bare=bare(arm))
+    return LoadedArm(**fields | {"tip": tip} | heavier(arm, load.mass, place), bare=bare(arm))
 
 
 def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:

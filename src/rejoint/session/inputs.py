@@ -83,13 +83,13 @@ def is_robot(given: RobotLike | LogsLike) -> bool:
 
 
 def address_of(robot: RobotLike) -> str:
-    """Address of a robot, as its user wrote it."""
-    return robot if isinstance(robot, str) else robot.address
+    """Address of a robot, as its user wrote it; AddressError for what is none."""
+    return robot.address if isinstance(robot, Robot) else place_of(robot).text
 
 
 def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
     """Arm of a robot: its own, else ``arm``, else the address's; InputError without any."""
-    if not isinstance(robot, str | None):
+    if isinstance(robot, Robot):
         return robot.arm
     if arm is not None:
         return as_arm(arm)
@@ -120,9 +120,9 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     if isinstance(given, RunLog):
         return [given]
     if not isinstance(given, Path | str):
-        if found := [log for one in given for log in as_logs(one)]:
+        if isinstance(given, Iterable) and (found := [log for one in given for log in as_logs(one)]):
             return found
-        raise InputError("no run logs were given, expected at least one")
+        raise InputError(f"no run logs were given, expected at least one, got {given!r:.80}")
     path = Path(given)
     if path.is_file():
         return [RunLog.load(path)]
@@ -249,12 +249,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         as_seed(self.seed)
-        as_period(self.period)
         as_seconds("dwell", self.dwell)
         boxes = tuple(self.keep_out) if isinstance(self.keep_out, Iterable) else (None,)
         if not all(isinstance(box, Box) for box in boxes):
             raise InputError("settings: keep_out takes boxes, such as [rejoint.arms.Box(lower=..., upper=...)]")
         object.__setattr__(self, "keep_out", boxes)  # not an iterator, which is used up
+        KeptSettings.of(self)  # refuses what it cannot keep
         if self.within is not None:
             as_within("settings", self.within)
 
@@ -274,7 +274,7 @@ class KeptSettings:
         """Return what is kept of ``settings``."""
         mass, tool = settings.payload, settings.tool
         return cls(
-            payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=float(mass)),
+            payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=mass),
             tool=None if tool is None else as_place("settings: tool", tool),
             keep_out=tuple(settings.keep_out),
             period=as_period(settings.period),
