@@ -121,7 +121,8 @@ def test_regular_periods_let_an_arm_start_and_stop_at_once(period):
 def test_names_and_bad_limits():
     assert reason_names(Reason.STEP | Reason.NOT_FINITE) == ("step", "not finite")
     assert reason_names(0) == ()
-    for wrong in ({"lower": LIMITS.upper}, {"max_speed": np.full(6, np.inf)}, {"max_acceleration": np.full(6, np.nan)}):
+    no = np.full(6, np.nan)
+    for wrong in ({"lower": LIMITS.upper}, {"max_speed": no}, {"max_acceleration": no}, {"floors": no}):
         with pytest.raises(InputError, match="lower must be below upper"):
             dataclasses.replace(LIMITS, **wrong)
 

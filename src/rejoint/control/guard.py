@@ -121,9 +121,10 @@ class GuardLimits:
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration", "floors"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
-        positive = (self.lower < self.upper) & (self.max_speed > 0.0) & (self.max_acceleration > 0.0)  # and no NaN
+        positive = (self.lower < self.upper) & (self.max_speed > 0.0) & (self.max_acceleration > 0.0)
+        positive &= self.floors < np.inf  # and no NaN anywhere
         if not (positive & np.isfinite(self.lower + self.upper + self.max_speed)).all():
-            raise InputError("guard limits: lower must be below upper, speeds and accelerations positive; all finite")
+            raise InputError("guard limits: lower must be below upper, speeds and accelerations positive; all numbers")
 
     @cached_property
     def shape(self) -> CollisionShape:
