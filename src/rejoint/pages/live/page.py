@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Mapping
 from contextlib import redirect_stdout
+from socket import gethostname
 
 import numpy as np
 import trimesh
@@ -131,7 +132,8 @@ class WebPage:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
             self.server = self.serve(host, port)
-        self.address = f"http://{host}:{self.server.get_port()}"
+        # the address that means every network opens on no other device
+        self.address = f"http://{gethostname() if host == '0.0.0.0' else host}:{self.server.get_port()}"  # noqa: S104
         gui, scene = self.server.gui, self.server.scene
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
