@@ -106,6 +106,7 @@ def extra(bench):
 
 PLANTED = {
     "port missing": (lambda _: ["feetech:///dev/ttyACM77"], "robot", "there is no port", "ports of this computer"),
+    "no address": (lambda _: ["foo://x"], "robot", "unknown robot address", "tcp://"),
     "no permission": (no_permission, "robot", "no permission", "usermod -aG"),
     "wrong baud rate": (
         lambda bench: ["serial://" + bench.line(COBOT, b"\xfe\xfe", termios.B115200)],

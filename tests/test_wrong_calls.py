@@ -108,6 +108,7 @@ repair emulated:worn --measure ruler | touch
 repair emulated:worn --measure camera=front | camera=NUMBER
 repair emulated:wear.toml | wear.toml
 calibrate emulated:worn run --measure none | repair
+calibrate emulated:worn run --frame table | touch
 calibrate emulated:worn new --measure points=book.xlsx | CSV
 calibrate emulated:worn new --measure points=nothing.csv | no such file
 serve emulated:worn nothing | no run folder

@@ -22,7 +22,7 @@ from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
-from rejoint.system.errors import RejointError, RobotError, first_line
+from rejoint.system.errors import AddressError, RejointError, RobotError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
 
@@ -54,8 +54,10 @@ class Surroundings:
 
     @property
     def place(self) -> Place[object] | None:
-        """The address; AddressError."""
-        return None if self.robot is None else place_of(self.robot)
+        """The address, if it is one."""
+        with suppress(AddressError):
+            return place_of(self.robot or "")
+        return None
 
 
 def examine(case: Surroundings) -> Iterator[tuple[str, Symptom]]:
@@ -72,11 +74,10 @@ def examine(case: Surroundings) -> Iterator[tuple[str, Symptom]]:
 
 def extras(case: Surroundings) -> Iterator[Symptom]:
     """Name the extras that are missing for a repair, and the others that are there."""
-    place = case.place
     needed = {
         "train",
         "report",
-        *(() if place is None else place.family.needs),
+        *(() if case.place is None else case.place.family.needs),
         *["camera"] * (case.camera is not None),
     }
     there = {name: all(map(installed, modules)) for name, modules in EXTRAS.items()}
@@ -170,9 +171,9 @@ def run(case: Surroundings) -> Iterator[Symptom]:
 
 def robot(case: Surroundings) -> Iterator[Symptom]:
     """Open the robot: port, permissions, baud rate, protocol, IDs, zeros."""
-    place = case.place
-    if place is None:
+    if case.robot is None:
         return
+    place = place_of(case.robot)
     require(place.text, *place.family.needs)
     if place.virtual:
         case.stack.callback(open_robot(place.text).close)
@@ -196,8 +197,7 @@ def servos(case: Surroundings) -> Iterator[Symptom]:
         version, power = (_reply_of(case.opened, method) for method in ("get_system_version", "get_servo_voltages"))
         expected, fix = ("", "") if version == TRIED else (f", expected {TRIED}", "update it with the maker's myStudio")
         yield Symptom(f"firmware: {version or 'none'}{expected}", fix)
-        told = np.size(power) == arm.joints
-        state = replace(state, voltage=np.array(power, float)[None] if told else None)
+        state = replace(state, voltage=np.array(power, float)[None] if np.size(power) == arm.joints else None)
     yield from look_at_servos(arm, state)
 
 

@@ -188,8 +188,7 @@ def arms(
         return {"removed": name}
     if calibration is not None:
         if not hasattr(place_of(address).detail, "calibration"):
-            text = f"--calibration is LeRobot's, of arms on a bus of servos, and {address} is none: leave it out"
-            raise InputError(text)
+            raise InputError(f"--calibration is LeRobot's, of a bus of servos, and {address} is none: leave it out")
         if not calibration.is_file():
             raise FileError(calibration, "no such file", "give LeRobot's calibration of this arm (.json)")
         address += f"{'&' if '?' in address else '?'}calibration={quote(str(calibration.resolve()))}"

@@ -121,9 +121,8 @@ def comparison(done: rejoint.Compared) -> Shown:
     result, advice = done.comparison, done.recommendation
     headers, rows = plain_table(columns(result), result.rows)
     sets = f"{plural(len(result.targets), 'set')} of {plural(len(result.targets[0]), 'target')}"
-    trials = f"{sets}, {plural(result.repetitions, 'repetition')}"
-    title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"
-    yield title, headers, rows, result.controllers.index(advice.controller)
+    trials = f"{plural(result.repetitions, 'repetition')}{f', in blocks of {result.block}' if result.block else ''}"
+    yield f"{result.robot}: {sets}, {trials}", headers, rows, result.controllers.index(advice.controller)
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
             yield f"  ! {line}"
@@ -135,9 +134,9 @@ def comparison(done: rejoint.Compared) -> Shown:
 
 def effort(spent: Effort | None) -> Shown:
     """Yield what a repair cost, stage by stage."""
-    for stage in () if spent is None else spent.stages:
-        yield f"  {stage.name}: {cost(stage)}"
     if spent is not None and spent.stages:
+        for stage in spent.stages:
+            yield f"  {stage.name}: {cost(stage)}"
         yield f"In all: {cost(spent.total)}."
 
 
@@ -166,8 +165,7 @@ def followed(done: rejoint.Followed) -> Shown:
         "rms deg",
         "rms of the tool",
     ]
-    title = f"{done.path}, {done.controller}: errors along the way by the encoders"
-    yield title, headers, rows
+    yield f"{done.path}, {done.controller}: errors along the way by the encoders", headers, rows
     if not done.followed:
         turned = f" and {np.degrees(REACHED_TURN):g} deg" * (done.passes[-1].turned is not None)
         yield f"Not followed: at most {1e3 * done.within:g} mm{turned} root mean square after the lag were expected."

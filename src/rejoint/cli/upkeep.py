@@ -54,6 +54,8 @@ def calibrate(
     kind, _, what = (measure or "").partition("=")
     if kind != "camera" and (board is not None or board_on != "tool"):
         raise InputError("--board and --board-on go with --measure camera")
+    if kind in ("", "camera") and frame != "base":
+        raise InputError("--frame goes with --measure points=FILE, touch or tracker=FILE")
     if kind == NO_GAUGE:
         raise InputError("--measure none goes with repair; name what measures, or leave it out")
     if run.exists():
