@@ -97,8 +97,9 @@ def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path: Path):
         tmp_path / "in/b.csv",
         names | {f"position.{joint}_rad": names[f"command.{joint}_rad"] for joint in ARM.joint_names},
     )
+    (tmp_path / "in/c.csv").write_text("rubbish")
     done = CliRunner().invoke(app, ["import", str(tmp_path / "in"), str(tmp_path / "logs"), "--arm", "so101", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout.splitlines()[-1])
-    assert (told["logs"], len(told["skipped"])) == (3, 1)
+    assert (told["logs"], len(told["skipped"])) == (3, 2)
     assert [len(RunLog.load(tmp_path / f"logs/a-{k}of3.parquet")) for k in (1, 2, 3)] == [200, 99, 97]

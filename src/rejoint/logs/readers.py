@@ -94,7 +94,8 @@ _AGAIN = "record it again, or write its columns as text"
 def _is_table(file: Path, named: bool) -> bool:
     if not file.is_file() or not (named or file.suffix.lower() in _ENDINGS):
         return False
-    return _columns_of(file) is not None or head(file) is not None
+    # what calls itself a table is refused by name where it is none
+    return file.suffix.lower() == ".csv" or _columns_of(file) is not None or head(file) is not None
 
 
 def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | None:
