@@ -136,6 +136,7 @@ def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path):
     told = arms_of([row for row in rows if row.time <= repair.time])
     shown = {arm.name: cells(arm) for arm in told}
     assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
+    assert not head(error_mm=2.0, true_error_mm=4.0, tolerance_mm=3.0).over  # a check judges by the encoders
     assert shown["a1"][-1].endswith("--repeat 5")
     write_history(tmp_path / "told.html", told)
     assert "<p>Nothing urgent on 2 arms.</p>" in (tmp_path / "told.html").read_text()

@@ -132,16 +132,15 @@ class HistoryRow:
 
     @property
     def counts_mm(self) -> float | None:
-        """[mm] tool error that counts."""
+        """[mm] tool error that counts: of a check by the encoders, as its tolerance, else the true one if known."""
         with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
-        bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
+        bare = self.error_mm if self.kind == "check" or self.true_error_mm is None else self.true_error_mm
         return bare if with_it is None else with_it
 
     @property
     def over(self) -> bool:
         """Whether it reached the tolerance."""
-        limit, counts = self.tolerance_mm, self.counts_mm
-        return limit is not None and counts is not None and counts >= limit
+        return (self.counts_mm or 0.0) >= (self.tolerance_mm or float("inf"))
 
 
 _ARROW = {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}

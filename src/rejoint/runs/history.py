@@ -67,7 +67,7 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
         tolerance_mm=found.tolerance_mm,
         controlled_mm=found.controlled_mm,
     )
-    if due is not None:
+    if due:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     states = {one.joint: one.state for one in reversed(found.changes)}  # the worst of each joint
     return [arm, *(replace(row, state=states.get(row.joint, "")) for row in rows[1:])]
@@ -219,7 +219,7 @@ def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
 def cells(arm: ArmHistory) -> list[str]:
     """One row of the table `HEADERS`."""
     row = arm.newest
-    by = "" if row.true_error_mm is not None or row.counts_mm is None else " by encoders"
+    by = " by encoders" * (row.true_error_mm is None or row.counts_mm == row.error_mm)
     return [
         arm.name,
         arm.state,

@@ -330,7 +330,7 @@ class FleetRow:
     state: str
     """learning, steady, drifting, alarm, tolerance reached, repaired, or how it ended"""
     error_mm: float | None
-    """newest tool error, the true one if known"""
+    """newest tool error, as in the history"""
     found: str
     """finding, or reason why not"""
     todo: str
