@@ -192,8 +192,10 @@ class Link:
             raise AddressError(str(error)) from error
         try:
             asked(lambda: self._bus.prepare(self._bus.clock.now() + FIRST), self.address)
-        except RobotError as error:
+        except BaseException as error:
             self.close()
+            if not isinstance(error, RobotError):
+                raise
             why = f"{self.address}: {error}"  # it answers, and is not to be driven as it is
             if isinstance(error, _AGAIN):
                 why = (

@@ -163,7 +163,7 @@ def serial_address(text: str) -> SerialAddress:
     """Read ``SCHEME:///dev/DEVICE?baud=N``; ValueError."""
     parts = urlsplit(text)
     query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
-    if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:
+    if parts.netloc or not re.match("/.", parts.path) or set(query) - {"baud"}:
         raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N")
     given = query.get("baud", [str(BAUD)])[-1]
     if not re.fullmatch("[1-9][0-9]*", given):
