@@ -217,7 +217,7 @@ def design_of(run: Run, best: str) -> Design:
         law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
         design = Design(arm=arm, law=law, network=None, name=name)
     else:
-        contract, name = policy.contract, f"{SHELF} policy" if best == SHELF else POLICY
+        contract, name = policy.contract, "generic policy" if best == SHELF else POLICY
         check_contract(contract, arm)
         if contract.law.anchor != "goal" or contract.layout != "residual":
             raise InputError(
