@@ -246,6 +246,6 @@ def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, 
         if sealed and digest(text[sealed.end() :]) != sealed[1]:
             raise FileError(path, CHANGED, remedy)
         data = tomllib.loads(text.decode())
-        if data["format"] != version:
-            raise FileError(path, f"{name} of format {data['format']!r}, expected {version}", remedy)
+        if data.get("format") != version:
+            raise FileError(path, f"{name} of format {data.get('format')!r}, expected {version}", remedy)
         return build(data)
