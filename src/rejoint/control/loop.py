@@ -63,7 +63,7 @@ EASE_SHARE = 0.2
 def elsewhere(before: Array, command: Array, position: Array) -> Mask:
     """Arms (B,) with a ``position`` (B, n) [rad] off the way from ``before`` to ``command`` (B, n)."""
     low, high = np.minimum(before, command) - ELSEWHERE, np.maximum(before, command) + ELSEWHERE
-    return np.logical_or.reduce((position < low) | (position > high), axis=-1)
+    return ((position < low) | (position > high)).any(axis=-1)
 
 
 def in_force(state: JointState, sent: Array | None) -> Array:

@@ -125,8 +125,10 @@ class Following:
 
     def _fall(self, position: Array, sent: Array, goal: Array) -> None:
         """Look for falling joints at a ``position`` after ``sent`` with a ``goal`` (B, n) [rad]."""
-        left, way = goal - position, np.sign(goal - position)
-        far, came = np.abs(left) > FAR, (position - self._anchor) * way
+        left = goal - position
+        way = np.sign(left)
+        far = np.abs(left) > FAR
+        came = (position - self._anchor) * way
         self._anchor = np.where(~far | (came > NEARER), position, self._anchor)
         self.falling = far & (came < -AWAY) & ((sent - position) * way > PUSHED)
         if self.falling.any():
@@ -147,7 +149,8 @@ class Following:
         far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
         if not far.any():
             return wanted
-        reach, balance = TRAVEL / self._levers(position), self._bands.balance(self._arm, position)
+        reach = TRAVEL / self._levers(position)
+        balance = self._bands.balance(self._arm, position)
         reach = np.clip(compiled.MOST * (self._bands.stood + np.abs(balance)), reach, reach + STICKING * STICKS)
         return np.where(far, np.clip(wanted, held - reach, held + reach), wanted)
 

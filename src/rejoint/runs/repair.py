@@ -170,7 +170,8 @@ def repair(
     >>> print(result.diagnosis.verdict, result.recommendation.controller)
     >>> print(result.page)
     """
-    what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
+    what = plan or RepairPlan()
+    chosen, _ = settled(settings, None, robot)
     if only is None and not chosen.dry_run:
         require("rejoint repair", "train", "report")
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
@@ -237,7 +238,9 @@ def _comparison(
     robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, observer: Observer, *, quick: bool
 ) -> Iterator[ComparisonJob]:
     compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
-    targets, given, emulated = plan.targets, plan.trials or TrialPlan(), is_batchable(robot)
+    targets = plan.targets
+    given = plan.trials or TrialPlan()
+    emulated = is_batchable(robot)
     small = ONE_ARM_PROTOCOL if quick else Protocol(crossings=False)
     usual = TrialPlan(
         sets=1 if quick else 3 if emulated else None,
