@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import Measurement, measure, measure_logs
+from rejoint.diagnosis.measurement import Measurement, measure, measure_logs, mounted
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import (
@@ -180,12 +180,12 @@ def diagnose_logs(
     told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    silent, doubt = {joint: log.label for log in logs for joint in unpowered_joints(log)}, mounted(data)
     return Diagnosis(
         arm=arm.name,
         robot=source,
         condition="worn" if grown else _condition(findings, measurement, healthy),
-        verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
+        verdict=f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
         findings=findings,
         unseen=(
             *(f"{joint} does not answer in {label}: unpowered, too weak or stuck." for joint, label in silent.items()),

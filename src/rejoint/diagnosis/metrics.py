@@ -208,6 +208,8 @@ class Law(LinearFit):
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
     moments: Array | None = None
     """(4 n + 1, 4 n + 1) of `gravity_terms` and, last, error, in standard errors; None for hobby servos"""
+    pulls: Array | None = None
+    """(4, 4) the same of gravity along each axis of the base"""
 
 
 def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Averages:
@@ -243,12 +245,12 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     fit = fit_trimmed(design, error, motion.cluster, light)
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
-    follows, moments = (1.0, None) if known else _shared(data, motion, joint)
-    return Law(**vars(fit), torque_range=np.ptp(motion.gravity), follows=follows, moments=moments)
+    follows, moments, pulls = (1.0, None, None) if known else _shared(data, motion, joint)
+    return Law(**vars(fit), torque_range=np.ptp(motion.gravity), follows=follows, moments=moments, pulls=pulls)
 
 
-def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
-    """Share of the sag by any masses that the arm's own explain, and `Law.moments`."""
+def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array, Array]:
+    """Share of the sag by any masses that the arm's own explain, `Law.moments` and `Law.pulls`."""
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
     position = interpolated(motion.time, log.time, log.position)
@@ -262,11 +264,14 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
     kept = rest <= 5 * 1.48 * np.median(rest)
     without, own, any_masses = ((left(design, kept)[kept] ** 2).sum() for design in (base, model, free))
-    moments = np.linalg.qr(left(base, kept, np.column_stack([columns, error]))[kept], mode="r")
-    observations = len(np.unique(motion.cluster[kept]))
-    return (without - own) / max(without - any_masses, 1e-300), moments * (
-        observations / max(any_masses, 1e-300)
-    ) ** 0.5
+    along = np.stack([gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)], axis=1)
+
+    def moments(terms: Array) -> Array:
+        return np.asarray(np.linalg.qr(left(base, kept, np.column_stack([terms, error]))[kept], mode="r"))
+
+    follows, pulls = (without - own) / max(without - any_masses, 1e-300), moments(along)
+    scale = len(np.unique(motion.cluster[kept])) ** 0.5 / np.maximum([any_masses**0.5, abs(pulls[-1, -1])], 1e-150)
+    return follows, moments(columns) * scale[0], pulls * scale[1]
 
 
 def gravity_terms(arm: Arm, position: Array) -> Array:

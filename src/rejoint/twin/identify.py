@@ -13,6 +13,8 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, gravity_torque
+from rejoint.diagnosis.measurement import mounted
+from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -256,10 +258,10 @@ def identify_logs(
     paths = predict_logs(arm, judged, unseen)
     judgement = judge(arm, paths, unseen, table=motions.height)
     on_progress(0.8, "all motions")
-    note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
+    note, missing = UNJUDGED, [UNJUDGED]
     if settings.hold_out != ():
-        alike = [REPEATED] if np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY else []
-        note, missing = REFITTED, [*judgement.doubts, *alike]
+        alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
+        note, missing = REFITTED, [REPEATED] * alike
         motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
@@ -269,7 +271,7 @@ def identify_logs(
         gain=gain,
         notes=(*twin.notes, note),
         fitted=tuple(log.label for log in seen),
-        judgement=replace(judgement, doubts=tuple(missing)),
+        judgement=replace(judgement, doubts=(*judgement.doubts, *missing, *filter(None, [mounted(motions.data)]))),
     )
 
 
@@ -289,6 +291,11 @@ class Motions:
         return find_exclusions(self.arm, self.logs, self.height)
 
     @cached_property
+    def data(self) -> ExcitationLog:
+        """All motions on one clock."""
+        return join_logs(self.arm, self.logs, self.excluded)
+
+    @cached_property
     def windows(self) -> list[Window]:
         """Free motion."""
         return cut_windows(self.logs, self.excluded, WINDOW)
@@ -301,7 +308,7 @@ class Motions:
     @property
     def belief(self) -> Prior:
         """Prior by what the sag in these motions tells."""
-        return decide_compensation(self.arm, self.logs, self.excluded)
+        return decide_compensation(self.data)
 
     def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
         """Make the problem of some windows."""

@@ -3,17 +3,15 @@
 So fits to the same windows are compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask
+from rejoint.arms import Array, Mask
 from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.regression import fit_believed
-from rejoint.diagnosis.segments import join_logs
-from rejoint.logs.exclusions import Exclusions
-from rejoint.logs.runlog import RunLog
+from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.system.records import entity
 from rejoint.twin.fit import LIMIT_GAIN, SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import LEAST_FED, Prior, is_hobby, number, unknown_prior, unpack
@@ -85,15 +83,15 @@ class Structure:
         )
 
 
-def decide_compensation(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
+def decide_compensation(data: ExcitationLog) -> Prior:
     """Prior of an arm known by its model, with the stiffness that torque or sag tells, but for hobby servos.
 
     It tells of equal servos too. Gravity that does not show in the sag is fed forward, or the model is too heavy.
     """
-    belief = unknown_prior(arm)
-    if is_hobby(arm):
+    belief = unknown_prior(data.arm)
+    if is_hobby(data.arm):
         return belief
-    data, layout = join_logs(arm, logs, excluded), belief.layout
+    layout = belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
     told = np.eye(layout.size)[stiffness] / error[:, None]
