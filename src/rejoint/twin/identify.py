@@ -179,6 +179,8 @@ def fitted_twin(
     stiffness = problem.layout.at("stiffness")  # unknown, an offset holds what is sag
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
     identified[problem.layout.at("offset")] &= identified[stiffness] | light
+    # below zero it stands for speed that is fed forward, or for late readings
+    identified[problem.layout.at("delay")] &= parameters.delay > 0.0
     lower = unpack(belief.lower, problem.joints)
     raised = np.clip(np.maximum(held, most * (limit >= most)), lower.torque_limit, 0.99 * limit)
     # one that no motion reaches is anything above what was shown
