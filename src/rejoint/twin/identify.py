@@ -12,7 +12,7 @@ from itertools import compress
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, gravity_torque
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.diagnosis.measurement import mounted
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
@@ -23,6 +23,7 @@ from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.parameters import (
+    LEAST_FED,
     Prior,
     healthy_parameters,
     is_hobby,
@@ -199,7 +200,7 @@ def fitted_twin(
         acceleration=replay.acceleration,
         table=table,
     )
-    return replace(twin, notes=tuple(_notes(twin, found)))
+    return replace(twin, notes=tuple(_notes(twin, found, light)))
 
 
 def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
@@ -209,8 +210,15 @@ def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
-def _notes(twin: Twin, found: Fit) -> list[str]:
+def _notes(twin: Twin, found: Fit, light: Mask) -> list[str]:
     notes, held_out = [], twin.held_out
+    low, high = (end.compensation for end in twin.interval)
+    if (fed := np.flatnonzero(np.maximum(low, -high) * ~light > LEAST_FED)).size:
+        notes.append(
+            f"{', '.join(f'{twin.parameters.compensation[j]:.0%} at {twin.joint_names[j]}' for j in fed)} of the "
+            "model's gravity do not show: the controller feeds them forward, a spring carries them, or the model is "
+            "too heavy; below zero, it is too light, or the arm carries a load"
+        )
     if twin.unknown_scale:
         notes.append(
             f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
