@@ -30,7 +30,7 @@ def log(label, gain, seconds=4.0):
 
 def swung(batch):
     batch.restart(ARM.rest[None])
-    path = ARM.rest + 0.3 * np.sin(np.linspace(0.0, 6.0, 400))[:, None] * np.cos(np.arange(ARM.joints))
+    path = ARM.rest + 0.3 * np.sin(np.linspace(0.3, 6.0, 400))[:, None] * np.cos(np.arange(ARM.joints))
     return batch.rollout(path[None])[0]
 
 
@@ -44,7 +44,7 @@ def test_friction_that_grows_with_load_is_that_of_mujoco():
     judge = swung(TableBatch(ARM, RUBBING.repeat(1)))
     ours, plain = chain(RUBBING), chain(nominal_parameters(ARM))
     assert np.abs(ours - plain).max() > 20 * ARM.encoder_step
-    assert np.abs(ours - judge).max() < 0.1 * np.abs(ours - plain).max()
+    assert np.abs(ours - judge).max() < 0.012 * np.abs(ours - plain).max()
 
 
 def test_a_log_is_replayed_at_the_gain_that_it_records_unless_it_declares_another():
