@@ -6,13 +6,14 @@ counts, whole motions are held out, and priors are wide. Part of the motion deci
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
+from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.diagnosis.measurement import mounted
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
@@ -51,6 +52,7 @@ from rejoint.twin.replay import (
     thin,
 )
 from rejoint.twin.structure import (
+    TOGETHER,
     Structure,
     decide_compensation,
     drive_torque,
@@ -58,6 +60,7 @@ from rejoint.twin.structure import (
     find_acceleration,
     find_structure,
     rough_fit,
+    with_both,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
 
@@ -254,7 +257,7 @@ def identify_logs(
     on_progress(0.0, "search")
     structure, start = motions.find_structure(on_progress)
     on_progress(0.5, "fit")
-    problem, found = motions.settle(structure, start)
+    structure, problem, found = motions.choose(structure, start)
     table = motions.fit_table(problem, found)
     on_progress(0.7, "held-out motions")
     own = Candidate(
@@ -347,6 +350,25 @@ class Motions:
         every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.far})
         problem = self.problem(every, structure, stride=1.0)
         return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+
+    def choose(self, structure: Structure, start: Array) -> tuple[Structure, Problem, Fit]:
+        """Settle without and with `TOGETHER`; keep those where windows that neither fit has seen are predicted better.
+
+        Each alone gains little: friction that grows with load is wrong at the scale of torques that hides a limit.
+        """
+        fuller = replace(structure, frozen=tuple(name for name in structure.frozen if name not in TOGETHER))
+        if not {*TOGETHER} <= {*structure.frozen}:
+            return structure, *self.settle(structure, start)
+        both = with_both(self.problem(self.far, structure), start)
+        with ThreadPoolExecutor(2) as pool:
+            (problem, found), (rival, other) = pool.map(self.settle, (structure, fuller), (start, both))
+        fresh = thin(sorted({*self.windows} - {*problem.replay.windows}), self.logs, self.settings.fit_seconds)
+        if not fresh:
+            return structure, problem, found
+        replay = replace(problem.replay, windows=fresh)
+        tips = tcp_position(self.arm, replay.predict(unpack(np.stack([found.vector, other.vector]), self.arm.joints)))
+        simple, full = np.linalg.norm(tips - tcp_position(self.arm, replay.measured), axis=-1).mean(axis=1)
+        return (fuller, rival, other) if full < simple else (structure, problem, found)
 
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
         """Fit the table to the motion in contact; None where that is too little."""

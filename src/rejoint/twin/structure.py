@@ -20,6 +20,8 @@ LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that show only when reached"""
 OPTIONAL = (*LIMITS, "load_friction")
 """Parameters that a twin has only where they explain motion"""
+TOGETHER = ("torque_limit", "load_friction")
+"""Those that may explain motion only together"""
 
 USUAL_ACCELERATION = 39.0
 """[rad/s^2] limit of the reference's acceleration to try first; that of an STS3215"""
@@ -206,6 +208,14 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
         return x, losses
     y = fit(problem, y, FURTHER).vector
     return y, _losses(problem, y)
+
+
+def with_both(problem: Problem, x: Array) -> Array:
+    """Start (k,) with `TOGETHER` from an optimum ``x`` (k,) without them."""
+    y = x.copy()
+    y[problem.layout.at("torque_limit")] = np.log(_TORQUES[-1] * drive_torque(problem, x))
+    y[problem.layout.at("load_friction")] = _SHARES
+    return y
 
 
 def drive_torque(problem: Problem, x: Array) -> Array:
