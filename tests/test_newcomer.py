@@ -91,10 +91,6 @@ def test_a_missing_port_is_not_asked_for_its_server(monkeypatch):
     assert "server" not in str(caught.value)
 
 
-def test_who_may_not_open_a_port_reads_which_group_may(tmp_path):
-    assert "usermod -aG" in ports.why_closed(PermissionError(13, "Permission denied"), str(tmp_path))
-
-
 MEANT = """
 /dev/ttyACM0 | feetech:///dev/ttyACM0
 /dev/ttyUSB0 | dynamixel:///dev/ttyUSB0
@@ -135,15 +131,6 @@ def test_a_function_that_makes_no_controller_is_refused():
         rejoint.compare("emulated:worn", [repr], plan=rejoint.TrialPlan(sets=1, repetitions=1))
 
 
-def test_results_are_short_at_a_prompt_and_tables_in_a_notebook():
-    done = rejoint.deploy("emulated:worn", [[0.2, 0.0, 0.2], [0.19, 0.03, 0.21]])
-    assert len(repr(done)) < 500
-    assert "<td>" in done._repr_html_()
-    frame = done.to_pandas()
-    assert len(frame) == len(done.visits)
-    assert frame["error"].iloc[1] == done.visits[1].error
-
-
 def test_a_path_of_windows_is_no_address():
     with pytest.raises(rejoint.RejointError, match="no folder with run logs"):
         rejoint.diagnose(r"C:\logs")
@@ -160,7 +147,9 @@ def test_every_public_result_is_short_at_a_prompt(tmp_path):
     )
     assert list(found.logs) == [name for name in run.logs if name in found.logs]  # one name for one log
     assert set(run.to_pandas()["controller"]) == {"default"}
-    results = [run, run.arm, found, rejoint.read_arm("so101"), rejoint.Policy.load(POLICY)]
+    done = rejoint.deploy("emulated:worn", [[0.2, 0.0, 0.2], [0.19, 0.03, 0.21]])
+    assert done.to_pandas()["error"].iloc[1] == done.visits[1].error
+    results = [run, run.arm, found, done, rejoint.read_arm("so101"), rejoint.Policy.load(POLICY)]
     for one in results:
         assert len(repr(one)) < 500
         assert "<" in one._repr_html_()
