@@ -170,7 +170,7 @@ def diagnosed(wears: list[Wear], wire: str, seed: int) -> Bands:
         law = 2 * [np.full(ARM.joints, np.nan)] if logs is None else measure(ARM, logs.excitation).balance(ARM)
         bands.append(standing_bands(ARM, pair, *law))
 
-    fields = ("slope", "offset", "reach", "width", "lifted")
+    fields = ("slope", "offset", "reach", "width", "stood", "lifted")
     return Bands(**{name: np.array([getattr(one, name) for one in bands]) for name in fields})
 
 

@@ -135,6 +135,11 @@ class Following:
             off = tool_error(self._arm, position, tcp_position(self._arm, goal))
             self.falling = self.falling & (off[:, None] > DROP * length_size(self._arm))
 
+    @property
+    def moved(self) -> Mask:
+        """Joints (B, n) that have moved by `MOVED`."""
+        return np.asarray(self._tracks["moved"] >= MOVED)
+
     def _excused(self, bad: Mask, late: Mask) -> Mask:
         """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
         now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
@@ -146,12 +151,13 @@ class Following:
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
         """Keep ``wanted`` (B, n) [rad] near constant readings: within `TRAVEL`, or where the joint may still stand."""
         held = self._tracks["held"]
-        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
+        far = ~self.moved & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
         balance = self._bands.balance(self._arm, position)
-        reach = np.clip(compiled.MOST * (self._bands.stood + np.abs(balance)), reach, reach + STICKING * STICKS)
+        stands = compiled.MOST * (self._bands.stood + np.abs(balance)) + 2.0 * compiled.AND  # then it is overdue
+        reach = np.clip(stands, reach, reach + STICKING * STICKS)
         return np.where(far, np.clip(wanted, held - reach, held + reach), wanted)
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
@@ -188,7 +194,7 @@ class Following:
         unknown = (self._verdict == compiled.UNKNOWN) & np.isinf(tracks["width"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
         away = np.abs(sent - position) > ARRIVED
-        asked = unknown & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
+        asked = unknown & (travel > _EARLIEST) & stands & away & self.moved
         if not asked.any():
             return asked, asked
         lever = self._levers(position)
@@ -233,13 +239,14 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
 
 
 def doubted(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> Mask:
-    """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``."""
-    found = np.full(arm.joints, False)
+    """Joints (n,) of a whole arm that the monitor flags somewhere in its ``logs``, or that move in none."""
+    found, moved = np.full((2, arm.joints), False)
     for log in logs:
         following = Following(arm, _state(log, 0), log.command[:1], bands)
         for row in range(1, len(log)):
             found |= following.check(_state(log, row), log.command[row - 1 : row], np.full(1, False))[0]
-    return found
+        moved |= following.moved[0]
+    return found | ~moved
 
 
 def _state(log: RunLog, row: int) -> JointState:
@@ -271,7 +278,8 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog], softness: Array, offset: Ar
     lifted = np.max([_lifted(log, balance) for log, balance in zip(logs, balances, strict=True)], axis=0)
     reach, width = _narrowest(arm, logs, balances)
     found = replace(found, lifted=lifted, reach=reach, stood=width, width=np.where(known, width, np.inf))
-    return replace(found, width=np.where(doubted(arm, logs, found), np.inf, found.width))
+    off = doubted(arm, logs, found)
+    return replace(found, stood=np.where(off, 0.0, found.stood), width=np.where(off, np.inf, found.width))
 
 
 def _lifted(log: RunLog, balance: Array) -> Array:
