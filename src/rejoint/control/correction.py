@@ -26,6 +26,7 @@ from rejoint.arms import (
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
+from rejoint.arms.workspace import length_size
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.records import value_type
@@ -128,7 +129,7 @@ def true_error(
 ROUNDS = 4
 """Fixed-point steps (measured)"""
 MOST = 0.05
-"""[m] largest shift (chosen)"""
+"""[m] largest shift, for a myCobot 280 and smaller arms (chosen)"""
 DAMPING = 0.01
 """[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
 THERE = 1e-5
@@ -178,7 +179,7 @@ class Modelled:
                 posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
                 place = goal - self.shift(posture)
                 own = wanted and self.untwisted(wanted, posture)
-            aims[aimed] = checked(goal, place)
+            aims[aimed] = checked(self.arm, goal, place)
             if turn is not None and own is not None:
                 turn.rotation[aimed] = own.rotation
         return aims, turn
@@ -219,11 +220,16 @@ class Modelled:
         return q
 
 
-def checked(target: Array, aim: Array) -> Array:
+def most_shift(arm: Arm) -> float:
+    """[m] largest shift of targets."""
+    return MOST * max(length_size(arm), 1.0)
+
+
+def checked(arm: Arm, target: Array, aim: Array) -> Array:
     """``aim`` (..., 3) [m]; InputError if too far."""
-    far = norm(aim - target, axis=-1).max(initial=0.0)
-    if not far <= MOST:
+    far, most = norm(aim - target, axis=-1).max(initial=0.0), most_shift(arm)
+    if not far <= most:
         raise InputError(
-            f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * MOST:.0f}; calibrate again"
+            f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * most:.0f}; calibrate again"
         )
     return aim

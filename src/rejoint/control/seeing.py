@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, 
 from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
-from rejoint.control.correction import MOST, Modelled, rms
+from rejoint.control.correction import Modelled, most_shift, rms
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
@@ -125,7 +125,7 @@ class Seen(Modelled):
         left = target - place - self.shift(then) - self._extra
         self.visits[-1] = self._count, float(norm(left))
         fresh = target - self.shift(position) - self._extra
-        if norm(fresh - self._aim) <= CHANGE or norm(fresh - target) >= MOST:
+        if norm(fresh - self._aim) <= CHANGE or norm(fresh - target) >= most_shift(self.arm):
             return None
         self._aim = fresh
         return fresh[None]

@@ -80,7 +80,7 @@ def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None =
 
         def correct(places: Array, turns: Orientation | None) -> Poses:
             way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
-            aims = checked(places, places - correction.shift(way))
+            aims = checked(arm, places, places - correction.shift(way))
             return aims, turns and correction.untwisted(turns, way)
 
         guide.corrected = correct
@@ -89,7 +89,7 @@ def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None =
     places, wanted = aims, turns = guide.poses(time)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
-        aims = checked(places, places - correction.shift(way))
+        aims = checked(arm, places, places - correction.shift(way))
         turns = wanted and correction.untwisted(wanted, way)
         postures.last = way[:1]
     return replace(guide, aim=Path(time=time, place=aims, turn=turns, name=guide.name))
