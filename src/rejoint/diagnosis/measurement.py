@@ -54,8 +54,8 @@ SAG = within(1.0, 0.04)
 """The same by the sag of a known arm; measured on emulated worn ones"""
 
 CLEARER, DOUBTED = 2.0, 25.0
-"""Explained sag, in squared standard errors, over that by the model's gravity, and beyond it without the joint that
-gains most; measured: at most 1.02 on right real arms, 30 on an arm on a wall
+"""Least sag explained, in squared standard errors: times that by the model's gravity, and beyond it without the joint
+that gains most; chosen
 """
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
