@@ -41,9 +41,6 @@ FOLLOWS = 0.6
 STUCK_ERROR = 0.17
 """[rad] following error of a stuck joint without sweep; chosen: twice a worn joint's sag"""
 
-STUCK_COUNTS = 10.0
-"""Encoder counts off what stiffness explains of a stuck joint; chosen"""
-
 GRAVITY_DOUBT = 0.2
 """Relative error of sag by wrong masses; chosen"""
 
@@ -193,12 +190,12 @@ def stuck(case: _Case) -> Found:
     follows = gain is not None and FOLLOWS < gain < 1.0 / FOLLOWS and case.row.stuck_rad < 2.0 * STUCK_ERROR
     if follows or far < STUCK_ERROR:
         return None
-    other = ""
-    if case.row.torque_limit_nm is None:
-        other = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
+    why = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
+    if case.row.torque_limit_nm is not None:
+        why = f", and spent {case.row.saturated_share * 100:.0f} % of the excitation at its torque limit"
     return (case.levers * case.errors).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
-        f"load or blocked{other}; at its targets this costs"
+        f"load or blocked{why}; at its targets this costs"
     )
 
 
@@ -249,11 +246,9 @@ def torque_limit(case: _Case) -> Found:
     if case.row.torque_limit_nm is None:  # which no joint of unknown stiffness has
         return None
     explained = case.loads / case.value("stiffness_nm_per_rad") + max(case.value("hysteresis_rad"), 0.0) / 2
-    off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
-    far = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
     return (case.levers * np.maximum(case.errors - explained, 0.0)).mean(), (
-        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{far}; "
-        "at its targets this costs"
+        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit; at its "
+        "targets this costs"
     )
 
 
@@ -319,8 +314,8 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
     "noise": ("noise_rad", "restless in its readings", noise),
 }
 """By the kind of finding: judged quantity, what it makes of a joint, and rule for one joint"""
-SEEMING = ("lag", "offset")
-"""Kinds that a joint which does not follow only seems to show"""
+SEEMING = ("lag", "offset", "torque_limit")
+"""Kinds that do not stand beside a joint that does not follow: it seems to show them, or says them"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
