@@ -245,7 +245,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     fit = fit_trimmed(design, error, motion.cluster, light)
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
-    follows, moments, pulls = (1.0, None, None) if known else _shared(data, motion, joint)
+    follows, moments, pulls = (1.0, None, None) if known or fast else _shared(data, motion, joint)
     return Law(**vars(fit), torque_range=np.ptp(motion.gravity), follows=follows, moments=moments, pulls=pulls)
 
 
