@@ -18,7 +18,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -64,7 +63,7 @@ class WrongError(AssertionError):
 
 def small() -> None:
     """Cut the stages of this process down."""
-    rejoint.twin.identify.identify = partial(rejoint.twin.identify.identify, iterations=3)
+    rejoint.twin.identify.ITERATIONS = 3
     preset = rejoint.training.task.DEFAULT
     ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)
     rejoint.training.task.PRESETS["default"] = replace(preset, ppo=ppo)

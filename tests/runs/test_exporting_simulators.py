@@ -53,7 +53,7 @@ def rms(paths, measured):
 def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     robot = open_robot(address)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
-    twin = identify(arm, logs, iterations=8)
+    twin = identify(arm, logs)
     run = Run.create(tmp_path, address, arm)
     twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")

@@ -13,7 +13,7 @@ from rejoint.twin.replay import Replay, cut
 
 @pytest.fixture(scope="session")
 def twin(arm, log):
-    return identify(arm, [log], iterations=10)
+    return identify(arm, [log])
 
 
 def test_fit_finds_the_truth(twin, truth):

@@ -52,6 +52,7 @@ from rejoint.twin.replay import (
     thin,
 )
 from rejoint.twin.structure import (
+    OFTEN,
     TOGETHER,
     Structure,
     decide_compensation,
@@ -61,6 +62,7 @@ from rejoint.twin.structure import (
     find_structure,
     rough_fit,
     with_both,
+    with_limit,
 )
 from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
 
@@ -130,8 +132,6 @@ def identify(
     arm: Arm,
     logs: Sequence[RunLog],
     on_progress: Progress = no_progress,
-    *,
-    iterations: int = ITERATIONS,
 ) -> Twin:
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
@@ -149,15 +149,14 @@ def identify(
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
     coarse = Problem(Replay(arm, logs, pieces, TIMESTEP), belief, UNSEEN)
-    x = fit(coarse, rough_fit(coarse), iterations).vector
+    x = with_limit(coarse, fit(coarse, rough_fit(coarse), ITERATIONS).vector, "torque_limit")
     x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
     fine = Problem(Replay(arm, logs, seen), belief, UNSEEN)
-    found = fit(fine, x, iterations)
+    found = fit(fine, x, ITERATIONS)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
-    stretches = np.stack([fine.window, (fine.replay.time // CLUSTER).astype(int)], axis=1)
-    clusters = np.unique(stretches, axis=0, return_inverse=True)[1].ravel()
+    clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
     return fitted_twin(fine, found, clusters, held_out)
 
 
@@ -178,17 +177,18 @@ def fitted_twin(
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
-    most, place = drive_torque(problem, found.vector), problem.layout.at("torque_limit")
-    identified[place] &= limit < most
+    unreached, place = limit >= drive_torque(problem, found.vector), problem.layout.at("torque_limit")
+    identified[place] &= ~unreached
     stiffness = problem.layout.at("stiffness")  # unknown, an offset holds what is sag
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
     identified[problem.layout.at("offset")] &= identified[stiffness] | light
     # below zero it stands for speed that is fed forward, or for late readings
     identified[problem.layout.at("delay")] &= parameters.delay > 0.0
     lower = unpack(belief.lower, problem.joints)
-    raised = np.clip(np.maximum(held, most * (limit >= most)), lower.torque_limit, 0.99 * limit)
-    # one that no motion reaches is anything above what was shown
-    covariance[place, place] += np.diag(problem.frozen[place] * (np.log(limit / raised) / NORMAL95) ** 2)
+    # a limit that no motion reaches is anything above what was shown
+    raised = np.maximum(held, unreached * drive_torque(problem, found.vector, OFTEN))
+    raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
+    covariance[place, place] += np.diag((unreached | problem.frozen[place]) * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(
         arm=replay.arm.name,
         joint_names=replay.arm.joint_names,

@@ -91,7 +91,7 @@ def identify(
     seed
         default: that of the run, else 0
     quick
-        search less: the fit is worse
+        search less in other logs than a diagnosis: the fit is worse
     observer
         receives progress
 
@@ -113,7 +113,7 @@ def identify(
     >>> twin = rejoint.identify([found.excitation, found.targets])
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
-    from rejoint.twin.identify import ITERATIONS, LogSettings, identify_logs
+    from rejoint.twin.identify import LogSettings, identify_logs
     from rejoint.twin.identify import identify as fit
     from rejoint.twin.judge import predict_logs
 
@@ -133,7 +133,7 @@ def identify(
             raise InputError("identification: neither logs nor a run is given")
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
         if logs is None or (about is None and of_diagnosis(motions)):
-            twin = fit(chosen, motions, update, iterations=2 if quick else ITERATIONS)
+            twin = fit(chosen, motions, update)
         else:
             if quick:
                 size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "far_seconds": 5.0, "contact_seconds": 20.0}
