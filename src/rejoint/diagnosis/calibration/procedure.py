@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -22,6 +23,7 @@ from rejoint.arms import (
     Arm,
     Array,
     Mask,
+    Motors,
     PlanningError,
     collides,
     gravity_torque,
@@ -33,7 +35,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.postures import comfortable_postures
-from rejoint.arms.workspace import length_size, reach, rising_frames
+from rejoint.arms.workspace import least_load, length_size, reach, rising_frames
 from rejoint.control.comparison.protocols import reversal
 from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Recording
@@ -131,14 +133,18 @@ def suggest(
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides."""
     rng = np.random.default_rng(seed)
-    solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
-    inside = solution.q[solution.converged]
-    anywhere = comfortable_postures(arm)
-    most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
+    (inside, most), anywhere = _inside(arm, rng), comfortable_postures(arm)
     ways = np.stack([anywhere - BEFORE, anywhere, anywhere + BEFORE])
     light = anywhere[(np.abs(gravity_torque(arm, ways)) <= most).all(axis=(0, 2))]
     within = _approachable(arm, inside)[:WITHIN]
     return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
+
+
+def _inside(arm: Arm, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Postures (C, n) [rad] in the region of targets, and the torques (n,) [N m] with which motors hold them."""
+    solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
+    inside = solution.q[solution.converged]
+    return inside, np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
@@ -426,11 +432,13 @@ class StandingDrive:
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
         self.robot, self._limits, self._stance = robot, limits or GuardLimits.of(robot.arm), stance
+        most = np.maximum(_inside(robot.arm, np.random.default_rng(0))[1], least_load(robot.arm))
+        self._motors = Motors(limit=most, usable=most)
         self._sent: Array | None = None
 
     def stand(self, posture: Array, visit: int) -> Array:
         """Go to ``posture`` (n,) [rad] from the side of this ``visit``; return its reading."""
-        self._go(before(posture, visit), settle=0.3)
+        self._go(before(posture, visit), settle=0.3, motors=self._motors)
         there = self._go(posture, settle=SETTLE)
         rows = there.time[:, 0] > there.time[-1, 0] - WINDOW
         return np.asarray(there.position[rows, 0].mean(axis=0))
@@ -438,17 +446,17 @@ class StandingDrive:
     def rest(self) -> None:
         """Go back to rest, if the arm has moved."""
         if self._sent is not None:
-            self._go(self.robot.arm.rest, settle=0.0)
+            self._go(self.robot.arm.rest, settle=0.0, motors=self._motors)
 
-    def _go(self, posture: Array, settle: float) -> Recording:
+    def _go(self, posture: Array, settle: float, motors: Motors | None = None) -> Recording:
         if self._sent is None:
             with noted():
                 self._sent = begin(self.robot, self._limits, self._stance).command[-1]
         arm, start = self.robot.arm, self._sent[0]
         try:
-            ways = [plan(arm, start, posture)]
+            ways = [plan(arm, start, posture, motors=motors)]
         except PlanningError:
-            ways = [plan(arm, start, arm.rest), plan(arm, arm.rest, posture)]
+            ways = [plan(arm, *ends, motors=motors) for ends in pairwise([start, arm.rest, posture])]
         corners = np.vstack([way.start + np.cumsum(way.moves, axis=0) for way in ways])
         for corner in (*corners[:-1], posture):
             wait = settle if corner is posture else 0.0
