@@ -95,8 +95,8 @@ def _is_tunable(robot: RobotLike, arm: Arm) -> bool:
     return isinstance(robot, str) and place_of(robot).tunable(arm)
 
 
-QUICK_TARGETS = 3
-"""Targets of a quick comparison; chosen"""
+QUICK_TARGETS, QUICK_POINTS = 3, 6
+"""Targets of a quick comparison, and postures of a quick calibration; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,10 +207,10 @@ def repair(
         with prepared(observer) as job:
             return job.drive(observer.progress, ahead)
 
-    gauge = None if what.gauge == NO_GAUGE else what.gauge
+    points = QUICK_POINTS if quick and not what.gauge else None
     works: dict[StageName, Callable[..., object]] = {
         "diagnose": partial(diagnose, robot, run=found, quick=quick, settings=chosen),
-        "calibrate": partial(calibrate, robot, run=found, gauge=gauge, settings=chosen),
+        "calibrate": partial(calibrate, robot, run=found, gauge=what.gauge, count=points, settings=chosen),
         "identify": partial(identify, run=found, quick=quick),
         "gains": partial(gains, robot, found, settings=chosen),
         "train": partial(train, run=found, preset=what.preset, quick=quick),
