@@ -149,8 +149,9 @@ def test_a_site_at_the_end_of_an_mjcf_is_the_tip(tmp_path: Path):
         links += f'<body name="l{j}" pos="0 0 0.1"><joint name="j{j}" axis="{axis}" range="-2 2"/>'
         links += '<geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.1"/>'
         ends += "</body>"
-    model = f'<mujoco><compiler angle="radian"/><worldbody>{links}<site name="tcp" pos="0 0 0.17"/>{ends}'
+    model = f'<mujoco model="koch"><compiler angle="radian"/><worldbody>{links}<site name="tcp" pos="0 0 0.17"/>{ends}'
     path = written(tmp_path, model + "</worldbody></mujoco>", "arm.xml")
     arm = load_arm(path)
+    assert arm.name == "own-koch"
     np.testing.assert_allclose(arm.tip[:3, 3], [0.0, 0.0, 0.17])
     assert "tcp taken" in names_and_notes(path)[1]

@@ -213,8 +213,8 @@ def test_a_folder_of_another_version_is_named(tmp_path):
 
 
 def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path):
-    run = Run.create(tmp_path, "emulated:worn", replace(ARM, name="mine"))
-    assert Run.open(run.folder.path).arm.name == "mine"
+    run = Run.create(tmp_path, "emulated:worn", replace(ARM, floor=0.01))
+    assert Run.open(run.folder.path).arm.floor == 0.01
     text = run.folder.description.read_text()
     run.folder.description.write_text(text.replace("mass_kg = 0.", "mass_kg = 1.", 1))
     with pytest.raises(FileError, match=r"arm\.toml: damaged or changed since the run was begun"):

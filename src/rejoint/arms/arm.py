@@ -209,6 +209,6 @@ def so101() -> Arm:
 @cache
 def described(name: str) -> Arm:
     """Return an arm of the catalogue."""
-    from rejoint.arms.loading import read_arm  # late: what a description leaves open goes by the measures of a myCobot
+    from rejoint.arms.loading import finish, read_draft  # late: what is left open goes by the measures of a myCobot
 
-    return read_arm(MODELS / f"{name}.toml").arm
+    return finish(read_draft(MODELS / f"{name}.toml")).arm

@@ -414,4 +414,9 @@ def read_arm(
             f"no arm is called {source!r}; known arms: {', '.join(CATALOGUE)}, "
             f"or give a file that ends in {', '.join(SUFFIXES[:-1])}"
         )
-    return finish(read_draft(path) if suffix == ".toml" else cut(read_tree(path, hold), base, tip))
+    found = finish(read_draft(path) if suffix == ".toml" else cut(read_tree(path, hold), base, tip))
+    name = found.arm.name
+    if name not in CATALOGUE or found.arm.joint_names == described(name).joint_names:
+        return found
+    note = f"name: the {name} of the catalogue has other joints; own-{name} taken"
+    return Loaded(arm=replace(found.arm, name=f"own-{name}"), notes=(*found.notes, note))

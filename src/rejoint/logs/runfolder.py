@@ -65,7 +65,7 @@ class RunFolder:
     info = FilePlace("run.json")
     """`RunInfo`"""
     description = FilePlace("arm.toml")
-    """the arm's own description, if not in the catalogue"""
+    """the arm's own description, if it is not the catalogue's"""
     settings = FilePlace("settings.json")
     """`KeptSettings` of the diagnosis: payload, tool and the like"""
     diagnosis = FilePlace("diagnosis.json")

@@ -70,7 +70,7 @@ class Run(Readable):
         if info.arm_file and _digest(folder) != info.arm_file:
             remedy = "bring back the description that this run was begun with, or begin another run"
             raise FileError(folder.description, "damaged or changed since the run was begun", remedy)
-        return cls(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
+        return cls(folder=folder, info=info, arm=replace(load_arm(folder.arm(info.arm)), name=info.arm))
 
     @classmethod
     def plan(cls, path: Run | Path | str | None, robot: str, arm: Arm, seed: int | None = 0) -> Run:
@@ -116,9 +116,9 @@ class Run(Readable):
         """Write the description of the run, if missing; FileError."""
         if self.folder.info.exists():
             return self
-        run = self
-        if self.arm.name not in CATALOGUE:
-            write_arm_toml(self.folder.description, self.arm)
+        run, arm = self, bare(self.arm)
+        if arm.name not in CATALOGUE or arm.keep_out or differing(arm, load_arm(arm.name)):
+            write_arm_toml(self.folder.description, arm)
             run = replace(self, info=replace(self.info, arm_file=_digest(self.folder)))
         write_json(run.folder.info, run.info)
         return run

@@ -187,7 +187,8 @@ class Contents:
 
     def described(self) -> tuple[object, ...]:
         """Options that name the arm."""
-        return () if self.info.arm == DEFAULT_ARM else ("--arm", self.folder.arm(self.info.arm))
+        arm = self.folder.arm(self.info.arm)
+        return () if arm == DEFAULT_ARM else ("--arm", arm)
 
     def commands(self) -> dict[str, str]:
         """Command lines of every stage."""
