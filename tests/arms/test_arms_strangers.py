@@ -65,7 +65,6 @@ def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
     assert names == tuple(f"j{i}" for i in range(2, 8))
     assert "joint j1 slides (100 to 400 mm) and is not driven" in notes
     assert "fixed at 100 mm" in notes  # zero is outside of its limits
-    assert "--hold j1=100mm" in notes
     low, high = (read_tree(path, {"j1": place}) for place in (0.1, "350mm"))
     first = [cut(tree, None, None).arm.offset[0, :3, 3] for tree in (low, high)]
     np.testing.assert_allclose(first[0], [0.05, 0, 0.445], atol=1e-12)
@@ -78,7 +77,6 @@ def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:
     path = written(tmp_path, urdf(SIX))
     whole, held = cut(read_tree(path), None, None), cut(read_tree(path, {"j4": 0.7}), None, None)
     assert held.arm.joint_names == ("j1", "j2", "j3", "j5", "j6")
-    assert any("joint j4: held at 40.11 deg" in note for note in held.notes)
     assert held.arm.mass[2] == pytest.approx(whole.arm.mass[2] + whole.arm.mass[3])
     q = np.array([0.3, -0.4, 0.9, 0.2, 0.5])
     five, six = (chain_tcp(draft.arm, angles) for draft, angles in ((held, q), (whole, np.insert(q, 3, 0.7))))
@@ -150,8 +148,6 @@ def test_a_site_at_the_end_of_an_mjcf_is_the_tip(tmp_path: Path):
         links += '<geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.1"/>'
         ends += "</body>"
     model = f'<mujoco model="koch"><compiler angle="radian"/><worldbody>{links}<site name="tcp" pos="0 0 0.17"/>{ends}'
-    path = written(tmp_path, model + "</worldbody></mujoco>", "arm.xml")
-    arm = load_arm(path)
+    arm = load_arm(written(tmp_path, model + "</worldbody></mujoco>", "arm.xml"))
     assert arm.name == "own-koch"
     np.testing.assert_allclose(arm.tip[:3, 3], [0.0, 0.0, 0.17])
-    assert "tcp taken" in names_and_notes(path)[1]

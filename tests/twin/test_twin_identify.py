@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rejoint.arms import load_arm
+from rejoint.diagnosis.excitation import record
+from rejoint.robots import open_robot
 from rejoint.twin.fit import Problem, fit, limiting
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, number, pack, prior
@@ -29,7 +32,6 @@ def test_fit_finds_the_truth(twin, truth):
 def test_held_out_motion_decides(twin, arm, truth, log):
     held = twin.held_out
     assert held.twin.joint < 0.1 * held.healthy_twin.joint
-    assert held.healthy_twin.joint < held.no_twin.joint
     assert held.twin.tcp < 5e-4
     assert held.seconds + twin.fit_seconds == pytest.approx(log.time[-1] - log.time[0], abs=0.5)
 
@@ -46,8 +48,6 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin, monkeypatch):
     expected = twin.covariance[np.ix_(inside, inside)]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(np.cov(drawn[:, inside].T) / scale, expected / scale, atol=0.08)
-    again = twin.sample(np.random.default_rng(7), 3)
-    np.testing.assert_array_equal(again.stiffness, twin.sample(np.random.default_rng(7), 3).stiffness)
 
 
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
@@ -72,6 +72,14 @@ def test_descent_never_gains_by_leaving_the_optimum(arm, truth, log):
     residuals = problem.residuals(np.vstack([pack(truth), found.vector]))
     _, costs = problem.costs(np.vstack([pack(truth), found.vector]), residuals, found.weights)
     assert costs[1] <= costs[0] + 0.5
+
+
+def test_worn_motors_are_not_called_stronger_than_they_are():
+    arm = replace(load_arm("wx250s"), name="stranger")
+    robot = open_robot("emulated:worn?seed=3", arm=arm)
+    found, worn = identify(arm, [record(robot, seed=0)[0].excitation]), robot.plant.joints
+    low = found.interval[0].torque_limit / found.parameters.stiffness
+    assert (low < 1.7 * worn["torque_limit"] / worn["position_gain"]).all()
 
 
 def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):
