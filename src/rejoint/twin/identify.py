@@ -357,7 +357,7 @@ class Motions:
         Each alone gains little: friction that grows with load is wrong at the scale of torques that hides a limit.
         """
         fuller = replace(structure, frozen=tuple(name for name in structure.frozen if name not in TOGETHER))
-        if not {*TOGETHER} <= {*structure.frozen}:
+        if fuller.frozen == structure.frozen:
             return structure, *self.settle(structure, start)
         both = with_both(self.problem(self.far, structure), start)
         with ThreadPoolExecutor(2) as pool:
