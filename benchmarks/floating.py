@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
-from rejoint.arms.kinematics import FLOATING, GRAVITY
+from rejoint.arms.kinematics import GRAVITY, floating
 from rejoint.arms.rotations import turned
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
@@ -48,7 +48,7 @@ def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     came = np.concatenate([np.broadcast_to(arm.rest, read[:, :1].shape), read[:, :-1]], axis=1)
     gravity = turned(np.array([tilt, 0.0, 0.0])) @ GRAVITY
     load, left = gravity_torque(arm, read, gravity), np.empty_like(beyond)
-    side = np.tanh(load / FLOATING)
+    side = np.tanh(load / floating(arm))
     terms = np.stack([np.ones_like(load), load, side, (1.0 - side**2) * np.tanh((read - came) / CARRIED)], axis=-1)
     for i, j in np.ndindex(len(read), arm.joints):
         share = np.linalg.lstsq(terms[i, :, j], beyond[i, :, j], rcond=None)[0]

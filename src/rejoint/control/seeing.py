@@ -13,7 +13,6 @@ import numpy as np
 from numpy.linalg import norm
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, tcp_position
-from rejoint.arms.kinematics import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import Modelled, most_shift, rms
@@ -149,7 +148,7 @@ class Seen(Modelled):
     def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
         place, jacobian = position_kinematics(self.arm, then)
         if self._count > 1:
-            floats = 1.0 - np.tanh(self.displacement.torque(self.arm, then) / FLOATING) ** 2
+            floats = self.displacement.floats(self.arm, then)
             wander, moved = RATTLE * jacobian * floats, ALONG * norm(place - self._place)
             change = DRIFT**2 * np.eye(3) + wander @ wander.T
             self._spread = self._spread + (seen.time - self._believed) * change + moved**2 * np.eye(3)

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, Displacement, frames, jacobian, levers, tcp_pose, tcp_position
 from rejoint.arms.inertia import bare
-from rejoint.arms.kinematics import FLOATING, GRAVITY
+from rejoint.arms.kinematics import GRAVITY, floating
 from rejoint.arms.rotations import between_directions, turned
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.controllers.policy import law_digests
@@ -89,12 +89,12 @@ class DisplacementLayout:
         """Tool (M, 4, 4) at ``position`` (M, n) [rad], and derivative (M, 6, body) of its shift and turn, base axes."""
         arm, own, loads = self.arm, self.displacement(vector), link_loads(self.arm, position)
         torque = loads @ own.gravity @ own.mass
-        side = np.tanh(torque / FLOATING)
+        side = np.tanh(torque / (light := floating(arm)))
         one, tilt = np.eye(arm.joints), vector[self.at("tilt")]
         turns = [gravity_of(tilt + step) - gravity_of(tilt - step) for step in _STEP * np.eye(2)]
         by_load = [loads @ own.gravity, np.stack([loads @ turn @ own.mass for turn in turns], axis=-1) / (2 * _STEP)]
         # torque moves joints by flex and by the side of the play
-        yielding = own.compliance + 0.5 * own.play * (1.0 - side**2) / FLOATING
+        yielding = own.compliance + 0.5 * own.play * (1.0 - side**2) / light
         by_joint = [
             np.broadcast_to(one, (*torque.shape, arm.joints)),
             -torque[..., None] * one,
@@ -209,8 +209,8 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float 
 
     ``joint`` [rad]: unexplained sigma of every joint.
     """
-    lever, free = jacobian(arm, position), 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
-    variance = SCATTER * (0.5 * displacement.play) ** 2 * free + joint**2
+    lever = jacobian(arm, position)
+    variance = SCATTER * (0.5 * displacement.play) ** 2 * displacement.floats(arm, position) + joint**2
     return (lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2)
 
 
@@ -375,7 +375,7 @@ def preload(found: Calibration, position: Array) -> Preload:
     sides = {side: chance(turn @ own.gravity) for side, turn in turns.items()}
     best = min(sides, key=lambda side: sides[side])
     lever = levers(arm, position).mean(axis=0)
-    often = (np.abs(own.torque(arm, position)) < FLOATING).mean(axis=0) >= 0.5
+    often = (np.abs(own.torque(arm, position)) < floating(arm)).mean(axis=0) >= 0.5
     floats = often & (own.play * lever > found.floor)
     names = tuple(np.array(arm.joint_names)[floats].tolist())
     return Preload(joints=names, chance=chance(own.gravity), wedge=sides[best], side=best)

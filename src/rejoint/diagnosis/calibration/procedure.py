@@ -33,7 +33,7 @@ from rejoint.arms import (
     solve_position,
     tcp_position,
 )
-from rejoint.arms.kinematics import FLOATING
+from rejoint.arms.kinematics import floating
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import least_load, length_size, reach, rising_frames
 from rejoint.control.comparison.protocols import reversal
@@ -144,14 +144,14 @@ def _inside(arm: Arm, rng: np.random.Generator) -> tuple[Array, Array]:
     """Postures (C, n) [rad] in the region of targets, and the torques (n,) [N m] with which motors hold them."""
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
     inside = solution.q[solution.converged]
-    return inside, np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
+    return inside, np.abs(gravity_torque(arm, inside)).max(axis=0, initial=floating(arm))
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
     """Those of postures (C, n) [rad] that are free, and from both sides, where play hardly moves the tool."""
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
-    either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)
+    either = (np.minimum(*loads) < -floating(arm)) & (np.maximum(*loads) > floating(arm))
     either &= _WIDEST * levers(arm, q) > floor_of(arm)
     return q[np.logical_and.reduce(free) & ~either.any(axis=1)]
 
