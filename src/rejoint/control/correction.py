@@ -173,13 +173,14 @@ class Modelled:
         aimed = where & np.isfinite(target).all(axis=-1)
         if aimed.any():
             goal, rest_gain = target[aimed], REST_GAIN if near is None else 0.0
-            place, posture = goal, (start if near is None else near)[aimed]
+            place, before, posture = goal, goal, (start if near is None else near)[aimed]
             wanted = own = turn and turn[aimed]
             for _ in range(ROUNDS):
                 posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
-                place = goal - self.shift(posture)
+                before, place = place, goal - self.shift(posture)
                 own = wanted and self.untwisted(wanted, posture)
-            aims[aimed] = checked(self.arm, goal, place)
+            # they alternate where the play of a balanced joint changes its side
+            aims[aimed] = checked(self.arm, goal, 0.5 * (before + place))
             if turn is not None and own is not None:
                 turn.rotation[aimed] = own.rotation
         return aims, turn
