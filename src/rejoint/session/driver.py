@@ -200,7 +200,9 @@ def copied(run: Run) -> Iterator[Run]:
 class RehearsedRobot(WatchedRobot):
     """Simulates a robot at its present posture; with nominal servos without a twin."""
 
-    def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
+    def __init__(
+        self, robot: Robot, twin: Twin | None, period: Period | None, calibration: Calibration | None = None
+    ) -> None:
         """NotReadyError where the arm would not be moved either."""
         from rejoint.twin.simulation import Draw, TwinRobot
 
@@ -212,9 +214,13 @@ class RehearsedRobot(WatchedRobot):
         jitter = (high - low) / (high + low)
         simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
         super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))
-        self._positions: list[Array] = [start.copy()]
+        self._calibration, self._positions = calibration, [start.copy()]
         servos = part_of(robot, Tunable)
         self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
+
+    def true_tcp(self) -> Array:
+        """(1, 3) [m] by the calibration, if there is one."""
+        return super().true_tcp() if self._calibration is None else self._calibration.tool(self.read().position)
 
     def servo_gains(self) -> ServoGains | None:
         """Gains that the arm has, or would have; the simulation ignores them."""
@@ -386,7 +392,7 @@ class ArmDriver:
             if robot.count != 1:
                 raise InputError(f"a session drives one arm, {robot.address} has {robot.count}")
             if self.settings.dry_run:
-                robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period)
+                robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period, self.calibration)
             self._stack.enter_context(self._gains)
             self._limit(robot)
             pace, paced = self._pace, None if self._pace is None else False
