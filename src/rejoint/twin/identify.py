@@ -177,13 +177,13 @@ def fitted_twin(
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
-    unreached, place = limit >= drive_torque(problem, found.vector), problem.layout.at("torque_limit")
-    identified[place] &= ~unreached
-    stiffness = problem.layout.at("stiffness")  # unknown, an offset holds what is sag
+    unreached, at = limit >= drive_torque(problem, found.vector), problem.layout.at
+    identified[place := at("torque_limit")] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
-    identified[problem.layout.at("offset")] &= identified[stiffness] | light
-    # below zero it stands for speed that is fed forward, or for late readings
-    identified[problem.layout.at("delay")] &= parameters.delay > 0.0
+    identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
+    # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
+    identified[at("delay")] &= parameters.delay > 0.0
+    identified[at("damping")] &= ~found.at_bound[at("delay")]
     lower = unpack(belief.lower, problem.joints)
     # a limit that no motion reaches is anything above what was shown
     raised = np.maximum(held, unreached * drive_torque(problem, found.vector, OFTEN))
