@@ -198,7 +198,8 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
             "cut the file where the clock was set, or in a bag take the times of recording (--stamp log)",
         )
     fresh = np.concatenate([[True], steps > 0])[:rows]
-    lost, steps = int((~fresh).sum()), steps[steps > 0]
+    other = np.any(np.diff(motion.position, axis=0), axis=1)
+    gone, lost, steps = int((other & ~fresh[1:]).sum()), int((~fresh).sum()), steps[steps > 0]
     if rows - lost < FEWEST:
         raise FileError(
             motion.path,
@@ -213,8 +214,8 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
     if period * 0.99 * SLOWEST > 1.0:
         said = f"state: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
         found.append((f"{said}: too few to show friction or lag", "record faster"))
-    if lost > LOST * rows:
-        said = f"state: {lost} of {rows} samples have the stamp of the one before and are lost"
+    if gone > LOST * rows:
+        said = f"state: {gone} of {rows} samples have the stamp of the one before and are lost"
         found.append((said, "record finer stamps"))
     if lost:
         first = motion.where(int(np.argmin(fresh)))

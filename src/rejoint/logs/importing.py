@@ -76,8 +76,8 @@ def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
     missing = ~np.isfinite(values).all(axis=1)
     if missing.mean() > DAMAGED:
         row, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        said = f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]}, one "
-        said += f"of {int(missing.sum())} rows with values that are not finite"
+        said = f"{what}, {motion.where(row)}: joint {joint + 1} is {values[row, joint]}, one of {int(missing.sum())} "
+        said += "rows with values that are not finite"
         raise FileError(motion.path, said, "mend the values or cut the rows")
     huge = missing | (np.abs(values) > TWO_TURNS).any(axis=1)
     return np.asarray(huge if huge.mean() <= DAMAGED else missing)
