@@ -8,7 +8,6 @@ import pytest
 from browser import CHROMIUM, chromium
 from hand import Hand
 
-from rejoint.studio import jobs
 from rejoint.studio.page import TITLES, StudioView
 
 missing = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
@@ -114,10 +113,3 @@ def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, w
             hand.reads(TITLES[step][3:])
             tab.ask("document.querySelectorAll('[data-scrollarea-viewport]').forEach((e) => e.scrollTo(0, 9999))")
             assert hand.sees("STOP"), step
-
-
-def test_jobs_say_how_long_they_still_take(studio):
-    assert jobs.left(studio) == ""
-    studio.do("waiting", lambda machine: (machine.progress(0.5, ""), time.sleep(0.4)))
-    time.sleep(0.2)
-    assert "left" in jobs.left(studio)

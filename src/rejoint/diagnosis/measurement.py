@@ -24,7 +24,7 @@ from rejoint.diagnosis.metrics import (
     torque_given,
 )
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
-from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog, is_excitation
+from rejoint.diagnosis.segments import FREE, STEP, STILL, ExcitationLog, is_excitation
 from rejoint.logs.runlog import RunLog
 from rejoint.system.records import value_type
 from rejoint.system.statistics import NORMAL95, Estimate
@@ -57,6 +57,12 @@ CLEARER, DOUBTED = 2.0, 25.0
 """Least sag explained, in squared standard errors: times that by the model's gravity, and beyond it without the joint
 that gains most; chosen
 """
+
+ENOUGH = 300.0
+"""[s] of free motion that tell signs; chosen"""
+
+EXPLAINED = 0.85
+"""Share of the sag that gravity explains in logs of right signs and order; measured"""
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
 """Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
@@ -227,25 +233,45 @@ def _laws(data: ExcitationLog) -> list[Law | None]:
 
 
 def mounted(data: ExcitationLog) -> str:
-    """Doubt about the base: where gravity in another direction than the model's clearly explains the sag better.
-
-    Else empty.
-    """
-    laws = [] if data.arm.name in CATALOGUE else _laws(data)
-    pulls = np.array([law.pulls for law in laws if law]).reshape(-1, 4, 4)
-    terms, error = pulls[:, :3, :3], pulls[:, :3, 3:]
-    tried = np.concatenate([GRAVITY[None, :, None], np.linalg.pinv(terms, 1e-6) @ error])  # those of single joints
-    sag = terms @ tried[:, None]
-    explained = (sag * error).sum(axis=(2, 3)).clip(0.0) ** 2 / ((sag**2).sum(axis=(2, 3)) + 1e-12)
-    best = explained.sum(axis=1).argmax()
-    gain, along = explained[best] - explained[0], tried[best, :, 0]
-    if explained[best].sum() < CLEARER * explained[0].sum() or np.sort(gain)[:-1].sum() < DOUBTED:
+    """Doubt about base, signs or order of joints: where others clearly explain the sag better; else empty."""
+    names, eye = data.arm.joint_names, np.eye(data.arm.joints)
+    pulls, tried = _pulls([] if data.arm.name in CATALOGUE else _laws(data)), dict[str, Array]()
+    right = _explained(pulls)
+    for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, 3:])[..., 0]:  # those of single joints
+        where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
+        tried[
+            f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed "
+            "joint in its file turn the base; else check signs and zeros, and whether a spring or the controller "
+            "carries more than the weight"
+        ] = _explained(pulls, along)
+    if right.sum() < EXPLAINED * (pulls[..., 3] ** 2).sum():
+        mirrors = {f"{one} turned the other way: check its sign": row for one, row in zip(names, eye, strict=True)}
+        mirrors |= {
+            f"{names[a]} and {names[a + 1]} were exchanged: check their order": eye[a] - eye[a + 1]
+            for a in range(len(eye) - 1)
+        }
+        free = data.of_kind(FREE)
+        few = tuple(free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)])
+        for words, way in mirrors.items():
+            mirror = eye - 2.0 * np.outer(way, way) / (way @ way)
+            log = replace(data.log, position=data.log.position @ mirror, command=data.log.command @ mirror)
+            other = replace(data, log=log, segments=few)
+            tried[words] = _explained(_pulls([fit_law(other, joint) for joint in range(len(eye))]))
+    words = max(tried, key=lambda one: tried[one].sum(), default="")
+    if not words or tried[words].sum() < CLEARER * right.sum() or np.sort(tried[words] - right)[:-1].sum() < DOUBTED:
         return ""
-    return (
-        f"joints sag as if gravity pulled along {tuple((np.round(along / np.linalg.norm(along), 1) + 0.0).tolist())} "
-        "of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed joint in its file turn the base; "
-        "else check signs and zeros, and whether a spring or the controller carries more than the weight"
-    )
+    return f"joints sag as if {words}"
+
+
+def _pulls(laws: Sequence[Law | None]) -> Array:
+    """`Law.pulls` (n, 4, 4), or zeros."""
+    return np.reshape([np.zeros((4, 4)) if law is None or law.pulls is None else law.pulls for law in laws], (-1, 4, 4))
+
+
+def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
+    """Sag (n,) by gravity ``along`` (3,) [m/s^2], in squared standard errors."""
+    sag, error = pulls[:, :3, :3] @ along, pulls[:, :3, 3]
+    return (sag * error).sum(axis=1).clip(0.0) ** 2 / ((sag**2).sum(axis=1) + 1e-12)
 
 
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
