@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import Arm, levers, tcp_position
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import Measurement, measure, measure_logs, mounted
+from rejoint.diagnosis.measurement import Measurement, measure, measure_logs, sag_doubt
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import (
@@ -180,7 +180,7 @@ def diagnose_logs(
     told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent, doubt = {joint: log.label for log in logs for joint in unpowered_joints(log)}, mounted(data)
+    silent, doubt = {joint: log.label for log in logs for joint in unpowered_joints(log)}, sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
         robot=source,

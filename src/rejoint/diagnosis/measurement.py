@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -232,35 +233,35 @@ def _laws(data: ExcitationLog) -> list[Law | None]:
     return [fit_law(data, joint) for joint in range(data.arm.joints)]
 
 
-def mounted(data: ExcitationLog) -> str:
+def sag_doubt(data: ExcitationLog) -> str:
     """Doubt about base, signs or order of joints: where others clearly explain the sag better; else empty."""
     names, eye = data.arm.joint_names, np.eye(data.arm.joints)
-    pulls, tried = _pulls([] if data.arm.name in CATALOGUE else _laws(data)), dict[str, Array]()
-    right = _explained(pulls)
+    pulls = _pulls([] if data.arm.name in CATALOGUE else _laws(data))
+    right, tried = _explained(pulls), list[tuple[Array, str]]()
     for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, 3:])[..., 0]:  # those of single joints
         where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
-        tried[
+        base = (
             f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed "
             "joint in its file turn the base; else check signs and zeros, and whether a spring or the controller "
             "carries more than the weight"
-        ] = _explained(pulls, along)
+        )
+        tried.append((_explained(pulls, along), base))
     if right.sum() < EXPLAINED * (pulls[..., 3] ** 2).sum():
-        mirrors = {f"{one} turned the other way: check its sign": row for one, row in zip(names, eye, strict=True)}
-        mirrors |= {
-            f"{names[a]} and {names[a + 1]} were exchanged: check their order": eye[a] - eye[a + 1]
-            for a in range(len(eye) - 1)
-        }
         free = data.of_kind(FREE)
         few = tuple(free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)])
-        for words, way in mirrors.items():
+        ways = [(way, f"{name} turned the other way: check its sign") for name, way in zip(names, eye, strict=True)]
+        ways += [
+            (one - other, f"{a} and {b} were exchanged: check their order")
+            for (a, one), (b, other) in pairwise(zip(names, eye, strict=True))
+        ]
+        for way, words in ways:
             mirror = eye - 2.0 * np.outer(way, way) / (way @ way)
             log = replace(data.log, position=data.log.position @ mirror, command=data.log.command @ mirror)
-            other = replace(data, log=log, segments=few)
-            tried[words] = _explained(_pulls([fit_law(other, joint) for joint in range(len(eye))]))
-    words = max(tried, key=lambda one: tried[one].sum(), default="")
-    if not words or tried[words].sum() < CLEARER * right.sum() or np.sort(tried[words] - right)[:-1].sum() < DOUBTED:
-        return ""
-    return f"joints sag as if {words}"
+            laws = [fit_law(replace(data, log=log, segments=few), joint) for joint in range(len(eye))]
+            tried.append((_explained(_pulls(laws)), words))
+    best, words = max(tried, key=lambda one: one[0].sum(), default=(right, ""))
+    clear = best.sum() >= CLEARER * right.sum() and np.sort(best - right)[:-1].sum() >= DOUBTED
+    return f"joints sag as if {words}" if clear and words else ""
 
 
 def _pulls(laws: Sequence[Law | None]) -> Array:

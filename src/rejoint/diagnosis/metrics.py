@@ -25,6 +25,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.logs.exclusions import free_runs, joint_speed
 from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
 from rejoint.system.shell import Late
@@ -204,6 +205,8 @@ class Law(LinearFit):
 
     torque_range: float
     """[N m] of gravity"""
+    farthest: float
+    """[rad] following error that the law leaves, exceeded in one of a hundred windows"""
     follows: float = 1.0
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
     moments: Array | None = None
@@ -246,7 +249,15 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
     follows, moments, pulls = (1.0, None, None) if known or fast else _shared(data, motion, joint)
-    return Law(**vars(fit), torque_range=np.ptp(motion.gravity), follows=follows, moments=moments, pulls=pulls)
+    left = float(np.quantile(np.abs(error - design @ fit.coefficients), 0.99))
+    return Law(
+        **vars(fit),
+        torque_range=np.ptp(motion.gravity),
+        farthest=left,
+        follows=follows,
+        moments=moments,
+        pulls=pulls,
+    )
 
 
 def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array, Array]:
@@ -319,12 +330,14 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """[rad] largest distance at rest that law and friction leave."""
+    """[rad] distance that law and friction leave: largest at rest; without sweeps also `Law.farthest`."""
     _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
-    error = data.log.command[:, joint] - data.log.position[:, joint] - offset - softness * data.gravity[:, joint]
-    rests, position = (data.rows(one, last=SETTLED_LAST) for one in data.of_kind(HOLD, joint)), data.log.position
-    still = [rows for rows in rests if len(rows) and np.ptp(position[rows, joint]) < AT_REST * SETTLED_LAST]
-    return float(max([0.0, *(abs(error[rows].mean()) - width for rows in still)]))
+    rows = np.concatenate([data.rows(one) for one in data.of_kind(FREE)])
+    time, both = data.log.time[rows], np.stack([data.log.command[rows, joint], data.log.position[rows, joint]], axis=1)
+    error = both[:, 0] - both[:, 1] - offset - softness * data.gravity[rows, joint]
+    runs = free_runs(joint_speed(time, both) < AT_REST, time, SETTLED_LAST)
+    moving = 0.0 if law is None or data.of_kind(SWEEP) else law.farthest
+    return float(max([moving, *(abs(error[a:b].mean()) - width for a, b in runs)]))
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:

@@ -162,8 +162,8 @@ SHORTEST = 1.0
 LONGEST = 300.0
 """[s] longest span of free motion; chosen"""
 
-QUIET = 1.0
-"""[s] of constant commands before rest; chosen"""
+QUIET, SETTLED_HOLD = 1.0, 2.0
+"""[s] of constant commands of a step or rest, and of a hold in which what swings has died out; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
 """[s] and [rad] of a command step; chosen"""
@@ -216,8 +216,9 @@ def _spans(number: int, log: RunLog, free: Mask, time: Array) -> Iterator[Segmen
         edges = np.linspace(first, last, count + 1).astype(int).tolist()
         for a, b in pairwise(edges):
             yield segment(FREE, a, b, everyone)
-    for first, last in free_runs(free & still.all(axis=1), time, QUIET):
-        yield from (segment(kind, first, last, everyone) for kind in (HOLD, STILL))
+    for kind, shortest in ((HOLD, SETTLED_HOLD), (STILL, QUIET)):
+        for first, last in free_runs(free & still.all(axis=1), time, shortest):
+            yield segment(kind, first, last, everyone)
     for joint in everyone:
         for first, last in _steps(log, free, still[:, joint], joint):
             yield segment(STEP, first, last, (joint,))

@@ -193,9 +193,10 @@ def stuck(case: _Case) -> Found:
     why = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
     if case.row.torque_limit_nm is not None:
         why = f", and spent {case.row.saturated_share * 100:.0f} % of the excitation at its torque limit"
-    return (case.levers * case.errors).mean(), (
+    where = "at its targets" if case.errors.any() else "there"  # it may never rest
+    return (case.levers * (case.errors if case.errors.any() else far)).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
-        f"load or blocked{why}; at its targets this costs"
+        f"load or blocked{why}; {where} this costs"
     )
 
 

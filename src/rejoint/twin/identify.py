@@ -14,7 +14,7 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
-from rejoint.diagnosis.measurement import mounted
+from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
 from rejoint.logs.runlog import RunLog
@@ -284,7 +284,7 @@ def identify_logs(
         gain=gain,
         notes=(*twin.notes, note),
         fitted=tuple(log.label for log in seen),
-        judgement=replace(judgement, doubts=(*judgement.doubts, *missing, *filter(None, [mounted(motions.data)]))),
+        judgement=replace(judgement, doubts=(*judgement.doubts, *missing, *filter(None, [sag_doubt(motions.data)]))),
     )
 
 
