@@ -221,6 +221,15 @@ def states_with_current(dry, phase):
     return replace(log, current=current, units={"current": "A"})
 
 
+def test_a_joint_that_gives_way_is_named_though_the_arm_never_rests():
+    logs = [states_with_current(np.zeros(ARM.joints), phase) for phase in (0.0, 0.7)]
+    slump = np.eye(ARM.joints)[1] * 1.5
+    sunk = [replace(log, command=log.position + slump * (log.position > 0.3)) for log in logs]
+    found = diagnose_logs(ARM, sunk, None)
+    assert kinds(found) == {("shoulder_lift", "stuck")}
+    assert found.condition == "bad"
+
+
 def test_current_tells_friction_where_nobody_recorded_commands():
     log = states_with_current(np.full(ARM.joints, 0.4), 0.0)
     with pytest.raises(InputError, match="hold no commands"):
