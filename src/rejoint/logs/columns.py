@@ -283,10 +283,12 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
     if seen.any() and not seen.all():
         table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
-    told = np.asarray(np.isfinite(found.position if found.command is None else found.command).any(axis=1))
-    if early := int(told.argmax()):
-        table.notes.append(f"state: {early} samples before the first command left out")
-        found = found.take(np.arange(early, len(found)))
+    if found.command is not None:
+        told = np.asarray(np.isfinite(found.command).any(axis=1))
+        if early := int(told.argmax()):
+            table.notes.append(f"state: {early} samples before the first command left out")
+        held = np.maximum.accumulate(np.where(told, np.arange(len(told)), 0))  # a command holds until the next
+        found = replace(found, command=found.command[held]).take(np.arange(early, len(found)))
     return replace(found, notes=table.notes)
 
 
