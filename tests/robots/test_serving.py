@@ -146,7 +146,8 @@ def test_a_stopped_arm_is_held_where_it_stands():
     assert not ends, "it was sent nowhere"
 
 
-def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way():
+@pytest.mark.parametrize("end", [lambda one: one.left("the client is gone"), lambda one: one.answer(Frame(0x26))])
+def test_an_arm_that_is_left_or_paused_is_brought_to_the_end_of_its_way_and_no_farther(end):
     served = ServedArm(ARM, ARM.rest)
     answers, _ = answering(served)
     goal = ARM.rest + 0.1
@@ -156,8 +157,10 @@ def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way():
         clock += 0.05
         advance(served, clock, ARM.rest)
     assert served.moving, "its joints are not there yet"
-    answers.left("the client is gone")
-    np.testing.assert_allclose(advance(served, clock + 0.05, ARM.rest).goal[0], goal, atol=1e-9)
+    end(answers)
+    for later in np.arange(clock, clock + 20.0, 0.05):
+        wanted = advance(served, later, ARM.rest + 0.03)
+    np.testing.assert_allclose(wanted.goal[0], goal, atol=1e-9)
 
 
 def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():

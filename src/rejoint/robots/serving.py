@@ -127,7 +127,7 @@ class ServedArm(Computer, Reference):
         if self.lock.acquire(blocking=False):  # else a posture is being searched: the reference waits
             try:
                 self._observe(now.state)
-                under_way = self.motion.moving and not self.motion.paused
+                under_way = self.motion.moving or self.motion.paused
                 if under_way or np.isinf(self._since):
                     self._aim = self._apparent.measured(self.motion.reference)
                 wanted = replace(now, goal=self._aim[None], arrived=np.array([not under_way]))
@@ -223,6 +223,11 @@ class ServedArm(Computer, Reference):
         if joint is None and under_way:
             self._stay()
             self._since, self._settled, self._stopped = np.inf, False, True
+
+    def stand_by(self) -> None:
+        """Hold, as nobody is there to see a swing; only a last approach goes on."""
+        if self._unloading.give_up() or self.motion.moving:
+            self.stop()
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
@@ -381,8 +386,7 @@ class Clients(Conversation[Frame]):
         """Let the arm hold."""
         with self._served.lock:
             unfinished = self._served.moving
-            if self._served.motion.moving:
-                self._served.stop()
+            self._served.stand_by()
         self._log.write("hold", why=client, on_its_way=unfinished)
         self._say(f"{client[0].upper()}{client[1:]}; the arm holds.{_UNFINISHED * unfinished}")
 

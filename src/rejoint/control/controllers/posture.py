@@ -195,6 +195,12 @@ class Unloading(Reference):
         """Whether nothing more is tried for this goal."""
         return self._tries >= TRIES
 
+    def give_up(self) -> bool:
+        """Try nothing more for this goal; whether it was on such a way."""
+        swings, self._tries = bool(self._legs), TRIES
+        self._legs.clear()
+        return swings
+
     def short(self, position: Array) -> str:
         """Describe the joint off its goal at ``position`` (n,) [rad], or empty."""
         joint = self._off(position, self._goal)
