@@ -44,38 +44,32 @@ class ServoReference:
 
         One speed may serve all twins. The first reference is the first command.
         """
-        self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
-        self._speeds, self._which = np.unique(speed, return_inverse=True)
-        self._position, self._velocity = _states(time, self._command, self._speeds, acceleration)
+        self._time, self._command, self._limits = time, np.ascontiguousarray(command), (speed, acceleration)
+        again = np.diff(command, axis=0, prepend=np.nan) == 0.0
+        rows = command[:-1], again[:-1], np.diff(time)
+        goals, same, steps = (np.broadcast_to(row, (len(speed), *row.shape)) for row in rows)
+        self._position, self._velocity = np.zeros((2, len(speed), *command.shape))  # when each command is sent
+        self._position[:, 0] = command[0]
+        first, limits = (self._position[:, 0], self._velocity[:, 0]), (speed, np.full(len(speed), acceleration))
+        self._position[:, 1:], self._velocity[:, 1:] = follow(*first, goals, same, *limits, steps)
+        if acceleration < np.inf:
+            self._position[:, again], self._velocity[:, again] = command[again], 0.0
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
-        which, limits = np.resize(self._which, len(late)), (self._speeds, self._acceleration)
-        return _sample(late, which, self._time, self._command, self._position, self._velocity, limits)
-
-
-def _states(time: Array, command: Array, speed: Array, acceleration: float) -> tuple[Array, Array]:
-    """Position [rad] and velocity [rad/s] (u, T, n) when each command is sent, for speeds (u,)."""
-    again, limits = np.diff(command, axis=0, prepend=np.nan) == 0.0, (speed, np.full(len(speed), acceleration))
-    rows = command[:-1], again[:-1], np.diff(time)
-    goals, same, steps = (np.broadcast_to(row, (len(speed), *row.shape)) for row in rows)
-    position, velocity = np.zeros((2, len(speed), *command.shape))
-    position[:, 0] = command[0]
-    position[:, 1:], velocity[:, 1:] = follow(position[:, 0], velocity[:, 0], goals, same, *limits, steps)
-    if acceleration < np.inf:
-        position[:, again], velocity[:, again] = command[again], 0.0
-    return position, velocity
+        return _sample(late, self._time, self._command, self._position, self._velocity, self._limits)
 
 
 @njit(cache=True, nogil=True)
-def _sample(late, which, time, command, position, velocity, limits):
+def _sample(late, time, command, position, velocity, limits):
     speeds, acceleration = limits
     twins, instants = late.shape
     path = np.empty((twins, instants, command.shape[1]))
     for i in range(twins):
+        u = min(i, len(speeds) - 1)
         for s in range(instants):
-            k, u = max(np.searchsorted(time, late[i, s], side="right") - 1, 0), which[i]
+            k = max(np.searchsorted(time, late[i, s], side="right") - 1, 0)
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
                 now, v = position[u, k, j], velocity[u, k, j]
