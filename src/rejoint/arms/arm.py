@@ -31,7 +31,7 @@ class Box:
     """(3,) [m]"""
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
         ends = np.append(self.lower, self.upper)
         if ends.size != 6 or np.abs(ends).max() > FARTHEST_PLACE or (self.lower >= self.upper).any():
             raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
@@ -86,7 +86,7 @@ class Arm(Readable):
     """base frame, forbidden"""
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
         n = len(self.joint_names)
         shapes = {
             "offset": (n, 4, 4),
@@ -172,7 +172,8 @@ def frozen(array: ArrayLike) -> NDArray[Any]:
     return result
 
 
-def _freeze(instance: object) -> None:
+def freeze(instance: object) -> None:
+    """Replace the arrays of a frozen dataclass by read-only copies."""
     for field in fields(instance):  # type: ignore[arg-type]
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray | list):

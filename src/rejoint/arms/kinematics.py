@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array, Mask, _freeze, frozen
+from rejoint.arms.arm import Arm, Array, Mask, freeze, frozen
 from rejoint.arms.rotations import Orientation, moved
 from rejoint.system.records import entity
 from rejoint.system.shell import Late
@@ -245,7 +245,7 @@ class Displacement:
     """(n,) or () factor on masses"""
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
     @classmethod
     def none(cls, arm: Arm) -> Displacement:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask
-from rejoint.arms.arm import frozen
+from rejoint.arms.arm import freeze, frozen
 from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape, usual_distances
 from rejoint.arms.kinematics import chain_of
 from rejoint.arms.workspace import length_size
@@ -119,8 +119,7 @@ class GuardLimits:
     """of `bands`; None: any"""
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "max_speed", "max_acceleration", "floors"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self)
         positive = (self.lower < self.upper) & (self.max_speed > 0.0) & (self.max_acceleration > 0.0)
         positive &= self.floors < np.inf  # and no NaN anywhere
         if not (positive & np.isfinite(self.lower + self.upper + self.max_speed)).all():
