@@ -127,10 +127,6 @@ APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
 """[m] by which a step may always bring measured bodies nearer; share of the rest to the least distance that it may
 take; [m] to it from which steps are looked at; share of a step below which there is none (chosen)"""
 
-_NOT_FINITE, _STALE, _OUT_OF_RANGE = int(Reason.NOT_FINITE), int(Reason.STALE), int(Reason.OUT_OF_RANGE)
-_LEAD, _POSITION, _STEP = int(Reason.LEAD), int(Reason.POSITION), int(Reason.STEP)
-_ACCELERATION, _FLOOR, _COLLISION = int(Reason.ACCELERATION), int(Reason.FLOOR), int(Reason.COLLISION)
-
 
 @inner
 def _between(value, low, high):  # noqa: ANN001, ANN202
@@ -140,13 +136,13 @@ def _between(value, low, high):  # noqa: ANN001, ANN202
 @inner
 def _trips(chain, asked, age):  # noqa: ANN001, ANN202
     """Flag what must stop an arm; ``asked`` (4, n) as in `guard`."""
-    found = 0 if age <= MAX_AGE else _STALE  # NaN counts as stale
+    found = 0 if age <= MAX_AGE else Reason.STALE.value  # NaN counts as stale
     for j in range(asked.shape[1]):
         for k in range(4):
-            found |= 0 if np.isfinite(asked[k, j]) else _NOT_FINITE
+            found |= 0 if np.isfinite(asked[k, j]) else Reason.NOT_FINITE.value
         position, lower, upper = asked[3, j], chain.limits[0, j], chain.limits[1, j]
         if np.isfinite(position) and not lower - RANGE_MARGIN <= position <= upper + RANGE_MARGIN:
-            found |= _OUT_OF_RANGE
+            found |= Reason.OUT_OF_RANGE.value
     return found
 
 
@@ -172,8 +168,8 @@ def _limit(rules, asked, elapsed, out):  # noqa: ANN001, ANN202
         if elapsed > 0.0:  # an endless acceleration in no time is no number
             gain = rules.max_acceleration[j] * elapsed * elapsed
         out[j] = _between(step, last + min(way - gain, 0.0), last + max(way + gain, 0.0))
-        found |= _LEAD * (near != command) | _POSITION * (legal != near)
-        found |= _STEP * (step != legal) | _ACCELERATION * (out[j] != step)
+        found |= Reason.LEAD.value * (near != command) | Reason.POSITION.value * (legal != near)
+        found |= Reason.STEP.value * (step != legal) | Reason.ACCELERATION.value * (out[j] != step)
     return found
 
 
@@ -204,7 +200,7 @@ def shorten(chain, shape, rules, last, clear, out):  # noqa: ANN001, ANN201
         there = clear if k == rules.parts else gaps(place(chain, tried), shape)
         for c in range(len(least)):
             if there[c] < least[c]:
-                found |= _FLOOR if c < len(out) else _COLLISION
+                found |= Reason.FLOOR.value if c < len(out) else Reason.COLLISION.value
     along(last, out, (k - 1) / rules.parts, out)
     return found
 
@@ -241,7 +237,7 @@ def _keep_away(chain, shape, rules, asked, out):  # noqa: ANN001, ANN202
                 break
             share = 0.5 * share if share > SHORTEST else 0.0
         if share < 1.0:
-            out[j], found = last[j] + share * (out[j] - last[j]), _COLLISION
+            out[j], found = last[j] + share * (out[j] - last[j]), Reason.COLLISION.value
     return found
 
 
