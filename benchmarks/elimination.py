@@ -148,7 +148,7 @@ def _once(twice: Comparison) -> Comparison:
 def _parts(driven: Driven) -> list[Driven]:
     """Cut the holds of a set into blocks."""
     parts = []
-    for k in range(0, driven.targets, BLOCK):
+    for k in range(0, driven.columns["held"].shape[1], BLOCK):
         columns = {name: values[:, k : k + BLOCK] for name, values in driven.columns.items()}
         parts.append(replace(driven, key=driven.key._replace(first=k), columns=columns))
     return parts
@@ -158,7 +158,7 @@ def _seconds(driven: Driven | None) -> float:
     """[s] that a trial takes on one arm, with the way to its beginning."""
     if driven is None:  # of the default, where it is still there: driven, and counted by the meter
         return 0.0
-    return WAY + driven.targets * ONE_ARM_PROTOCOL.hold
+    return WAY + driven.columns["held"].shape[1] * ONE_ARM_PROTOCOL.hold
 
 
 def _worse(twice: Comparison, ours: str) -> tuple[float, float]:

@@ -22,7 +22,6 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.correction import Modelled
 from rejoint.control.robot import ControlInput
 from rejoint.control.targets import in_mm
-from rejoint.system.errors import InputError
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] lags behind a way between which the arm slows down, and the least share of its speed (chosen: a worn joint lags
@@ -225,8 +224,6 @@ class TargetSequence(Reference):
         ``ways`` None: the nearest postures at once.
         """
         targets = np.asarray(targets, dtype=float)
-        if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
-            raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         self.count, self.legs = targets.shape[:2]
         self.planned = bool(ways)
         self._arm, self._targets, self._correction = arm, targets, correction

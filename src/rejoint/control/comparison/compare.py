@@ -303,7 +303,7 @@ class TrialRunner:
         self._trials[driven.key.controller].append(driven)
         if driven.key not in self.ledger.done:
             self.ledger.add(driven)
-        self._advance(len(driven.key.places) * driven.targets)
+        self._advance(next(iter(driven.columns.values())).size)
 
     def _advance(self, size: int) -> None:
         self._done += size

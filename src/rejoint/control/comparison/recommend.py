@@ -54,11 +54,10 @@ class _Criterion:
 
 def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
-    left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
+    left = [row for row in comparison.rows if not row.out]
     decided = [failure(row) for row in comparison.rows if row.out]
-    all_stopped = (
-        ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
-    )
+    all_stopped = [] if left else ["Every controller was stopped; this one got farthest."]
+    left = left or list(comparison.rows)
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (criterion.mean(row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row, comparison.shape)]

@@ -75,11 +75,6 @@ class Driven:
     source: str = ""
     """who drove it before the comparison"""
 
-    @property
-    def targets(self) -> int:
-        """Number."""
-        return int(next(iter(self.columns.values())).shape[1])
-
 
 @value_type
 class Stay:
@@ -177,13 +172,9 @@ class Protocol:
     """[m] (chosen)"""
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "dwell", "hold", "window"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"protocol: {name} must be positive, got {getattr(self, name)}")
-        if not self.window < self.hold:
-            raise InputError(f"protocol: the window ({self.window} s) must be shorter than the hold ({self.hold} s)")
-        if not self.within or min(self.within) <= 0.0:
-            raise InputError(f"protocol: distances to stay within must be positive, got {self.within}")
+        least = min(self.threshold, self.dwell, self.window, *self.within)
+        if not (self.within and least > 0.0 and self.window < self.hold):
+            raise InputError(f"expected positive numbers, and a window that is shorter than the hold, got {self}")
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -352,10 +343,9 @@ def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Pro
     """All columns (S, R, K) of one controller's trials."""
     columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
     for one in driven:
-        part = slice(one.key.first, one.key.first + one.targets)
         for name, values in one.columns.items():
             for (s, r), row in zip(one.key.places, values, strict=True):
-                columns.setdefault(name, np.full(shape, np.nan))[s, r, part] = row
+                columns.setdefault(name, np.full(shape, np.nan))[s, r, one.key.first :][: len(row)] = row
     return columns
 
 
