@@ -45,9 +45,6 @@ PROBE_TOLERANCE = 1e-4
 PERIOD_MARGIN = 1.25
 """on trained periods (chosen)"""
 
-LARGEST_TEXT = 1 << 20
-"""[characters] (chosen)"""
-
 _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
 
@@ -115,8 +112,6 @@ def encode_contract(contract: PolicyContract) -> str:
 
 def decode_contract(text: str) -> PolicyContract:
     """Decode JSON text; ContractError."""
-    if len(text) > LARGEST_TEXT:
-        raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
         content = msgspec.json.decode(text, type=dict[str, Any])
         version = content.get("format")
@@ -195,7 +190,6 @@ _MODEL_FIELDS = {
     _PROPERTY: {1: None, 2: None},
 }
 """Allowed fields by number: with fields inside, with these values, or with any"""
-_GROUP = 3  # wire type of an obsolete kind of message
 
 UNSEALED = "0" * 64
 """Digest of a file that has none yet"""
@@ -234,12 +228,9 @@ def _check(data: bytes, allowed: Mapping[int, Any]) -> None:
 def _fields(message: bytes) -> list[tuple[int, Any]]:
     """Numbers and values of a message's fields: each one that an empty message does not know."""
     try:
-        fields = list(UnknownFieldSet(Empty.FromString(message)))
+        return [(field.field_number, field.data) for field in UnknownFieldSet(Empty.FromString(message))]
     except DecodeError as error:
         raise ValueError(first_line(error)) from error
-    if any(field.wire_type == _GROUP for field in fields):
-        raise ValueError("a group of fields, which no policy has")
-    return [(field.field_number, field.data) for field in fields]
 
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is imported
