@@ -161,7 +161,7 @@ def recorded(robot: Robot, controller: str, cycles: list[Cycle], tripped: Reason
     )
 
 
-def cycle_at_rest(state: JointState, true_tcp: Array, command: Array | None = None) -> Cycle:
+def cycle_at_rest(state: JointState, true_tcp: Array, command: Array | None) -> Cycle:
     """Cycle of B undriven arms; ``true_tcp`` (B, 3) [m], ``command`` (B, n) [rad] in force."""
     none, nowhere, zero = np.full_like(state.position, np.nan), np.full_like(true_tcp, np.nan), np.zeros(len(true_tcp))
     return Cycle(

@@ -240,7 +240,7 @@ class WatchedRobot(RobotWrapper):
 class WallClock(RobotWrapper):
     """Slows virtual time to ``pace()`` simulated seconds per second."""
 
-    def __init__(self, robot: Robot, pace: Callable[[], float] = lambda: 1.0) -> None:
+    def __init__(self, robot: Robot, pace: Callable[[], float]) -> None:
         super().__init__(robot)
         self._pace = pace
         self._due = -np.inf  # [s] of the wall clock, until when the last step is to take

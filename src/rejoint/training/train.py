@@ -230,7 +230,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     model = policy_graph(network, contract.observation_size)
     session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
     answers = session.run((OUTPUT,), {INPUT: probe_observations(contract.observation_size).astype(np.float32)})[0]
-    complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
+    complete = replace(contract, probe=tuple(map(tuple, answers.tolist())))
     helper.set_model_props(model, {METADATA_KEY: encode_contract(complete), DIGEST_KEY: UNSEALED})
     write_bytes(path, seal(model.SerializeToString()))
     return complete
