@@ -2,9 +2,9 @@
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from typing import Any, TypeVar
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -167,26 +167,21 @@ def stacked(cycles: Sequence[Rollout]) -> Rollout:
     return {name: torch.stack([cycle[name] for cycle in cycles]) for name in cycles[0]}
 
 
-T = TypeVar("T")
-
 PRECISION = "medium"
 """Of matrix products in PPO: bfloat16 factors, float32 sums; chosen for speed"""
 
 
 @contextmanager
-def setting(get: Callable[[], T], put: Callable[[T], object], value: T) -> Iterator[None]:
-    """Hold a setting of the whole process at ``value`` within the block."""
-    before = get()
-    put(value)
+def on_one_thread(precision: str = "highest") -> Iterator[None]:
+    """Let torch multiply with this ``precision`` on one thread; chosen: more are slower beside other programs."""
+    threads, usual = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    torch.set_num_threads(1)
+    torch.set_float32_matmul_precision(precision)
     try:
         yield
     finally:
-        put(before)
-
-
-def on_one_thread() -> AbstractContextManager[None]:
-    """Let torch compute on one thread within the block; chosen: more are slower beside other programs."""
-    return setting(torch.get_num_threads, torch.set_num_threads, 1)
+        torch.set_num_threads(threads)
+        torch.set_float32_matmul_precision(usual)
 
 
 CEILING_FALLS = 0.8
@@ -262,8 +257,7 @@ class Learner:
         start, s, done = time.perf_counter(), self.settings, self.iteration
         self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
-        precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
-        with precision, on_one_thread():
+        with on_one_thread(PRECISION):
             rollout = self.roll()
             self.actor.requires_grad_(done >= s.critic_first)
             self.ppo.learn(rollout, rate)

@@ -166,7 +166,7 @@ class MixedRanges:
 
     first: Ranges
     second: Ranges
-    share: float = 0.5
+    share: float
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
