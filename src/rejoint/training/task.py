@@ -8,7 +8,6 @@ Returns are bootstrapped from the last state of a target, also after a collision
 """
 
 from dataclasses import field, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -82,12 +81,6 @@ POSTURE_WEIGHT = 0.2
 
 DRAWN = 16
 """Postures that are drawn until an arm lifts one; chosen"""
-
-
-@lru_cache(maxsize=4)
-def comfortable_loads(arm: Arm) -> Array:
-    """Torques (P, n) [N m] that hold the comfortable postures."""
-    return gravity_torque(arm, comfortable_postures(arm))
 
 
 class Transition(NamedTuple):
@@ -248,13 +241,13 @@ class ReachTask:
 
         Its motors lift it, and the straight ways from ``start`` (m, n) [rad] and to rest are above the floor.
         """
-        postures, loads = comfortable_postures(self.arm), comfortable_loads(self.arm)
-        drawn = self._rng.integers(0, len(postures), (len(lifts), DRAWN))
-        goal, share = postures[drawn], np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+        postures = comfortable_postures(self.arm)
+        goal = postures[self._rng.integers(0, len(postures), (len(lifts), DRAWN))]
+        loads, share = gravity_torque(self.arm, goal), np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
         # Joints with several turns take the short way: long ones cross the floor.
         near = goal - 2.0 * np.pi * np.round((goal - start[:, None]) / (2.0 * np.pi))
         goal = np.where((near >= self._limits.lower) & (near <= self._limits.upper), near, goal)
-        excess = np.maximum(np.abs(loads[drawn]) / lifts[:, None], 1.0).max(axis=-1)
+        excess = np.maximum(np.abs(loads) / lifts[:, None], 1.0).max(axis=-1)
         for end in (start[:, None], self.arm.rest):
             room = heights(self.arm, end + share * (goal - end))[..., 1:] - self._limits.floors
             excess += np.where((room < self.arm.floor).any(axis=(0, -1)), 100.0, 0.0)
