@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -30,9 +30,6 @@ from rejoint.system.errors import ContractError, FileError, InputError, first_li
 from rejoint.system.files import MEGABYTE, read_bounded, reading, write_bytes
 from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.shell import Late
-
-FORMAT = 3
-"""Version; others are refused"""
 
 METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
 
@@ -76,7 +73,8 @@ class PolicyContract:
     software: str
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos in training; None: any"""
-    format: int = FORMAT
+    format: Literal[3] = 3
+    """version; others are refused"""
 
     @property
     def observation_size(self) -> int:
@@ -113,13 +111,7 @@ def encode_contract(contract: PolicyContract) -> str:
 def decode_contract(text: str) -> PolicyContract:
     """Decode JSON text; ContractError."""
     try:
-        content = msgspec.json.decode(text, type=dict[str, Any])
-        version = content.get("format")
-        if version != FORMAT:
-            raise ContractError(
-                f"the policy's contract has format {shown(repr(version))}, expected {FORMAT}; train it again"
-            )
-        return msgspec.convert(content, type=PolicyContract)
+        return msgspec.json.decode(text, type=PolicyContract)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         reason = shown(first_line(error))
         raise ContractError(f"the policy's contract cannot be read ({reason}); train it again") from error
