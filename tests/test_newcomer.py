@@ -15,7 +15,7 @@ import pytest
 import rejoint
 from commandline import python
 from rejoint.robots import place_of, ports
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import Wire
 from rejoint.system.shell import host_and_port, listen_tcp
 
 POLICY = Path(rejoint.__file__).parent / "control" / "controllers" / "policies" / "mycobot280.onnx"
@@ -75,12 +75,12 @@ def test_an_arm_of_another_kind_is_named_with_its_address(scheme, answer, hello,
     with answering(answer, hello) as place:
         assert ports.other_arm(place_of(f"{scheme}://{place}")).endswith(f"give {right}://{place}")
         host, port = place.split(":")
-        assert ports.answering(TcpAddress(text="", host=host, port=int(port)))[0].begins == hello.hex()
+        assert ports.answering(Wire(text="", host=host, port=int(port)))[0].begins == hello.hex()
 
 
 def test_the_baud_rate_at_which_an_arm_answers_is_named():
     with serial_line(COBOT, b"\xfe\xfe", termios.B115200) as device:
-        assert ports.answering(SerialAddress(text="", device=device, baud=1_000_000))[1] == 115_200
+        assert ports.answering(Wire(text="", device=device, baud=1_000_000))[1] == 115_200
         assert f"serial://{device}?baud=115200" in ports.other_arm(place_of(f"serial://{device}"))
 
 

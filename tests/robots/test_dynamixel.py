@@ -15,7 +15,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.dynamixel.bus import DynamixelBus, DynamixelWire
-from rejoint.robots.family import tcp_address
+from rejoint.robots.family import wire_address
 from rejoint.robots.servobus import Gripper
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import AddressError, ConnectionLostError, GuardTripError, PowerLostError, RobotError
@@ -51,7 +51,7 @@ def opened(server, options="", arm=KOCH):
 def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
     ids = range(1, 7)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        address = tcp_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}")
+        address = wire_address(f"dynamixel://127.0.0.1:{server.getsockname()[1]}")
         with closing(DynamixelWire(address)) as wire, server.accept()[0] as other:
             assert wire.read_all(ids, 126, 10) == {}
             wire.write_all(ids, GOAL, [(2048).to_bytes(4, "little")] * 6)

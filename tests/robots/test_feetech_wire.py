@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
-from rejoint.robots.family import serial_address, tcp_address
+from rejoint.robots.family import wire_address
 from rejoint.robots.feetech.bus import FeetechWire
 from rejoint_lab.emulator.feetech import encode
 from rejoint_lab.emulator.servobus import Packet
@@ -43,7 +43,7 @@ def wire_to(*answers, part=4096):
     try:
         with (
             pytest.MonkeyPatch.context() as patch,
-            closing(FeetechWire(serial_address(f"serial://{os.ttyname(client)}"))) as wire,
+            closing(FeetechWire(wire_address(f"serial://{os.ttyname(client)}"))) as wire,
         ):
             patch.setattr(os, "write", answered)
             patch.setattr(os, "read", lambda line, size: read(line, min(size, part)))
@@ -129,7 +129,7 @@ def test_answers_that_come_in_parts_are_put_together(monkeypatch):
 def test_a_line_that_ends_is_a_broken_one():
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        closing(FeetechWire(tcp_address(f"feetech://127.0.0.1:{server.getsockname()[1]}"))) as wire,
+        closing(FeetechWire(wire_address(f"feetech://127.0.0.1:{server.getsockname()[1]}"))) as wire,
     ):
         server.accept()[0].close()
         with pytest.raises(OSError, match=r"gone|reset|pipe"):

@@ -21,7 +21,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Robot
 from rejoint.robots import bus as link_module
 from rejoint.robots import open_robot
-from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.family import Wire
 from rejoint.robots.mycobot.bus import MyCobotBus
 from rejoint.system.errors import (
     AddressError,
@@ -304,7 +304,7 @@ class SilentBus(MyCobotBus):
     """Connections that can be made, at the cost of the client's own sleep, and answer nothing, all in virtual time."""
 
     def __init__(self):
-        super().__init__(TcpAddress(text="tcp://nowhere:9000", host="nowhere", port=9000), ARM)
+        super().__init__(Wire(text="tcp://nowhere:9000", host="nowhere", port=9000), ARM)
         self.clock, self.silent = SimulatedClock(), False
 
     def open(self):
@@ -349,7 +349,7 @@ def test_a_new_connection_that_nobody_serves_is_given_up_for_another_one():
 def test_a_clock_that_is_set_back_does_not_keep_a_silent_line_waiting(awake, monkeypatch):
     """The client waited until the wall clock had made up for it, an hour here, and no signal ended that."""
     line, far = pty.openpty()
-    bus = MyCobotBus(SerialAddress(text="serial:", device=os.ttyname(far), baud=115200), ARM)
+    bus = MyCobotBus(Wire(text="serial:", device=os.ttyname(far), baud=115200), ARM)
     bus.open()
     wall, began = time.time, time.monotonic()
     monkeypatch.setattr(time, "time", lambda: wall() - (3600.0 if time.monotonic() > began + 0.2 else 0.0))

@@ -113,13 +113,17 @@ PORT, BAUD = 9000, 1_000_000
 _HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
 
 
-class TcpAddress(NamedTuple):
-    """A server for the robot, or an emulator."""
+class Wire(NamedTuple):
+    """A serial port, or an emulator's pseudo-terminal; or a server for the robot, or an emulator."""
 
     text: str
     """as the user wrote it"""
-    host: str
-    port: int
+    device: str = ""
+    """empty: a server"""
+    baud: int = 0
+    host: str = ""
+    """empty: a device"""
+    port: int = 0
 
     def __str__(self) -> str:
         return self.text
@@ -127,45 +131,28 @@ class TcpAddress(NamedTuple):
     @property
     def spot(self) -> str:
         """Equal for all its addresses."""
-        return f"{_HERE.get(self.host, self.host)}:{self.port}"
+        return os.path.realpath(self.device) if self.device else f"{_HERE.get(self.host, self.host)}:{self.port}"
 
 
-class SerialAddress(NamedTuple):
-    """A serial port, or an emulator's pseudo-terminal."""
-
-    text: str
-    """as the user wrote it"""
-    device: str
-    baud: int
-
-    def __str__(self) -> str:
-        return self.text
-
-    @property
-    def spot(self) -> str:
-        """Equal for all names of the device."""
-        return os.path.realpath(self.device)
+def wire_address(text: str) -> Wire:
+    """Read ``SCHEME:///dev/DEVICE?baud=N`` or ``SCHEME://HOST:PORT``; ValueError."""
+    return read_wire(text)[0]
 
 
-Wire = TcpAddress | SerialAddress
-
-
-def tcp_address(text: str) -> TcpAddress:
-    """Read ``SCHEME://HOST:PORT``; ValueError."""
-    parts = urlsplit(text)
-    given = PORT if parts.port is None else parts.port
-    if not parts.hostname or parts.path not in ("", "/") or parts.query or parts.username or given == 0:
-        raise ValueError(f"not of the form {parts.scheme}://HOST:PORT")
-    return TcpAddress(text=text, host=parts.hostname, port=given)
-
-
-def serial_address(text: str) -> SerialAddress:
-    """Read ``SCHEME:///dev/DEVICE?baud=N``; ValueError."""
-    parts = urlsplit(text)
-    query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
-    if parts.netloc or not re.match("/.", parts.path) or set(query) - {"baud"}:
-        raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N")
-    given = query.get("baud", [str(BAUD)])[-1]
-    if not re.fullmatch("[1-9][0-9]*", given):
-        raise ValueError(f"the baud rate must be a positive whole number, got {given!r}")
-    return SerialAddress(text=text, device=parts.path, baud=int(given))
+def read_wire(text: str, *options: str) -> tuple[Wire, dict[str, str]]:
+    """Read an address as `wire_address` does, and its other ``options``; ValueError."""
+    parts, known = urlsplit(text), ("baud", *options)
+    found = parse_qs(parts.query, strict_parsing=True, keep_blank_values=True) if parts.query else {}
+    if set(found) - set(known) or any(len(values) > 1 or not values[0] for values in found.values()):
+        raise ValueError(f"expected each of {', '.join(known)} once at most, got {parts.query!r}")
+    given = {name: values[0] for name, values in found.items()}
+    if parts.hostname and parts.path in ("", "/") and not parts.username and parts.port != 0:
+        if "baud" in given:
+            raise ValueError("the baud rate is that of the other machine; leave it out")
+        return Wire(text=text, host=parts.hostname, port=parts.port or PORT), given
+    if parts.netloc or not re.match("/.", parts.path):
+        raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N or {parts.scheme}://HOST:PORT")
+    baud = given.pop("baud", str(BAUD))
+    if not re.fullmatch("[1-9][0-9]*", baud):
+        raise ValueError(f"the baud rate must be a positive whole number, got {baud!r}")
+    return Wire(text=text, device=parts.path, baud=int(baud)), given

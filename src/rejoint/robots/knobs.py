@@ -6,14 +6,13 @@ from dataclasses import field
 from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
-from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung, ServoGains
-from rejoint.robots.family import BAUD, Wire, serial_address, tcp_address
+from rejoint.robots.family import Wire, read_wire
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.files import read_shipped
@@ -260,21 +259,9 @@ class ServoAddress:
     @classmethod
     def read(cls, text: str) -> Self:
         """Read ``SCHEME:///dev/DEVICE`` or ``SCHEME://HOST:PORT``, with options; ValueError."""
-        plain, _, query = text.partition("?")
-        options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
-        known = ("baud", *cls.options, *cls.kind.knobs)
-        if set(options) - set(known) or any(len(values) > 1 or not values[0] for values in options.values()):
-            raise ValueError(f"expected each of {', '.join(known)} once at most, got {query!r}")
-        given = {name: values[0] for name, values in options.items()}
-        wire: Wire
-        if not urlsplit(plain).netloc:
-            wire = serial_address(f"{plain}?baud={given.get('baud', BAUD)}")
-        elif "baud" in given:
-            raise ValueError("the baud rate is that of the other machine; leave it out")
-        else:
-            wire = tcp_address(plain)
+        wire, given = read_wire(text, *cls.options, *cls.kind.knobs)
         return cls(
-            wire=wire._replace(text=text),
+            wire=wire,
             gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),
             **{name: read(given[name]) for name, read in cls.options.items() if name in given},
         )

@@ -14,7 +14,7 @@ import msgspec
 import serial
 from serial.tools.list_ports import comports
 
-from rejoint.robots.family import Place, SerialAddress, TcpAddress, Wire
+from rejoint.robots.family import Place, Wire
 from rejoint.system.errors import AddressError
 from rejoint.system.files import read_shipped
 
@@ -37,7 +37,7 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def scheme(self, wire: Wire) -> str:
         """Scheme of its address."""
-        return self.tcp if isinstance(wire, TcpAddress) else self.serial
+        return self.tcp if wire.host else self.serial
 
 
 KINDS = tuple(read_shipped(__file__, "kinds.toml", dict[str, Kind]).values())
@@ -71,14 +71,14 @@ def refused(device: str) -> str | None:
 
 def arm_at(device: str) -> str | None:
     """Return the address of the arm that answers at a serial port, or None."""
-    wire = SerialAddress(text=device, device=device, baud=0)
+    wire = Wire(text=device, device=device)
     heard = answering(wire)
     return None if heard is None else address_at(wire, *heard)
 
 
 def answering(wire: Wire) -> tuple[Kind, int] | None:
     """Ask every kind of arm for a sign of life; its kind and baud rate (TCP: 0), or None."""
-    bauds = (0,) if isinstance(wire, TcpAddress) else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
+    bauds = (0,) if wire.host else dict.fromkeys(baud for kind in KINDS for baud in kind.bauds)
     with suppress(OSError, ValueError):
         for baud in bauds:
             with opened(wire, baud, 1.0) as port:
@@ -91,7 +91,7 @@ def answering(wire: Wire) -> tuple[Kind, int] | None:
 
 def opened(wire: Wire, baud: int, timeout: float) -> Any:  # noqa: ANN401 - a socket, or a serial line
     """Open a serial line at ``baud`` [1/s] for this program alone, or connect within ``timeout`` [s]; OSError."""
-    if isinstance(wire, SerialAddress):
+    if wire.device:
         return serial.Serial(wire.device, baud, exclusive=True)
     connection = socket.create_connection((wire.host, wire.port), timeout)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
@@ -116,14 +116,14 @@ def other_arm(place: Place[Any]) -> str:
     if not isinstance(wire, Wire) or (found := answering(wire)) is None:
         return ""
     kind, baud = found
-    if (kind.scheme(wire), baud) == (place.family.scheme, getattr(wire, "baud", 0)):
+    if (kind.scheme(wire), baud) == (place.family.scheme, wire.baud):
         return ""
     return f"{kind.name} answers there: give {address_at(wire, kind, baud)}"
 
 
 def address_at(wire: Wire, kind: Kind, baud: int) -> str:
     """Return the address of an arm that answers at a ``baud`` rate."""
-    where = f"{wire.host}:{wire.port}" if isinstance(wire, TcpAddress) else wire.device
+    where = f"{wire.host}:{wire.port}" if wire.host else wire.device
     return f"{kind.scheme(wire)}://{where}{f'?baud={baud}' if baud and baud != kind.bauds[0] else ''}"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from rejoint.arms import CATALOGUE
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.dynamixel import DynamixelAddress
-from rejoint.robots.family import Family, Place, serial_address, tcp_address
+from rejoint.robots.family import Family, Place, wire_address
 from rejoint.robots.feetech import FeetechAddress
 from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
@@ -19,7 +19,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="tcp",
         form="tcp://HOST:PORT",
-        parse=tcp_address,
+        parse=wire_address,
         only=True,
     ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -27,7 +27,7 @@ FAMILIES: tuple[Family[Any], ...] = (
         "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="serial",
         form="serial:///dev/DEVICE",
-        parse=serial_address,
+        parse=wire_address,
         only=True,
     ),
     # 50 Hz (chosen)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
-from rejoint.robots.family import SerialAddress, Wire
+from rejoint.robots.family import Wire
 from rejoint.robots.ports import opened
 
 CONNECT = 5.0
@@ -48,7 +48,7 @@ class ServoWire(ABC):
         """Open at the address's rate; ValueError, OSError."""
         super().__init__(address)  # type: ignore[call-arg]  # the maker's
         self._address = address
-        baud = address.baud if isinstance(address, SerialAddress) else self.baudrate
+        baud = address.baud or self.baudrate
         if not self.setBaudRate(baud):  # type: ignore[attr-defined]  # the maker's
             raise ValueError(f"the maker's client knows no baud rate {baud}")
 

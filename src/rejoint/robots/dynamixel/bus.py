@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel import CURRENT_BASED, KIND, DynamixelAddress
-from rejoint.robots.family import SerialAddress, Wire
+from rejoint.robots.family import Wire
 from rejoint.robots.knobs import Values
 from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import OK, ServoWire, judge
@@ -224,7 +224,7 @@ class DynamixelBus(ServoBus):
         slow = DELAY_UNIT * self.get_all("delay").max()
         if slow > PROMPT:
             say(f"A servo waits {slow} us before it answers; register {TABLE['delay'].address} set to 0 would end that")
-        held = _latency(self.place.device) if isinstance(self.place, SerialAddress) else 1
+        held = _latency(self.place.device)
         if held > 1:
             say(f"The USB adapter keeps answers for {held} ms; 1 is better: write it to {TIMER.format('ttyUSB*')}")
 

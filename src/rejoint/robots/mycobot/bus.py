@@ -19,7 +19,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.bus import ATTEMPTS, SILENCE, UNANSWERED, Bus, Reading, Vitals, asked, persist
-from rejoint.robots.family import TcpAddress, Wire
+from rejoint.robots.family import Wire
 from rejoint.system.errors import (
     ConnectionLostError,
     ImpossibleReplyError,
@@ -54,7 +54,7 @@ def make_client(address: Wire) -> MyCobot280 | MyCobot280Socket:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:
-        if isinstance(address, TcpAddress):
+        if address.host:
             return MyCobot280Socket(address.host, address.port)
         client = MyCobot280(address.device, address.baud)
     finally:
@@ -106,7 +106,7 @@ class MyCobotBus(Bus):
 
     def open(self) -> None:
         """Make a client."""
-        if isinstance(self.address, TcpAddress):
+        if self.address.host:
             with socket.create_connection((self.address.host, self.address.port), PROBE_TIMEOUT):
                 pass  # the client itself would wait for minutes
         self._client = make_client(self.address)
@@ -170,7 +170,7 @@ class MyCobotBus(Bus):
 
         An immediate answer to another question, and silence after it, show that.
         """
-        if not isinstance(self.address, TcpAddress):
+        if self.address.device:
             return
         found = "no time was left"
         while self.clock.now() < deadline:
@@ -217,7 +217,7 @@ class MyCobotBus(Bus):
         took = self.clock.now() - began
         if answer is None or (isinstance(answer, int) and answer == -1):
             raise NoReplyError(f"{self.address}: no usable answer to {method} within {took:.1f} s")
-        if isinstance(self.address, TcpAddress) and took > LATE:
+        if self.address.host and took > LATE:
             raise StaleReplyError(
                 f"{self.address}: the answer to {method} took {took:.2f} s, more than {LATE} s; "
                 "later answers would be those of earlier questions"
@@ -227,7 +227,7 @@ class MyCobotBus(Bus):
     def _drain(self, quiet: float) -> bool:
         """Drop TCP bytes until none came for ``quiet`` [s]; whether any did."""
         found = False
-        while isinstance(self.address, TcpAddress) and select.select([self._client.sock], [], [], quiet)[0]:
+        while self.address.host and select.select([self._client.sock], [], [], quiet)[0]:
             found = True
             if not self._client.sock.recv(4096):
                 raise OSError("the other side closed it")
