@@ -18,7 +18,7 @@ from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.wire import FORMAT, MAX_PAYLOAD, ROWS, Frame, answer, encode, pack_angles
 from rejoint.robots.wireserver import Finder, Server
-from rejoint_lab.emulator.firmware import Firmware, build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
@@ -194,4 +194,4 @@ def _bench_soak(firmware: Firmware) -> None:
 
 def main() -> None:
     for bench in (_bench_fuzz, _bench_connections, _bench_soak):
-        bench(build_firmware(mycobot280(), "worn"))
+        bench(Firmware.build(mycobot280(), "worn"))

@@ -41,7 +41,7 @@ from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
 from rejoint.robots.mycobot.wire import Frame, answer, encode, flag, pack_angles, pack_coords
 from rejoint.session.motions import Serving
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
 
 ARM = mycobot280()
@@ -304,7 +304,7 @@ def roam(client: Any, count: int, tool: Callable[[], Array], pace: float = 1.0) 
 
 def healthy(count: int) -> Array:
     """Return true tool errors (2, count) [mm] of a healthy arm under the orders of `roam`, in simulated time."""
-    firmware, errors = build_firmware(ARM, "healthy"), np.full((2, count), np.nan)
+    firmware, errors = Firmware.build(ARM, "healthy"), np.full((2, count), np.nan)
     for row, (order, seed) in enumerate(((0x25, 11), (0x22, 12))):
         for k, posture in enumerate(np.radians(drawn(count, seed))):
             goal = tcp_pose(ARM, posture)
@@ -357,12 +357,12 @@ def main(
         if anywhere_count:
             anywhere(folder, anywhere_count)
             return
-        with on_port(WireSession(build_firmware(ARM, "worn"))) as emulator, connected(emulator.address) as client:
+        with on_port(WireSession(Firmware.build(ARM, "worn"))) as emulator, connected(emulator.address) as client:
             client.send_angles(_plain(np.degrees(ARM.rest)), SPEED)
             await_rest(client)
             bare, bare_reads = play(client), read_times(client)
         with (
-            on_port(WireSession(build_firmware(ARM, "worn"))) as emulator,
+            on_port(WireSession(Firmware.build(ARM, "worn"))) as emulator,
             served(
                 emulator.address, folder, listen="127.0.0.1:0", settings=rejoint.Settings(controller=controller)
             ) as (address, ends),

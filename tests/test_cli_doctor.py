@@ -22,7 +22,7 @@ from rejoint.runs.run import Run
 from rejoint.system import extras
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.feetech import StsArm
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import on_port
 from rejoint_lab.emulator.servobus import BusSession
 from test_newcomer import COBOT, serial_line
@@ -43,7 +43,7 @@ class Bench:
         return self._stack.enter_context(on_port(BusSession(arm, faults=parse_faults(fault, 5)))).address
 
     def mycobot(self, fault=""):
-        computer = build_firmware(mycobot280(), "worn")
+        computer = Firmware.build(mycobot280(), "worn")
         return self._stack.enter_context(serve_tcp(computer, faults=parse_faults(fault, 6))).address
 
     def line(self, answer, begins, rate):

@@ -58,7 +58,7 @@ def emulate(
             kind = dynamixel.XArm if chosen.name in dynamixel.FITTINGS else feetech.StsArm
             session = BusSession(kind.build(chosen, wear, seed=seed), **known)
         else:
-            session = servers.WireSession(firmware.build_firmware(chosen, wear, seed=seed), **known)
+            session = servers.WireSession(firmware.Firmware.build(chosen, wear, seed=seed), **known)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         stack.callback(server.stop)
         call.message(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")

@@ -24,7 +24,7 @@ from rejoint.robots.busrobot import BusRobot
 from rejoint.robots.mycobot.bus import MyCobotBus  # noqa: F401 - the client without the deprecation that it raises
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 
 pytestmark = pytest.mark.realtime
 
@@ -42,7 +42,7 @@ def awake(monkeypatch):
 
 def drive(fault, *, dwell=2.0, seed=0):
     """Drive to two targets with a fault; returns the recording and what ended it."""
-    with serve_tcp(build_firmware(ARM, "worn"), timing=TIMING, faults=parse_faults(fault, 6), seed=seed) as server:
+    with serve_tcp(Firmware.build(ARM, "worn"), timing=TIMING, faults=parse_faults(fault, 6), seed=seed) as server:
         robot = open_robot(server.address, period=(PERIOD, PERIOD))
         try:
             return run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=dwell)), None
@@ -166,7 +166,7 @@ def test_an_impossible_jump_is_no_reading():
 
 def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
     """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
-    firmware = build_firmware(ARM, "worn")
+    firmware = Firmware.build(ARM, "worn")
     begin = firmware.planned_angles
     with serve_tcp(firmware) as server:
         process = deploy(server.address, firmware, tmp_path / "run", 0.1)

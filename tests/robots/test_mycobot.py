@@ -31,7 +31,7 @@ from rejoint.system.errors import (
     RobotError,
     StaleReplyError,
 )
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 
 pytestmark = pytest.mark.realtime
 
@@ -285,7 +285,7 @@ def test_something_else_behind_the_port_is_named(awake):
 @pytest.mark.parametrize("transport", ["tcp", "pty"])
 def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     """The integrator reaches what the default misses by centimetres; no answer is lost."""
-    firmware = build_firmware(ARM, "worn")
+    firmware = Firmware.build(ARM, "worn")
     serve = serve_tcp if transport == "tcp" else serve_pty
     with serve(firmware, timing={"state": 0.003, "acknowledgement": 0.002}) as server:
         robot = open_robot(server.address, period=(0.02, 0.03), seed=1)
@@ -370,7 +370,7 @@ def test_a_clock_that_is_set_back_does_not_keep_a_silent_line_waiting(awake, mon
 
 
 def test_two_programs_do_not_drive_one_arm_on_a_serial_line(awake):
-    with serve_pty(build_firmware(ARM, "healthy")) as server:
+    with serve_pty(Firmware.build(ARM, "healthy")) as server:
         robot = open_robot(server.address, period=(0.05, 0.05))
         with pytest.raises(AddressError, match="another program drives the arm there; end it first"):
             open_robot(server.address, period=(0.05, 0.05))

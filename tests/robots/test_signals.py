@@ -18,7 +18,7 @@ from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.emulator.firmware import Firmware, build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.plant.wear import load_wear
 
 pytestmark = pytest.mark.realtime
@@ -56,7 +56,7 @@ def stops(monkeypatch):
 def test_every_signal_stops_the_arm_within_one_control_period(transport, signals, stops):
     rng = np.random.default_rng(5)
     timing = {"state": 0.004, "acknowledgement": 0.003}
-    firmware = build_firmware(ARM, "worn")
+    firmware = Firmware.build(ARM, "worn")
     late = []
     with (serve_tcp if transport == "tcp" else serve_pty)(firmware, timing=timing) as server:
         robot = open_robot(server.address, period=(PERIOD, PERIOD))
@@ -90,7 +90,7 @@ def test_every_signal_stops_the_arm_within_one_control_period(transport, signals
 
 
 def test_a_signal_between_runs_is_heard_by_the_next_one(stops):
-    with serve_tcp(build_firmware(ARM, "worn")) as server, stopping.noted():
+    with serve_tcp(Firmware.build(ARM, "worn")) as server, stopping.noted():
         robot = open_robot(server.address, period=(PERIOD, PERIOD))
         os.kill(os.getpid(), signal.SIGTERM)
         with pytest.raises(Interrupted) as caught:
@@ -133,7 +133,7 @@ def test_handlers_are_given_back():
 
 
 def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path):
-    firmware = build_firmware(ARM, "worn")
+    firmware = Firmware.build(ARM, "worn")
     with serve_tcp(firmware) as server:
         process = deploy(server.address, firmware, tmp_path / "run", 0.02)
         time.sleep(0.3)

@@ -22,7 +22,7 @@ from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
 from rejoint.robots.mycobot.wire import FORMAT, encode
 from rejoint.robots.wireserver import Finder
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +73,7 @@ class Relay:
 def relay(monkeypatch):
     client_module = sys.modules[MyCobot280Socket.__module__]
     monkeypatch.setattr(client_module, "time", SimpleNamespace(sleep=lambda _: None))  # 1.5 s in its constructor
-    firmware = build_firmware(mycobot280(), "worn")
+    firmware = Firmware.build(mycobot280(), "worn")
     with serve_pty(firmware) as server:
         running = Relay(server.address.removeprefix("serial://").partition("?")[0])
         yield running

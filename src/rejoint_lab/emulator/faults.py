@@ -9,7 +9,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,8 @@ from rejoint.arms import Arm, Array
 from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_shipped
-
-if TYPE_CHECKING:
-    from rejoint_lab.plant.plant import Plant
+from rejoint_lab.plant.plant import Plant
+from rejoint_lab.plant.wear import Wear, load_wear
 
 HOT_JOINT = 2
 """Joint that gets hot by default: the shoulder (chosen)"""
@@ -188,12 +187,23 @@ HOT = 85.0
 
 
 class EmulatedArm(ABC):
-    """An emulated arm of n joints, with faults that begin in time; ``plant`` holds one arm."""
+    """An emulated arm of n joints, with faults that begin in time; its ``plant`` holds one arm."""
 
-    def __init__(self, plant: Plant, arm: Arm) -> None:
-        self.plant, self.arm = plant, arm
+    kind: ClassVar[type[Plant]] = Plant
+    """of its plant"""
+
+    def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0, **truth: Any) -> None:  # noqa: ANN401
+        """Put the arm at rest; ``truth`` as of `Plant`."""
+        self.plant, self.arm = self.kind(arm, [wear], seed=seed, **truth), arm
         self.faults: Faults = NONE
         self._elapsed = -1.0
+
+    @classmethod
+    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0) -> Self:
+        """Arm at rest with the wear profile ``wear_name``."""
+        built = cls(arm, load_wear(wear_name, arm), seed=seed)
+        built.advance(0.01)  # compiles the plant now instead of during the first request
+        return built
 
     @property
     def angles(self) -> Array:

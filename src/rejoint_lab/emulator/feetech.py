@@ -24,6 +24,7 @@ from rejoint_lab.emulator.servobus import (
 )
 from rejoint_lab.plant import sts3215
 from rejoint_lab.plant.plant import StsPlant
+from rejoint_lab.plant.sts3215 import COUNTS
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
@@ -57,9 +58,7 @@ def _read(data: bytes) -> Packet | None:
 FORMAT = Format(HEADER, 4, _size, _read, encode)
 
 
-COUNTS = 4096
-"""per turn"""
-MIDDLE = 2048
+MIDDLE = COUNTS // 2
 """[counts] at joint zero"""
 
 

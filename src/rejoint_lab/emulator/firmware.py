@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,9 +10,7 @@ from rejoint.arms import Arm, Array, Mask
 from rejoint.robots.mycobot.motion import FULL_SPEED
 from rejoint.robots.mycobot.wire import Computer, Sensed
 from rejoint_lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
-
-if TYPE_CHECKING:
-    from rejoint_lab.plant.plant import Plant
+from rejoint_lab.plant.wear import Wear
 
 TICK_MS = 10
 """[ms] between set-points (chosen)"""
@@ -37,11 +35,11 @@ class _Write(NamedTuple):
 
 
 class Firmware(EmulatedArm, Computer):
-    """An emulated myCobot; ``plant`` holds one arm."""
+    """An emulated myCobot."""
 
-    def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
-        EmulatedArm.__init__(self, plant, arm)
-        Computer.__init__(self, arm, plant.goal[0])
+    def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0) -> None:
+        EmulatedArm.__init__(self, arm, wear, seed=seed)
+        Computer.__init__(self, arm, self.plant.goal[0])
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] calibrated zeros by the encoders"""
         self._rng = np.random.default_rng(seed)
@@ -160,14 +158,3 @@ class Firmware(EmulatedArm, Computer):
         if arrived:
             self.plant.set_speed_limit(arrived[-1].speed)
             self.plant.command(arrived[-1].goal[None])
-
-
-def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
-    """Firmware of an arm at rest, with the wear profile ``wear_name``."""
-    from rejoint_lab.plant.plant import Plant
-    from rejoint_lab.plant.wear import load_wear
-
-    plant = Plant(arm, [load_wear(wear_name, arm)], seed=seed)
-    firmware = Firmware(plant, arm, seed=seed)
-    firmware.advance(0.01)  # compiles the plant now instead of during the first request
-    return firmware

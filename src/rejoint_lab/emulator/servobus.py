@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from rejoint.robots.wireserver import ByteStream, Format, await_data
 from rejoint_lab.emulator.faults import SUPPLY_VOLTAGE, EmulatedArm, in_force, size_of
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.servo import STEP, ServoTable
-from rejoint_lab.plant.wear import PARAMETERS, Wear, load_wear
+from rejoint_lab.plant.wear import PARAMETERS, Wear
 
 
 class Packet(NamedTuple):
@@ -143,8 +143,6 @@ class Part(NamedTuple):
 class ServoArm(EmulatedArm, Generic[S]):
     """Servos of one arm on their wire, powered and holding."""
 
-    kind: ClassVar[Any]
-    """of its plant"""
     table: ClassVar[ServoTable]
     jaw: ClassVar[tuple[float, float]]
     """[rad] range of the gripper"""
@@ -175,7 +173,7 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0, **truth: Any) -> None:  # noqa: ANN401
         """Put the arm at rest; ``truth`` as of `Plant`."""
-        super().__init__(self.kind(arm, [wear], seed=seed, **truth), arm)
+        super().__init__(arm, wear, seed=seed, **truth)
         self.gripper = self._lone_gripper(wear, seed)
         self._owed = 0.0
         self.clock = 0.0
@@ -229,13 +227,6 @@ class ServoArm(EmulatedArm, Generic[S]):
         if self.unpowered and not without:
             for servo in self.servos:
                 self.restart(servo)
-
-    @classmethod
-    def build(cls, arm: Arm, wear_name: str, *, seed: int = 0) -> Self:
-        """Arm at rest with the wear profile ``wear_name``."""
-        built = cls(arm, load_wear(wear_name, arm), seed=seed)
-        built.advance(0.01)  # compiles the plant now instead of during the first request
-        return built
 
     @property
     def unpowered(self) -> bool:

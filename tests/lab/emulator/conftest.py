@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint_lab.emulator.firmware import Firmware, build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 
 ARM = mycobot280()
 
@@ -12,8 +12,8 @@ ARM = mycobot280()
 class IdealPlant:
     """One arm whose joints follow their speed-limited reference exactly; encoders of infinite resolution."""
 
-    def __init__(self, position=ARM.rest):
-        self.goal = np.array(position, dtype=float)[None]
+    def __init__(self, *_, **__):
+        self.goal = np.array(ARM.rest, dtype=float)[None]
         self.position = self.goal.copy()
         self.limit = np.inf
         self.told = np.full((1, 6), np.nan)  # of encoders that froze
@@ -62,21 +62,25 @@ class IdealPlant:
         self.limit = speed
 
 
+class IdealFirmware(Firmware):
+    kind = IdealPlant
+
+
 @pytest.fixture(scope="session")
-def ideal_plant():
-    return IdealPlant
+def ideal():
+    return IdealFirmware
 
 
 @pytest.fixture
-def plant():
-    return IdealPlant()
+def firmware(ideal):
+    return ideal(ARM, None)
 
 
 @pytest.fixture
-def firmware(plant):
-    return Firmware(plant, ARM)
+def plant(firmware):
+    return firmware.plant
 
 
 @pytest.fixture
 def worn():
-    return build_firmware(ARM, "worn")
+    return Firmware.build(ARM, "worn")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.motion import FULL_SPEED
 from rejoint.robots.mycobot.wire import NO_LINE, NO_SOLUTION, ORDER, ROWS, SIZES, Frame, answer
-from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
+from rejoint_lab.emulator.firmware import COMMAND_DELAY
 
 ARM = mycobot280()
 REST = ARM.rest
@@ -127,10 +127,10 @@ requests = st.sampled_from(KNOWN).flatmap(
 
 @settings(max_examples=80)
 @given(st.lists(st.tuples(requests, st.integers(0, 60)), max_size=25), st.integers(0, 99))
-def test_after_any_commands_the_arm_obeys_the_next(ideal_plant, history, seed):
+def test_after_any_commands_the_arm_obeys_the_next(ideal, history, seed):
     """Whatever was sent, and however fast: limits hold throughout, and a fresh command is carried out exactly."""
-    plant = ideal_plant()
-    firmware = Firmware(plant, ARM, seed=seed)
+    firmware = ideal(ARM, None, seed=seed)
+    plant = firmware.plant
     for request, pause_ms in history:
         answer(firmware, request)
         firmware.advance(pause_ms * 1e-3)

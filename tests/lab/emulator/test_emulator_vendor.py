@@ -9,7 +9,7 @@ from reaching import until
 from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.mycobot.bus import MyCobot280, MyCobot280Socket
-from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.firmware import Firmware
 
 ARM = mycobot280()
 QUICK = {"state": 0.002, "acknowledgement": 0.001, "pace": 4.0}
@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefa
 @pytest.fixture(scope="module", params=["tcp", "pty"])
 def client(request):
     """One client per transport: its constructor sleeps for 1.5 s."""
-    firmware = build_firmware(ARM, "worn")
+    firmware = Firmware.build(ARM, "worn")
     with (serve_tcp if request.param == "tcp" else serve_pty)(firmware, timing=QUICK) as running:
         if request.param == "tcp":
             vendor = MyCobot280Socket("127.0.0.1", int(running.address.rsplit(":", 1)[1]))
