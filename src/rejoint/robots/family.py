@@ -135,7 +135,7 @@ class Wire(NamedTuple):
 
 
 def wire_address(text: str) -> Wire:
-    """Read ``SCHEME:///dev/DEVICE?baud=N`` or ``SCHEME://HOST:PORT``; ValueError."""
+    """Read ``serial:///dev/DEVICE?baud=N``, ``tcp://HOST:PORT``, or either with another scheme; ValueError."""
     return read_wire(text)[0]
 
 
@@ -146,12 +146,13 @@ def read_wire(text: str, *options: str) -> tuple[Wire, dict[str, str]]:
     if set(found) - set(known) or any(len(values) > 1 or not values[0] for values in found.values()):
         raise ValueError(f"expected each of {', '.join(known)} once at most, got {parts.query!r}")
     given = {name: values[0] for name, values in found.items()}
-    if parts.hostname and parts.path in ("", "/") and not parts.username and parts.port != 0:
+    alone = parts.path in ("", "/") and not parts.username and parts.port != 0
+    if parts.hostname and alone and parts.scheme != "serial":
         if "baud" in given:
             raise ValueError("the baud rate is that of the other machine; leave it out")
         return Wire(text=text, host=parts.hostname, port=parts.port or PORT), given
-    if parts.netloc or not re.match("/.", parts.path):
-        raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N or {parts.scheme}://HOST:PORT")
+    if parts.netloc or not re.match("/.", parts.path) or parts.scheme == "tcp":
+        raise ValueError("it names neither a device nor a server")
     baud = given.pop("baud", str(BAUD))
     if not re.fullmatch("[1-9][0-9]*", baud):
         raise ValueError(f"the baud rate must be a positive whole number, got {baud!r}")
