@@ -261,7 +261,7 @@ def _empty(path: Path) -> bool:
 def _digest(folder: RunFolder) -> str:
     remedy = "bring it back, or begin another run"
     with reading(folder.description, "cannot be read", remedy):
-        return digest(read_bounded(folder.description, remedy)).decode()
+        return digest(read_bounded(folder.description, remedy))
 
 
 @contextmanager

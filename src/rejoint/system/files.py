@@ -133,7 +133,7 @@ def write_json(path: Path, value: object) -> None:
     """Write readable JSON; objects get a digest."""
     data = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("tolist")), indent=2)
     if data.endswith(b"\n}"):
-        data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
+        data = data[:-2] + f',\n  "digest": "{digest(data)}"\n}}'.encode()
     write_bytes(path, data)
 
 
@@ -150,7 +150,7 @@ def read_json(path: Path, kind: type[T]) -> T:
         found = _DIGEST.search(data)
         if found:
             data = data[: found.start()] + b"\n}"
-            if digest(data) != found[1]:
+            if digest(data).encode() != found[1]:
                 raise FileError(path, CHANGED, remedy)
         return msgspec.json.decode(data, type=kind, dec_hook=array_of)
 
@@ -186,9 +186,9 @@ def unused(path: Path) -> Path:
     return free
 
 
-def digest(data: bytes) -> bytes:
+def digest(data: bytes) -> str:
     """Fingerprint against changes."""
-    return hashlib.sha256(data).hexdigest()[:16].encode()
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 Number = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
@@ -234,7 +234,7 @@ def toml_of(table: Mapping[str, Any]) -> str:
 def write_sealed(path: Path, toml: str, about: str = "") -> None:
     """Write TOML below comments ``about`` it, whole or not at all."""
     text = "".join(f"# {line}\n" for line in about.splitlines()) + toml
-    write_text(path, f"# digest of the text below: {digest(text.encode()).decode()}\n{text}")
+    write_text(path, f"# digest of the text below: {digest(text.encode())}\n{text}")
 
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
@@ -243,7 +243,7 @@ def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, 
     with reading(path, f"no {name}", remedy):
         text = read_bounded(path, remedy)
         sealed = _SEAL.search(text)
-        if sealed and digest(text[sealed.end() :]) != sealed[1]:
+        if sealed and digest(text[sealed.end() :]).encode() != sealed[1]:
             raise FileError(path, CHANGED, remedy)
         data = tomllib.loads(text.decode())
         if data.get("format") != version:

@@ -269,7 +269,7 @@ class Twin(Readable):
     def digest(self) -> str:
         """Fingerprint of what decides the twins drawn from this one."""
         decided = [flat(self.parameters), *(getattr(self, name) for name in _DECIDING)]
-        return digest(msgspec.json.encode(decided, enc_hook=methodcaller("tolist"))).decode()
+        return digest(msgspec.json.encode(decided, enc_hook=methodcaller("tolist")))
 
 
 _DECIDING = ("arm", "joint_names", "covariance", "lower", "upper", "identified", "acceleration", "gain", "table")

@@ -89,7 +89,7 @@ class Suggestion:
     @property
     def digest(self) -> str:
         """Digest of the postures, to a microradian."""
-        return digest(np.round(1e6 * self.postures).astype("<i8").tobytes()).decode()
+        return digest(np.round(1e6 * self.postures).astype("<i8").tobytes())
 
 
 def before(posture: Array, visit: int) -> Array:
