@@ -33,11 +33,7 @@ if TYPE_CHECKING:
 
 @takes
 def replay(
-    call: Call,
-    twin: Path,
-    logs: Path,
-    published: list[str] | None = None,
-    out: Path = Path("replay"),
+    call: Call, twin: Path, logs: Path, published: list[str] | None = None, out: Path = Path("replay")
 ) -> object:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart."""
     require("rejoint replay", "train", "report")

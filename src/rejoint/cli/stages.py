@@ -257,13 +257,7 @@ TRAINERS = "rejoint.trainers"
 
 @takes
 def compare(
-    call: Call,
-    robot: str,
-    run: Path,
-    targets: Path | None = None,
-    controllers: str = "all",
-    *,
-    plan: rejoint.TrialPlan,
+    call: Call, robot: str, run: Path, targets: Path | None = None, controllers: str = "all", *, plan: rejoint.TrialPlan
 ) -> object:
     """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     names = opt.controller_names(controllers)
@@ -285,12 +279,7 @@ def _arm(call: Call, robot: str, run: Path | None) -> rejoint.Arm | None:
 
 
 @takes
-def deploy(
-    call: Call,
-    robot: str,
-    run: Path | None = None,
-    targets: Path | None = None,
-) -> object:
+def deploy(call: Call, robot: str, run: Path | None = None, targets: Path | None = None) -> object:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
     done = call.do(rejoint.deploy, robot, targets, run=run, arm=_arm(call, robot, run), settings=call.settings)
     turned = [visit.turned and math.degrees(visit.turned) for visit in done.visits]
@@ -306,13 +295,7 @@ def deploy(
 
 @takes
 def goto(
-    call: Call,
-    robot: str,
-    x: float,
-    y: float,
-    z: float,
-    run: Path | None = None,
-    timeout: float = 10.0,
+    call: Call, robot: str, x: float, y: float, z: float, run: Path | None = None, timeout: float = 10.0
 ) -> object:
     """Move the tool to one point, and hold it there."""
     target, arm = opt.point_of(x, y, z), _arm(call, robot, run)
@@ -334,13 +317,7 @@ def goto(
 
 
 @takes
-def follow(
-    call: Call,
-    robot: str,
-    run: Path,
-    path: str,
-    repeat: int = 1,
-) -> object:
+def follow(call: Call, robot: str, run: Path, path: str, repeat: int = 1) -> object:
     """Drive an arm along a path, and say how well it followed."""
     done = call.do(rejoint.follow, robot, path, run=run, repeat=repeat, settings=call.settings)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
@@ -365,13 +342,7 @@ def report(call: Call, run: Path) -> object:
 
 
 @takes
-def gains(
-    call: Call,
-    robot: str,
-    run: Path,
-    keep: bool = False,
-    yes: bool = False,
-) -> object:
+def gains(call: Call, robot: str, run: Path, keep: bool = False, yes: bool = False) -> object:
     """Search for better gains of the servos themselves, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
         found = call.do(rejoint.gains, robot, run, settings=call.settings)
@@ -401,12 +372,7 @@ def gains(
 
 @takes
 def serve(
-    call: Call,
-    robot: str,
-    run: Path,
-    listen: str = "127.0.0.1:9000",
-    pty: bool = False,
-    stdio: bool = False,
+    call: Call, robot: str, run: Path, listen: str = "127.0.0.1:9000", pty: bool = False, stdio: bool = False
 ) -> object:
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C."""
     if stdio:

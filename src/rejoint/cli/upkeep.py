@@ -262,11 +262,7 @@ def check(
 
 
 @takes
-def history(
-    call: Call,
-    folder: Path = RUNS,
-    page: Path | None = None,
-) -> object:
+def history(call: Call, folder: Path = RUNS, page: Path | None = None) -> object:
     """Show all arms of a folder, the worst first, as a table and as a page."""
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")

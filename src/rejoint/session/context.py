@@ -52,11 +52,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
-from rejoint.session.inputs import (
-    ControllerLike,
-    Period,
-    laden,
-)
+from rejoint.session.inputs import ControllerLike, Period, laden
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
 from rejoint.twin.parameters import Layout, back_emf, lifting_torque
 from rejoint.twin.twin import Twin

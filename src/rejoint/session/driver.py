@@ -604,13 +604,7 @@ class ArmDriver:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
         self._seen_through(
             lambda see: move(
-                self.robot,
-                posture,
-                settle=0.5,
-                on_cycle=see,
-                sent=self._sent,
-                limits=self.limits,
-                give_up=give_up,
+                self.robot, posture, settle=0.5, on_cycle=see, sent=self._sent, limits=self.limits, give_up=give_up
             )
         )
 

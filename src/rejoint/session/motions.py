@@ -30,14 +30,7 @@ from rejoint.control.moving.drive import (
     missed,
     next_aim,
 )
-from rejoint.control.moving.reference import (
-    LEAD_IN,
-    Guide,
-    Path,
-    PathReference,
-    Stream,
-    read_path,
-)
+from rejoint.control.moving.reference import LEAD_IN, Guide, Path, PathReference, Stream, read_path
 from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.recording import PIECE, Cycle, Observer, Recording, recording_of
 from rejoint.control.reference import STUCK, TargetSequence, ToolAtGoals

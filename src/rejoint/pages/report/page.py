@@ -279,10 +279,4 @@ def write_datasheet(folder: Path, out: Path) -> Path:
     measured, back = it.measurements, np.zeros(0)
     if it.calibration is not None and measured is not None:
         back = np.array(reversals(it.arm, measured, it.calibration.frame))
-    return write_page(
-        out,
-        "datasheet.html",
-        it=it,
-        reversal=spread(back, np.arange(len(back))),
-        **_NAMES,
-    )
+    return write_page(out, "datasheet.html", it=it, reversal=spread(back, np.arange(len(back))), **_NAMES)

@@ -192,11 +192,7 @@ class ComparisonJob:
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
         helper = ahead or self._help()
-        with (
-            noted(),
-            staged(self.run, "compare") as watch,
-            nullcontext() if helper is None else closing(helper),
-        ):
+        with noted(), staged(self.run, "compare") as watch, nullcontext() if helper is None else closing(helper):
 
             def watched(count: int, seed: int) -> Robot:
                 return watch(self._open(count, seed))
@@ -264,7 +260,7 @@ class ComparisonJob:
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
         options = self.period, self.trials.get("correction"), self.before is None, turned
         about = setup_of(self.arm), self.settings, list(self.factories), self.targets.tolist(), files, options
-        return digest(repr((__version__, address_of(self.robot), about)).encode()).decode()
+        return digest(repr((__version__, address_of(self.robot), about)).encode())
 
 
 SETS, REPETITIONS = 10, 6
