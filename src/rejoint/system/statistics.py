@@ -84,7 +84,7 @@ def bootstrap_mean(values: Array, labels: Labels, *, fewest: int = FEWEST_CLUSTE
     picks = np.random.default_rng(0).integers(0, len(sums), (RESAMPLES, len(sums)))
     means = sums[picks].sum(axis=1) / counts[picks].sum(axis=1)
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(value=mean, low=min(float(low), mean), high=max(float(high), mean))
+    return Estimate(value=mean, low=min(low, mean), high=max(high, mean))
 
 
 def above_zero(estimate: Estimate) -> bool:
@@ -110,8 +110,8 @@ def wilson(hits: float, trials: float) -> Estimate:
     share, z2 = hits / trials, NORMAL95**2
     centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
     half = NORMAL95 * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
-    low = 0.0 if hits == 0 else max(0.0, float(centre - half))
-    high = 1.0 if hits == trials else min(1.0, float(centre + half))
+    low = 0.0 if hits == 0 else max(0.0, centre - half)
+    high = 1.0 if hits == trials else min(1.0, centre + half)
     return Estimate(value=share, low=low, high=high)
 
 
@@ -121,8 +121,8 @@ def clustered_share(hits: Array, labels: Labels) -> Estimate:
     share, trials, clusters, effect = hits.mean(), len(hits), len(counts), 1.0
     if clusters > 1 and 0.0 < share < 1.0:
         between = clusters / (clusters - 1) * np.sum((sums - share * counts) ** 2) / trials**2
-        effect = max(1.0, float(between / (share * (1 - share) / trials)))
-    return wilson(float(share) * trials / effect, trials / effect)
+        effect = max(1.0, between / (share * (1 - share) / trials))
+    return wilson(share * trials / effect, trials / effect)
 
 
 def paired_difference(first: Array, second: Array, labels: Labels) -> Estimate | None:
