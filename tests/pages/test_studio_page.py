@@ -8,7 +8,7 @@ import pytest
 from browser import CHROMIUM, chromium
 from hand import Hand
 
-from rejoint.studio.page import TITLES, StudioView
+from rejoint.studio.page import TITLES, studio_view
 
 missing = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the studio in a browser")
 
@@ -31,7 +31,7 @@ def asked(address, **headers):
 
 @pytest.mark.parametrize("place", ["127.0.0.1", "127.0.0.2"])
 def test_other_sites_and_other_names_of_this_computer_are_refused(studio, place):
-    with StudioView(studio, place, 0) as view:
+    with studio_view(studio, place, 0) as view:
         assert asked(view.address)[0] == 200
         assert asked(view.address, host="localhost")[0] == 200
         assert asked(view.address, origin=view.address)[0] == 200
@@ -41,7 +41,7 @@ def test_other_sites_and_other_names_of_this_computer_are_refused(studio, place)
 
 
 def test_other_computers_need_the_token(studio):
-    with StudioView(studio, "127.0.0.1", 0, "secret") as view:
+    with studio_view(studio, "127.0.0.1", 0, "secret") as view:
         plain, _, token = view.address.partition("/?token=")
         assert token == "secret"
         assert asked(plain)[0] == 403
@@ -51,7 +51,7 @@ def test_other_computers_need_the_token(studio):
 
 @seen
 def test_clicks_alone_choose_an_arm_and_a_second_tab_sees_the_same(studio):
-    with StudioView(studio, "127.0.0.1", 0) as view, chromium(1300, 850) as tab:
+    with studio_view(studio, "127.0.0.1", 0) as view, chromium(1300, 850) as tab:
         hand = Hand(tab)
         hand.open(view.address)
         hand.type("or its address", "tcp://127.0.0.1:9")
@@ -78,7 +78,7 @@ def test_clicks_alone_choose_an_arm_and_a_second_tab_sees_the_same(studio):
 
 @seen
 def test_the_job_ends_when_the_last_page_is_closed_unless_the_owner_wants_it_to_go_on(studio):
-    with StudioView(studio, "127.0.0.1", 0) as view:
+    with studio_view(studio, "127.0.0.1", 0) as view:
         for goes_on in (True, False):
             with chromium(1000, 700) as tab:
                 hand = Hand(tab)
@@ -100,7 +100,7 @@ def test_the_job_ends_when_the_last_page_is_closed_unless_the_owner_wants_it_to_
 def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, width):
     title = """[...document.querySelectorAll('div')].filter((e) => e.childElementCount === 0
         && e.textContent.trim() === 'rejoint studio').pop().getBoundingClientRect()"""
-    with StudioView(studio, "127.0.0.1", 0) as view, chromium(width, 850) as tab:
+    with studio_view(studio, "127.0.0.1", 0) as view, chromium(width, 850) as tab:
         tab.call("Emulation.setDeviceMetricsOverride", width=width, height=850, deviceScaleFactor=1, mobile=width < 600)
         hand = Hand(tab)
         hand.open(view.address)

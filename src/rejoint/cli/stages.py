@@ -41,12 +41,12 @@ def studio(call: Call, listen: str = HERE, folder: Path = RUNS, quiet: bool = Fa
     require("rejoint studio", "live")
     from rejoint.studio import jobs
     from rejoint.studio.machine import Studio
-    from rejoint.studio.page import StudioView
+    from rejoint.studio.page import studio_view
 
     host, port = host_and_port("--listen", listen)
     machine = Studio(folder)
     token = "" if is_loopback(host) else secrets.token_urlsafe(16)
-    with StudioView(machine, host, port, token) as view:
+    with studio_view(machine, host, port, token) as view:
         call.result(f"Studio: {view.address}  (Ctrl-C ends it; the arm then holds)")
         machine.do("Looking for arms", jobs.look)
         if not quiet:
@@ -231,8 +231,6 @@ def train(
 ) -> object:
     """Train a policy on randomised copies of the run's twin."""
     require("rejoint train", "train")
-    if generic and RunFolder(run).twin.exists():
-        raise InputError(f"{run} has a twin.toml, and --generic trains without one: choose another folder")
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)

@@ -59,7 +59,7 @@ class StudioPage(WebPage):
 
     label, stop_label = "rejoint studio", "STOP"
 
-    def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
+    def __init__(self, studio: Studio, host: str, port: int, token: str) -> None:
         """Serve it; InputError if the port is taken."""
         self.studio = studio
         self.form: dict[str, Any] = {}
@@ -286,18 +286,11 @@ class StudioPage(WebPage):
             self.studio.do("Go", self.go)
 
 
-class StudioView(LiveView):
-    """The view of a studio: its page, and what happens when the last page is closed."""
-
-    def __init__(self, studio: Studio, host: str, port: int, token: str = "") -> None:
-        """Serve a ``studio``; with a ``token`` other computers may use the page."""
-        super().__init__(host, port)
-        self._studio, self._token = studio, token
-        studio.observer = Observers(studio, self)
-
-    def page_at(self, host: str, port: int) -> StudioPage:
-        """Serve the page of the studio."""
-        return StudioPage(self._studio, host, port, self._token)
+def studio_view(studio: Studio, host: str, port: int, token: str = "") -> LiveView:
+    """Return the view of a ``studio``; with a ``token`` other computers may use the page."""
+    view = LiveView(host, port, partial(StudioPage, studio, token=token))
+    studio.observer = Observers(studio, view)
+    return view
 
 
 QUICK = "A quick try takes little of everything, and gives no result to rely on."

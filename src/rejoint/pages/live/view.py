@@ -6,8 +6,9 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -102,9 +103,9 @@ class LiveView(Observer):
 
     shows = True
 
-    def __init__(self, host: str = HOST, port: int = PORT) -> None:
-        """Serve at ``host`` and ``port`` (0: any free one), without a password."""
-        self._host, self._port = host, port
+    def __init__(self, host: str = HOST, port: int = PORT, page: Callable[[str, int], WebPage] | None = None) -> None:
+        """Serve at ``host`` and ``port`` (0: any free one), without a password, perhaps another kind of ``page``."""
+        self._host, self._port, self._kind = host, port, page
         self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._over = threading.Event()
@@ -117,7 +118,9 @@ class LiveView(Observer):
     def __enter__(self) -> Self:
         """Serve the page; MissingExtraError without the extra ``live``, InputError for a taken port."""
         require("a live view", "live")
-        self._page = self.page_at(self._host, self._port)
+        from rejoint.pages.live.page import WebPage
+
+        self._page = (self._kind or WebPage)(self._host, self._port)
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(min(HAND_OVER, self._interval))
         self._thread.start()
@@ -137,19 +140,18 @@ class LiveView(Observer):
         page.close()
         sys.setswitchinterval(self._interval)
 
-    def page_at(self, host: str, port: int) -> WebPage:
-        """Serve the page that is drawn on."""
-        from rejoint.pages.live.page import WebPage
-
-        return WebPage(host, port)
-
     @property
     def address(self) -> str:
         """Address for a browser; empty before."""
         return "" if self._page is None else self._page.address
 
     def watch(
-        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
+        self,
+        robot: Robot,
+        *,
+        twin: Any = None,  # noqa: ANN401 - a `Twin`, which `Observer` does not know
+        within: float | None = None,
+        paced: bool | None = None,
     ) -> Robot:
         """Return a shown robot, with its ``twin`` as a ghost.
 
@@ -157,7 +159,7 @@ class LiveView(Observer):
         """
         slowed = is_virtual(robot.address) if paced is None else paced
         accepted = Protocol.threshold if within is None else within
-        self.shown = Shown(robot=robot, twin=cast("Twin | None", twin), within=accepted, paced=slowed)
+        self.shown = Shown(robot=robot, twin=twin, within=accepted, paced=slowed)
         if slowed:
             robot = WallClock(robot, lambda: 1.0 if self._page is None else self._page.pace)
         return _LiveRobot(robot, self, self.shown)

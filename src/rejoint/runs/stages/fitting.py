@@ -319,7 +319,7 @@ def train(
                 raise InputError("training: a run has its own twin; give either a run or a twin")
             found = Run.open(run).seeded(how.seed)
             stack.enter_context(exclusive(found))
-            told, tuned, known = found.diagnosis, found.gains, found.twin
+            told, tuned, known = found.diagnosis, found.gains, None if how.generic else found.twin
             if known is None and not how.generic:
                 raise InputError(
                     f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
