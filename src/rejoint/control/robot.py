@@ -134,6 +134,7 @@ def turned_off(arm: Arm, inputs: ControlInput) -> Array:
     return missed_pose(arm, inputs.state.position, inputs.target, inputs.turn)[1]
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Turns inputs into commands."""
 

@@ -398,7 +398,8 @@ def connect(
     try:
         found.driver()
         found.correction  # noqa: B018 - what does not fit is refused now
-        return found.open()
+        found.look()
+        return found
     except BaseException as error:
         found.__exit__(type(error), error, error.__traceback__)
         raise

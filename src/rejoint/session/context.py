@@ -291,9 +291,7 @@ class ControllerMaker:
         factories = {name: self._factory(one) for name, one in named(asked).items()}
         for name, make in factories.items():
             controller = make(self.arm)
-            if isinstance(controller, type) or not all(
-                hasattr(controller, one) for one in ("name", "reset", "command")
-            ):
+            if isinstance(controller, type) or not isinstance(controller, Controller):
                 raise InputError(
                     f"controller {name}: expected its name, an object with name, reset and command, or a function of "
                     f"an Arm that returns one; got {controller!r}"

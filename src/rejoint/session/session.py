@@ -100,11 +100,6 @@ class ArmSession(ArmDriver):
     _seen: Cycle | None = None
     _closed = False
 
-    def open(self) -> Self:
-        """Connect now; nothing moves. AddressError if no robot answers."""
-        self.look()
-        return self
-
     def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
         """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
         if self.run is None:
@@ -211,7 +206,7 @@ class ArmSession(ArmDriver):
             )
         within, timeout = as_positive("move_joints", within_rad, ANGLE), as_seconds("move_joints", timeout_s)
         self._require_free()
-        self.open()
+        self.look()
         if not self._clear(goal):
             raise InputError("move_joints: there the arm would touch itself, the ground or a box; choose other ones")
 
@@ -343,22 +338,18 @@ class ArmSession(ArmDriver):
                 self._seen = cycle_at_rest(self.robot.read(), self.robot.true_tcp(), self._sent)
                 for see in self.watching:
                     see(self._seen)
-            sent, target, error, turned = self._last, None, None, None
-            newest = sent if moving and sent is not None else self._seen
-            joints = newest.position[0]
-            if sent is not None:
-                if np.isfinite(off := sent.aim[0] - tcp_position(self.arm, joints)).all():
-                    target, error = sent.target[0].copy(), float(np.linalg.norm(off))
-                if np.isfinite(sent.turned[0]):
-                    turned = float(sent.turned[0])
+            sent = self._last or self._seen  # of a reading at rest, target and errors are unknown
+            newest = sent if moving else self._seen
+            joints, turned = newest.position[0], float(sent.turned[0])
+            error = float(np.linalg.norm(sent.aim[0] - tcp_position(self.arm, joints)))
             return ArmState(
                 time_s=float(newest.time[0]),
                 joints_rad=joints.copy(),
                 tool_m=self.apparent.tool(joints),
                 moving=moving,
-                target_m=target,
-                error_m=error,
-                turned_rad=turned,
+                target_m=sent.target[0].copy() if np.isfinite(error) else None,
+                error_m=error if np.isfinite(error) else None,
+                turned_rad=turned if np.isfinite(turned) else None,
             )
 
     @contextmanager
