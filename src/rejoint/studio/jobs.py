@@ -24,7 +24,7 @@ from rejoint.logs.runfolder import LOGS, RunFolder, read_info, runs_below
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.ports import arm_at, ports
 from rejoint.runs.exports import export_run
-from rejoint.runs.fleet.file import named_arm, names_file, read_fleet
+from rejoint.runs.fleet.file import known_arms, named_arm
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
 from rejoint.session.inputs import GaugeLike, arm_of
@@ -49,8 +49,7 @@ EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, wor
 
 def candidates(home: Path) -> dict[str, str]:
     """Return names or addresses by what the page calls arms: named, connected, repaired below ``home``, emulated."""
-    path = names_file()
-    found = {f"{one.name}, {one.address}": one.name for one in (read_fleet(path).arms if path.exists() else ())}
+    found = {f"{one.name}, {one.address}": one.name for one in known_arms()}
     for device, what in ports().items():
         heard = arm_at(device)
         found[f"{heard or 'no arm answers; is it switched on?'}, on {device} ({what})"] = heard or ""
@@ -301,8 +300,7 @@ def serve(studio: Studio, listen: str) -> None:
 
 def export(studio: Studio, kind: str, lerobot: str) -> None:
     """Write what the run has found for other programs; ``lerobot``: calibration file of LeRobot."""
-    file = Path(lerobot) if lerobot and kind == "lerobot" else None
-    path, told = export_run(studio.begin_run(), kind, lerobot=file)
+    path, told = export_run(studio.begin_run(), kind, lerobot=Path(lerobot) if lerobot else None)
     studio.change(done=f"{path}: {told}")
 
 

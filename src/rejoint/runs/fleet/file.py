@@ -196,11 +196,15 @@ def names_file() -> Path:
     return Path(NAMES) if Path(NAMES).exists() else Path(home) / "rejoint" / NAMES
 
 
+def known_arms() -> tuple[FleetArm, ...]:
+    """Return the arms in `names_file`; FileError."""
+    path = names_file()
+    return read_fleet(path).arms if path.exists() else ()
+
+
 def named_arm(name: str) -> FleetArm | None:
     """Return the arm of that name in `names_file`; None: there is none. FileError."""
-    path = names_file()
-    known = read_fleet(path).arms if ":" not in name and path.exists() else ()
-    return next((arm for arm in known if arm.name == name), None)
+    return None if ":" in name else next((arm for arm in known_arms() if arm.name == name), None)
 
 
 def name_arm(name: str, **values: str | float) -> Path:
