@@ -41,11 +41,11 @@ MOVED, SET_UP = "moved", "set up"
 class Past(NamedTuple):
     """History of an arm since its baseline began."""
 
-    visits: tuple[PastCheck, ...]
+    visits: tuple[PastCheck, ...] = ()
     """the oldest first"""
-    setup: str
+    setup: str = ""
     """fingerprint of its description, or empty"""
-    left_mm: float | None
+    left_mm: float | None = None
     """tool error with the controller of its last repair, if any"""
 
 
@@ -78,14 +78,14 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
 
     A repair counts for its `owners`, or by ``key``.
     """
-    past, owner = Past(visits=(), setup="", left_mm=None), owners(rows)
+    past, owner = Past(), owners(rows)
     mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and owner(row) in (arm, key))]
     mine.sort(key=lambda row: (row.time, row.kind))
     for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
         members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
         head = members.pop("", None)
         if kind == "repair":
-            past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head.left_mm if head else None)
+            past = Past(setup=head.setup, left_mm=head.left_mm) if head else Past(setup=past.setup)
         elif kind == "check" and head and members:
             with suppress(msgspec.ValidationError):  # a measure is missing
                 found = vars(head) | {"joints": list(map(vars, members.values()))}

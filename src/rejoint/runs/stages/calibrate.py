@@ -187,7 +187,7 @@ def calibrate(
         ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
     ):
         about, prior = session.run, as_calibration(chosen.calibration, session.run, session.arm)
-        fresh = isinstance(chosen.calibration, str) and chosen.calibration == "none"
+        fresh = chosen.calibration == "none"
         measured: Measurements | Film
         if isinstance(before, Path | str):
             measured = read_measurements(Path(before), session.arm)
