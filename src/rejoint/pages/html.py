@@ -89,7 +89,12 @@ def _environment() -> jinja2.Environment:
         "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
         "quoted": lambda names: words.listed([f"“{name}”" for name in names]),
     }
-    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "version": __version__}
-    found.globals |= {"looks": LOOKS.values()} | known
+    found.globals |= {
+        "looks": LOOKS.values(),
+        "unknown": words.UNKNOWN,
+        "never": words.NEVER,
+        "interval": words.interval,
+        "version": __version__,
+    }
     found.globals["m"] = found.get_template("macros.html").module
     return found

@@ -39,8 +39,16 @@ UNFINISHED = ".partial"
 
 UNWRITABLE = "free some space, allow writing there, or choose another folder"
 MALFORMED = (
-    *(ArithmeticError, AttributeError, EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError),
-    *(msgspec.MsgspecError, zipfile.BadZipFile),
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    msgspec.MsgspecError,
+    zipfile.BadZipFile,
 )
 """What decoders raise for data of another kind"""
 _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')

@@ -264,12 +264,9 @@ def tilt(found: Calibration) -> float:
     return float(np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0))))
 
 
-_FUNCTIONS = (
-    *(target_errors, tilt),
-    *(above_zero, colour_number, cost, in_base, own_policy, reach, reversals, ringing_most),
-)
-_MODULES = (recommend, calibration, fit, parameters, protocols, tables)
-_NAMES = {one.__name__.rpartition(".")[2]: one for one in (*_FUNCTIONS, *_MODULES)}
+_CALLED: list[Any] = [target_errors, tilt, above_zero, colour_number, cost, in_base, own_policy, reach]
+_CALLED += [reversals, ringing_most, recommend, calibration, fit, parameters, protocols, tables]
+_NAMES = {one.__name__.rpartition(".")[2]: one for one in _CALLED}
 """What the templates of report and data sheet call"""
 
 

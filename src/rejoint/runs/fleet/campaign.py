@@ -214,9 +214,11 @@ class Campaign:
 
     def finish(self) -> bool:
         """Store whether nothing is left that the file allows, and return it."""
-        asked = [arm for arm in self.fleet.arms if arm.name in self.info.runs]
-        allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
-        finished = not any(map(self.left, allowed))
+        finished = not any(
+            self.left(arm)
+            for arm in self.fleet.arms
+            if arm.name in self.info.runs and arm.may_move and (self.verb == "check" or arm.may_repair)
+        )
         write_json(self.file, replace(self.info, finished=finished))
         return finished
 
@@ -229,7 +231,11 @@ class Campaign:
                     self._wait()
             except BaseException:
                 with shielded():
-                    self._hold_all()
+                    for one in self.arms:
+                        self._hold(one)
+                    until = time.monotonic() + HOLDING
+                    while any(one.running and one.running.held for one in self.arms) and time.monotonic() < until:
+                        self._wait()
                 raise
 
     def _turn(self) -> bool:
@@ -241,13 +247,6 @@ class Campaign:
             if not one.arm.opening.is_open(self.rules.now()):
                 self._hold(one)
         return any(one.running for one in self.arms)
-
-    def _hold_all(self) -> None:
-        for one in self.arms:
-            self._hold(one)
-        until = time.monotonic() + HOLDING
-        while any(one.running and one.running.held for one in self.arms) and time.monotonic() < until:
-            self._wait()
 
     def _hold(self, one: ArmProgress) -> None:
         if one.running is not None and one.running.held and not one.held:

@@ -214,7 +214,6 @@ def calibrate(
                 write_measurements(about.folder.measurements, about.arm, result.measurements)
                 if result.filmed is not None:
                     result.filmed.write(about.folder)
-        update(1.0, "fitted")
         return result
 
 
