@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import version
+from ipaddress import ip_address
 from typing import Any
 
 from rejoint.system.errors import InputError
@@ -53,7 +54,10 @@ def host_and_port(option: str, text: str) -> tuple[str, int]:
 
 def is_loopback(host: str) -> bool:
     """Whether this computer alone reaches a host name."""
-    return host in ("localhost", "127.0.0.1", "::1")
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
