@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ from rejoint.pages.words import grouped
 from rejoint.runs.run import Run
 from rejoint.runs.stages.fitting import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
-from rejoint.session.inputs import RunLike, as_calibration
+from rejoint.session.inputs import RunLike, as_calibration, laden
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
@@ -40,6 +41,7 @@ def export_run(
     ``controller``: by default what the run recommends. FileError or InputError for missing inputs.
     """
     about = Run.open(run)
+    about = replace(about, arm=laden(about))
     if kind not in KINDS:
         raise InputError(f"--format {kind!r}: expected {', '.join(KINDS)}")
     for name, given, kinds in (("--lerobot", lerobot, ("lerobot",)), ("--controller", controller, ("onnx", "ros2"))):

@@ -316,7 +316,7 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
     settings = Settings() if given is None else given
     if not isinstance(settings, Settings):
         raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
-    own = KeptSettings.of(settings).given().keys() | (set() if isinstance(robot, str) else {"payload", "tool"})
+    own = KeptSettings.of(settings).given().keys() | ({"payload", "tool"} if isinstance(robot, Robot) else set())
     used = {name: value for name, value in kept(run).given().items() if name not in own}
     if settings.keep_out and (boxes := kept(run).keep_out):  # they add up
         used["keep_out"] = tuple({str(box): box for box in (*boxes, *settings.keep_out)}.values())
@@ -337,9 +337,10 @@ def equipped(arm: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
 
     InputError for another payload or tool than an open robot has, and for a box that holds a part of the resting arm.
     """
-    own = arm if isinstance(robot, str) else bare(arm)
+    opened = isinstance(robot, Robot)
+    own = bare(arm) if opened else arm
     found = loaded(own, settings.payload, settings.tool)
-    if isinstance(robot, str):
+    if not opened:
         arm = found
     elif found is not own and differing(found, arm):
         raise InputError("give a payload or a tool with the address of a robot, not with an open one")
