@@ -191,9 +191,10 @@ PERIOD = (0.02, 0.03)
 def copied(run: Run) -> Iterator[Run]:
     """Return a temporary copy of a run."""
     with TemporaryDirectory(prefix="rejoint-dry-run-") as folder:
-        path = Path(folder) / "run"
+        path = Path(folder)
         if run.path.is_dir():
-            shutil.copytree(run.path, path, ignore=shutil.ignore_patterns(".lock", "pictures", "training", "figures"))
+            left_out = shutil.ignore_patterns(".lock", "pictures", "training", "figures")
+            shutil.copytree(run.path, path, ignore=left_out, dirs_exist_ok=True)
         yield replace(run, folder=RunFolder(path))
 
 
@@ -439,7 +440,8 @@ class ArmDriver:
         if own and found.used:
             return found
         why = "it did not clearly help" if own else f"it is not of {self.address}"
-        name = given if isinstance(given, str | Path) else "the calibration" if run is None else run.folder.calibration
+        known = "the calibration" if self._named is None else self._named.folder.calibration
+        name = given if isinstance(given, str | Path) else known
         self.observer.message(f"Not corrected: {name} is not applied; {why}.")
         return None
 
