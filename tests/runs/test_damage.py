@@ -204,8 +204,6 @@ def test_a_folder_of_another_version_is_named(tmp_path):
     write_json(run.folder.info, newer)
     with pytest.raises(FileError, match=r"run\.json: a run folder of format 3, made by rejoint 9\.9"):
         Run.open(run.folder.path)
-    with pytest.raises(FileError, match=r"format 3"):
-        Run.create(run.folder.path, "emulated:worn", ARM)
     older = {"robot": "emulated:worn", "arm": "mycobot280", "seed": 0, "version": "0.0.9", "created": "", "format": 1}
     write_json(run.folder.info, older)
     with pytest.raises(FileError, match=r"format 1, made by rejoint 0\.0\.9"):
@@ -218,7 +216,4 @@ def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path):
     text = run.folder.description.read_text()
     run.folder.description.write_text(text.replace("mass_kg = 0.", "mass_kg = 1.", 1))
     with pytest.raises(FileError, match=r"arm\.toml: damaged or changed since the run was begun"):
-        Run.open(run.folder.path)
-    run.folder.description.unlink()
-    with pytest.raises(FileError, match=r"arm\.toml: no such file"):
         Run.open(run.folder.path)
