@@ -61,6 +61,11 @@ def test_one_odd_check_is_no_moved_arm(checks):
     assert judged(*[healthy] * 6, moved, healthy).moved == ()
 
 
+def test_a_joint_that_rests_elsewhere_in_its_friction_has_not_moved_its_zero(checks):
+    rows = [replace(one, deviation_mm=one.deviation_mm + 0.4 * one.hysteresis_mm) for one in checks[0].joints]
+    assert judged(checks[0], replace(checks[0], joints=tuple(rows))).moved == ()
+
+
 @pytest.mark.parametrize("which", range(len(AGED)), ids=AGED)
 def test_wear_is_no_moved_zero_however_fast_it_comes(checks, which):
     found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 3)

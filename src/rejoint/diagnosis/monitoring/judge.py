@@ -354,7 +354,8 @@ def _moved_zero(visits: Sequence[PastCheck], j: int) -> MovedZero | None:
     for at in range(len(visits) - 1, 0, -1):
         way, warmer = deviation[at] - deviation[at - 1], warm[at] - warm[at - 1]
         doubt = per_degree * (abs(warmer) if np.isfinite(warmer) else UNTOLD)
-        if abs(way) < SURE * np.hypot(2.0**0.5 * scatter, doubt):
+        band = 0.5 * visits[at].measures.joints[j].hysteresis_mm  # anywhere in it a joint may rest
+        if abs(way) < max(SURE * np.hypot(2.0**0.5 * scatter, doubt), band):
             continue
         alone = all(abs(one[at] - one[at - 1]) < SHARE * abs(way) for one in others)
         was = np.median(deviation[max(at - BEFORE, 0) : at])
