@@ -85,7 +85,7 @@ def test_kept_settings_drive_the_arm_and_are_named(run):
         assert isinstance(arm.arm, LoadedArm)
         np.testing.assert_array_equal(arm.arm.mass, loaded(ARM, 0.05).mass)
         assert len(arm.arm.keep_out) == len(ARM.keep_out) + 1
-        assert any("payload 0.05 kg" in line for line in said)
+        assert any("--payload 0.05 " in line for line in said)
         assert any("quick" in line for line in said)
     with rejoint.connect("emulated:worn", run=run.path, settings=rejoint.Settings(payload=0.0)) as arm:
         np.testing.assert_array_equal(arm.arm.mass, ARM.mass)

@@ -27,7 +27,7 @@ from rejoint.robots import BusRobot, place_of
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.session.inputs import FIRST_ROBOT, KeptSettings, RunLike, Settings
+from rejoint.session.inputs import FIRST_ROBOT, RunLike, Settings, to_keep
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
@@ -161,7 +161,7 @@ def diagnose(
     quick: bool = False,
 ) -> object:
     """Find out what is wrong with an arm: by moving it, or from logs."""
-    if logs is not None and (robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given()):
+    if logs is not None and (robot is not None or call.settings.dry_run or to_keep(call.settings).given()):
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
     robot = FIRST_ROBOT if robot is None else robot
     job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)

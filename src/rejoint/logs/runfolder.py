@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from rejoint.arms import Array, Box
+from rejoint.arms.inertia import Payload
 from rejoint.logs.journal import recover
 from rejoint.system.errors import LOGGER, FileError
 from rejoint.system.files import UNFINISHED, read_json, read_json_if, write_json, writing
@@ -54,6 +56,44 @@ class RunInfo:
     arm_file: str = ""
     """`file_digest` of the arm's description, or empty"""
     format: int = FORMAT
+
+
+@value_type
+class KeptSettings:
+    """What a run keeps of its diagnosis (`settings.json`); fields as in `rejoint.Settings`."""
+
+    payload: Payload | None = None
+    tool: Array | None = None
+    keep_out: tuple[Box, ...] = ()
+    period: tuple[float, float] | None = None
+    within: float | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the fields that were given."""
+        return {name: value for name, value in vars(self).items() if value is not None and np.size(value)}
+
+    def options(self, *only: str) -> list[str]:
+        """Return what was given as options of a command, as they are typed; ``only``: of these fields."""
+        found = list[str]()
+        for name, value in self.given().items():
+            if name in (only or _TYPED):
+                for text in _TYPED[name](value):
+                    found += [f"--{name.replace('_', '-')}", text]
+        return found
+
+
+def _thousandths(values: Iterable[float], between: str = ",") -> str:
+    return between.join(f"{1e3 * value:.12g}" for value in values)
+
+
+_TYPED: dict[str, Callable[[Any], list[str]]] = {
+    "payload": lambda load: [f"{load.mass:.12g}{f'@{_thousandths(load.com)}' if any(load.com) else ''}"],
+    "tool": lambda tip: [_thousandths(tip)],
+    "keep_out": lambda boxes: [_thousandths((*box.lower, *box.upper)) for box in boxes],
+    "period": lambda ends: [_thousandths(dict.fromkeys(ends), "-")],
+    "within": lambda error: [_thousandths([error])],
+}
+"""Kept settings at the command line, in kg, mm and ms"""
 
 
 @dataclass(frozen=True)
@@ -233,6 +273,11 @@ def add(folder: RunFolder, cost: StageCost) -> None:
             stages = {stage.name: stage for stage in (read_effort(folder) or Effort()).stages}
             stages[cost.name] = stages.get(cost.name, StageCost(name=cost.name)) + cost
             write_json(folder.effort, Effort(stages=tuple(stages.values())))
+
+
+def read_settings(folder: RunFolder) -> KeptSettings:
+    """Return what a run keeps; FileError where that is damaged."""
+    return read_json_if(folder.settings, KeptSettings) or KeptSettings()
 
 
 def read_effort(folder: RunFolder) -> Effort | None:

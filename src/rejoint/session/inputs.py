@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Literal, TypeAlias, cast
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import CATALOGUE, Arm, Array, Box, collides, differing, load_arm
@@ -16,14 +16,13 @@ from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, refused
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
-from rejoint.logs.runfolder import LOGS, RunFolder
+from rejoint.logs.runfolder import LOGS, KeptSettings, RunFolder, read_settings
 from rejoint.logs.runlog import RunLog, describe
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_json_if, write_json
+from rejoint.system.files import write_json
 from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
-from rejoint.system.records import value_type
 from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
@@ -254,58 +253,33 @@ class Settings:
         if not all(isinstance(box, Box) for box in boxes):
             raise InputError("settings: keep_out takes boxes, such as [rejoint.arms.Box(lower=..., upper=...)]")
         object.__setattr__(self, "keep_out", boxes)  # not an iterator, which is used up
-        KeptSettings.of(self)  # refuses what it cannot keep
+        to_keep(self)  # refuses what it cannot keep
         if self.within is not None:
             as_within("settings", self.within)
 
 
-@value_type
-class KeptSettings:
-    """What a run keeps of its diagnosis (`settings.json`); fields as in `Settings`."""
-
-    payload: Payload | None = None
-    tool: Array | None = None
-    keep_out: tuple[Box, ...] = ()
-    period: tuple[float, float] | None = None
-    within: float | None = None
-
-    @classmethod
-    def of(cls, settings: Settings) -> KeptSettings:
-        """Return what is kept of ``settings``."""
-        mass, tool = settings.payload, settings.tool
-        return cls(
-            payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=mass),
-            tool=None if tool is None else as_place("settings: tool", tool),
-            keep_out=tuple(settings.keep_out),
-            period=as_period(settings.period),
-            within=settings.within,
-        )
-
-    def given(self) -> dict[str, Any]:
-        """Return the fields of `Settings` that were given."""
-        return {name: value for name, value in vars(self).items() if value is not None and np.size(value)}
-
-
-_IN_WORDS: dict[str, Callable[[Any], str]] = {
-    "payload": lambda load: f"payload {load.mass:g} kg",
-    "tool": lambda tip: f"tool {','.join(f'{1e3 * value:g}' for value in tip)} mm",
-    "keep_out": lambda boxes: f"{len(boxes)} box(es) to keep out of",
-    "period": lambda ends: f"period {1e3 * ends[0]:g}-{1e3 * ends[1]:g} ms",
-    "within": lambda error: f"within {1e3 * error:g} mm",
-}
-"""Kept settings"""
+def to_keep(settings: Settings) -> KeptSettings:
+    """Return what a run keeps of ``settings``."""
+    mass, tool = settings.payload, settings.tool
+    return KeptSettings(
+        payload=mass if mass is None or isinstance(mass, Payload) else Payload(mass=mass),
+        tool=None if tool is None else as_place("settings: tool", tool),
+        keep_out=tuple(settings.keep_out),
+        period=as_period(settings.period),
+        within=settings.within,
+    )
 
 
 def keep(run: Run, settings: Settings) -> None:
     """Write what ``run`` keeps; FileError where that fails."""
-    kept = KeptSettings.of(settings)
+    kept = to_keep(settings)
     if kept.given() or run.folder.settings.exists():
         write_json(run.folder.settings, kept)
 
 
 def kept(run: Run | None) -> KeptSettings:
     """Return what ``run`` keeps; FileError where that is damaged."""
-    return (run and read_json_if(run.folder.settings, KeptSettings)) or KeptSettings()
+    return KeptSettings() if run is None else read_settings(run.folder)
 
 
 def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) -> tuple[Settings, str]:
@@ -316,14 +290,14 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
     settings = Settings() if given is None else given
     if not isinstance(settings, Settings):
         raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
-    own = KeptSettings.of(settings).given().keys() | ({"payload", "tool"} if isinstance(robot, Robot) else set())
+    own = to_keep(settings).given().keys() | ({"payload", "tool"} if isinstance(robot, Robot) else set())
     used = {name: value for name, value in kept(run).given().items() if name not in own}
     if settings.keep_out and (boxes := kept(run).keep_out):  # they add up
         used["keep_out"] = tuple({str(box): box for box in (*boxes, *settings.keep_out)}.values())
     if run is None or not used:
         return settings, ""
-    said = ", ".join(_IN_WORDS[name](value) for name, value in used.items())
-    return replace(settings, **used), f"Settings of {run.path}, used unless others are given: {said}."
+    said = shlex.join(KeptSettings(**used).options())
+    return replace(settings, **used), f"Settings of {run.path}, used unless others are given: {said}"
 
 
 def laden(run: Run) -> Arm:

@@ -1,17 +1,24 @@
 """What the page says of few trials and of failures, and the lines with which everything is done again."""
 
+import numpy as np
 import pytest
 
 from readpage import Page
-from rejoint.logs.runfolder import RunFolder, RunInfo
+from rejoint.arms import Box
+from rejoint.arms.inertia import Payload
+from rejoint.logs.runfolder import KeptSettings, RunFolder, RunInfo
 from rejoint.pages.report.page import read_contents, write_report
 from rejoint.system.files import write_json
 
 
-def made(folder, comparison, *, robot="emulated:worn", seed=7):
-    write_json(folder.info, RunInfo(robot=robot, arm=comparison.arm, seed=seed, version="0", created="now"))
-    write_json(folder.comparison, comparison)
-    return read_contents(folder.path).commands()
+def test_the_lines_say_what_the_run_keeps_as_it_is_typed(tmp_path):
+    folder, box = RunFolder(tmp_path), Box(lower=np.array([-0.1, 0.15, 0.0]), upper=np.array([0.3, 0.2, 0.1]))
+    write_json(folder.info, RunInfo(robot="emulated:worn", arm="mycobot280", seed=7, version="0", created="now"))
+    load = Payload(mass=0.05, com=(0.0, 0.0, 0.03))
+    write_json(folder.settings, KeptSettings(payload=load, keep_out=(box,), period=(0.02, 0.03)))
+    write_json(folder.quick, {})
+    said = "--payload 0.05@0,0,30 --keep-out -100,150,0,300,200,100 --period 20-30"
+    assert read_contents(tmp_path).commands()["repair"] == f"rejoint repair emulated:worn {said} --seed 7 --quick"
 
 
 @pytest.mark.parametrize("robot", ["emulated:worn", "tcp://10.0.0.2:9000"])

@@ -16,6 +16,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
 from rejoint.control.comparison import protocols, recommend
 from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
+from rejoint.control.controllers.catalogue import BASELINES
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.correction import NOT_KNOWN, TrueError
@@ -26,7 +27,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements, read_measur
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
 from rejoint.diagnosis.segments import modelled_errors
-from rejoint.logs.runfolder import LOGS, Effort, RunFolder, RunInfo, cost, read_info
+from rejoint.logs.runfolder import LOGS, Effort, KeptSettings, RunFolder, RunInfo, cost, read_info, read_settings
 from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
@@ -182,8 +183,21 @@ class Contents:
         if self.calibration is None:
             steps["measure where the tool really is"] = self.commands()["calibrate"]
         return steps | {
-            "see later whether it has become worse": command("check", robot, *self.described(), "--repeat", 5)
+            "see later whether it has become worse": command(
+                "check", robot, *self.described(), *self.settings.options("keep_out", "period"), "--repeat", 5
+            )
         }
+
+    @cached_property
+    def settings(self) -> KeptSettings:
+        """What the run keeps of its diagnosis."""
+        return read_settings(self.folder)
+
+    @property
+    def controllers(self) -> list[str]:
+        """Option that names the controllers, where some of the usual ones were not compared."""
+        tried = BASELINES if self.comparison is None else self.comparison.controllers
+        return [] if {*BASELINES} <= {*tried} else ["--controllers", ",".join(tried)]
 
     def described(self) -> tuple[object, ...]:
         """Options that name the arm."""
@@ -192,22 +206,23 @@ class Contents:
 
     def commands(self) -> dict[str, str]:
         """Command lines of every stage."""
-        run, robot, built = self.folder.path, self.info.robot, self.folder.arm(self.info.arm)
-        options = [*self.described(), "--seed", self.info.seed]
+        run, robot = self.folder.path, self.info.robot
+        quick = ["--quick"] * self.folder.quick.exists()
+        options = [*self.described(), *self.settings.options(), "--seed", self.info.seed, *quick]
         seen = self.calibration is not None and self.calibration.source == "camera"
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
-        identify: tuple[object, ...] = (run,)
+        identify: tuple[object, ...] = (run, *quick)
         if robot.startswith(LOGS):
-            diagnose = identify = ("--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run)
+            diagnose = identify = ("--logs", robot.removeprefix(LOGS), *self.described(), "--run", run)
             robot = "ROBOT"
         return {
-            "repair": command("repair", robot, *options),
+            "repair": command("repair", robot, *options, *self.controllers),
             "diagnose": command("diagnose", *diagnose),
             "identify": command("identify", *identify),
-            "train": command("train", run),
+            "train": command("train", run, *quick),
             "calibrate": command("calibrate", robot, run, *gauge),
-            "compare": command("compare", robot, run),
+            "compare": command("compare", robot, run, *self.controllers),
             "report": command("report", run),
         }
 
