@@ -154,11 +154,11 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do():
     assert "5 are needed" in say(history_of([2.0] * 3), "R")
     worn = history_of([2.0] * 7 + [2.2, 2.4, 2.6, 2.8, 3.0], 6.0)
     assert worn.state == "alarm"
-    line = say(worn, "tcp://10.0.0.1:9000")
+    line = say(worn, "rejoint repair tcp://10.0.0.1:9000")
     for told in ("shoulder: ", "2.0 -> 3.0 mm since 2027-06-30", "also elbow", "tolerance 6.0 mm, reached "):
         assert told in line
     assert "Do: rejoint repair tcp://10.0.0.1:9000" in line
-    assert say(history_of([2.0] * 3, 2.5), "arm://1?a&b").endswith("reached. Do: rejoint repair 'arm://1?a&b'.")
+    assert say(history_of([2.0] * 3, 2.5), "R").endswith("reached. Do: R")
 
 
 def judged(*checks, tolerance=None, left=None):

@@ -25,7 +25,7 @@ from rejoint.runs.history import HEADERS, arms_of, cells, code_of, prometheus_te
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.runs.stages.check import BETWEEN
-from rejoint.session.inputs import NO_GAUGE, GaugeLike
+from rejoint.session.inputs import NO_GAUGE, GaugeLike, to_keep
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
 from rejoint.system.files import write_text
@@ -235,6 +235,8 @@ def check(
     chosen = call.arm(robot)
     if call.named is not None:
         name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
+    described = (word for name, value in call.pick._asdict().items() if value for word in (f"--{name}", value))
+    notes = replace(notes, repair=command("repair", robot, *described, *to_keep(call.settings).options()))
     with call.watched("check") as observer:
         for number in range(repeat):
             if number:

@@ -18,7 +18,6 @@ from rejoint.arms import Array
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.diagnosis.regression import fit_believed
 from rejoint.system.records import entity, value_type
-from rejoint.system.shell import command
 
 FEWEST = 5
 """Checks that a baseline needs; shared facts on monitoring: 5 to 8"""
@@ -419,10 +418,10 @@ MEANINGS = {
 }
 
 
-def say(found: Outlook, robot: str, described: str = "") -> str:
-    """Report the arm's state in one line; ``described``: more repair options."""
-    what, do = _advice(found, command("repair", robot) + described)
-    return f"{what}. {_error(found)}. Do: {do}."
+def say(found: Outlook, repair: str) -> str:
+    """Report the arm's state in one line; ``repair``: the command that repairs it."""
+    what, do = _advice(found, repair)
+    return f"{what}. {_error(found)}. Do: {do}"
 
 
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:

@@ -20,6 +20,7 @@ from rejoint.runs.run import newest_or_new
 from rejoint.session.inputs import Settings
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.records import value_type
+from rejoint.system.shell import command
 from rejoint.system.stopping import Interrupted, check, noted, shielded
 
 Step: TypeAlias = Literal["check"] | StageName
@@ -51,7 +52,7 @@ class Work(NamedTuple):
     folder: Path
     """of all runs and checks, or the run"""
     options: Mapping[str, Any]
-    """of `repair`"""
+    """of `repair`, or the check's `CheckNotes`"""
 
     @property
     def moves(self) -> bool:
@@ -84,9 +85,10 @@ def do_work(work: Work) -> WorkOutcome:
     begun, arm, outcome = time.monotonic(), work.arm, WorkOutcome()
     try:
         if work.step == "check":
-            from rejoint.runs.stages.check import check
+            from rejoint.runs.stages.check import CheckNotes, check
 
-            check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
+            about: dict[str, Any] = {"history": work.folder, "name": arm.name, "tolerance_mm": arm.tolerance_mm}
+            check(arm.address, arm=arm.description, notes=CheckNotes(**work.options), **about)
         else:
             repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
     except Interrupted as error:
@@ -258,8 +260,10 @@ class Campaign:
             one.end = "done"
             return
         arm, step, rules = one.arm, one.left[0], self.rules
-        options = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
         folder = self.fleet.folder if step == "check" else self.run_folder(arm).path
+        options: dict[str, Any] = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
+        if step == "check":
+            options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name)}
         work = Work(arm=arm, step=step, folder=folder, options=options)
         if work.moves:
             one.why = self._refused(work)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import CATALOGUE, Arm
+from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -30,12 +30,13 @@ from rejoint.logs.history import (
 from rejoint.logs.journal import recover
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
-from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
+from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of, to_keep
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import LOGGER, AddressError, InputError
+from rejoint.system.errors import LOGGER, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
 from rejoint.system.records import Readable, entity
+from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
 BETWEEN = timedelta(minutes=4)
@@ -72,6 +73,8 @@ class CheckNotes:
     """UTC; default: now"""
     moved: bool = False
     """the arm was moved or homed since: a new baseline"""
+    repair: str = ""
+    """command that repairs the arm; default: by its address and ``arm``"""
 
 
 def check(
@@ -165,6 +168,7 @@ def check(
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
+    described = () if arm is None else ("--arm", arm.name if isinstance(arm, Arm) else arm)
     with pacing(observer) as update, ExitStack() as stack:
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm
             home = Path(stack.enter_context(TemporaryDirectory(prefix="rejoint-dry-run-")))
@@ -180,7 +184,7 @@ def check(
             found = outlook(
                 [*visits, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance, left_mm=left
             )
-            line = say(found, address, _described(address, built))
+            line = say(found, said.repair or command("repair", address, *described, *to_keep(chosen).options()))
             if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
                 then = mine[-1].model if mine else "another"
                 line = (
@@ -206,13 +210,3 @@ def _kept(folder: Path) -> Iterator[Callable[[Robot], Robot]]:
     finally:
         with suppress(OSError):  # only an empty one goes
             folder.rmdir()
-
-
-def _described(address: str, arm: Arm) -> str:
-    try:
-        usual = arm_of(address, None).name
-    except AddressError:  # a robot of the caller's own
-        usual = arm.name
-    if arm.name == usual:
-        return ""
-    return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
