@@ -12,7 +12,7 @@ import pytest
 from test_gains import found_by
 
 from madetwin import made_twin
-from rejoint.arms import gravity_torque, so101
+from rejoint.arms import gravity_torque, mycobot280, so101
 from rejoint.diagnosis.excitation import record
 from rejoint.logs.exclusions import velocity
 from rejoint.robots import open_robot
@@ -100,6 +100,8 @@ def test_gains_that_were_found_leave_in_the_words_of_lerobot(tmp_path):
     run = Run.create(tmp_path, "emulated:so101", so101())
     with pytest.raises(InputError, match="rejoint gains ROBOT"):
         export_run(run, "lerobot")
+    with pytest.raises(InputError, match="mycobot280 has none"):
+        export_run(Run.create(tmp_path / "other", "emulated:worn", mycobot280()), "lerobot")
     alone = found_by(run).alone
     motors = json.loads(export_run(run, "lerobot")[0].read_text())
     assert [motors[name]["P_Coefficient"] for name in run.arm.joint_names] == [*alone["p"]]

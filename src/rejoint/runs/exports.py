@@ -96,6 +96,10 @@ def _unit(run: Run) -> Arm:
 
 def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str]:
     path, told, kept = out or run.path / "lerobot.json", "", None
+    servos = {*run.arm.servos}
+    if servos != FEETECH and (servos or not (source or run.gains)):
+        has = ", ".join(sorted(servos)) or "none in its description (if it has them, give --lerobot FILE)"
+        raise InputError(f"lerobot is for servos STS3215, and {run.arm.name} has {has}; --format urdf is for any arm")
     try:
         kept = gains_to_keep(run)
     except (FileError, InputError) as error:
@@ -121,6 +125,8 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
     return path, told.rstrip()
 
 
+FEETECH = {"STS3215"}
+"""Servos that have these registers"""
 _GAINS = {
     "P_Coefficient": "p",
     "I_Coefficient": "i",
