@@ -11,6 +11,7 @@ import numpy as np
 from rejoint.arms import Arm, Displacement
 from rejoint.arms.loading import unit_arm, write_urdf
 from rejoint.arms.workspace import posture_grid
+from rejoint.control.comparison.recommend import achieves
 from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
 from rejoint.control.controllers.policy import check_contract
@@ -237,7 +238,11 @@ def design_of(run: Run, best: str) -> Design:
     written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
     if written == name or best == SHELF:
         return design
-    return design._replace(instead=f"{best} cannot be written so; this is the {name} of the run instead.")
+    proof = f"The run has not compared {name}."
+    if (comparison := run.comparison) is not None:
+        tried = [achieves(row, comparison) for row in comparison.rows if inner_name(row.controller) == name]
+        proof = " ".join(tried) or proof
+    return design._replace(instead=f"{best} cannot be written so; this is the {name} of the run instead. {proof}")
 
 
 def metadata(design: Design, notice: str) -> dict[str, str]:

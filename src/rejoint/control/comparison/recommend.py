@@ -65,7 +65,7 @@ def recommend(comparison: Comparison) -> Recommendation:
         left = tied
     chosen = min(left, key=_by_complexity)
     others = [row for row in left if row is not chosen]
-    why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
+    why = [*all_stopped, achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
     why += [f"Error of the tool itself, with play and bending behind the encoders: {chosen.true_error}."]
     names = tuple(row.controller for row in others)
@@ -146,7 +146,8 @@ def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Compar
     return [f"A tie of {listed}: {why}. {names[0]} is recommended because it is simpler."]
 
 
-def _achieves(row: ControllerRow, comparison: Comparison) -> str:
+def achieves(row: ControllerRow, comparison: Comparison) -> str:
+    """Say how many targets a controller reaches, and where it settles."""
     text = f"{row.controller} reaches {100 * row.reached:.0f} % of the targets"
     if row.cycle_time is not None:
         text += f" ({row.cycle_time.mean.value:.1f} s for {len(comparison.targets[0])})"
