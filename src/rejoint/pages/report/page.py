@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms.inertia import loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
 from rejoint.control.comparison import protocols, recommend
@@ -128,6 +129,9 @@ class Contents:
     folder: RunFolder
     info: RunInfo
     arm: Arm
+    """with payload and tool"""
+    settings: KeptSettings
+    """what the run keeps of its diagnosis"""
     diagnosis: Diagnosis | None = None
     twin: Twin | None = None
     judgement: Judgement | None = None
@@ -188,11 +192,6 @@ class Contents:
             )
         }
 
-    @cached_property
-    def settings(self) -> KeptSettings:
-        """What the run keeps of its diagnosis."""
-        return read_settings(self.folder)
-
     @property
     def controllers(self) -> list[str]:
         """Option that names the controllers, where some of the usual ones were not compared."""
@@ -231,7 +230,8 @@ def read_contents(path: Path) -> Contents:
     """Read a run folder; FileError."""
     folder = RunFolder(path)
     info = read_info(folder.info)
-    arm = load_arm(folder.arm(info.arm))
+    settings = read_settings(folder)
+    arm = loaded(load_arm(folder.arm(info.arm)), settings.payload, settings.tool)
     readers: dict[str, Callable[[Path], Any]] = {
         "diagnosis": partial(read_json, kind=Diagnosis),
         "twin": read_twin,
@@ -244,7 +244,7 @@ def read_contents(path: Path) -> Contents:
         "effort": partial(read_json, kind=Effort),
     }
     found = {name: read(file) for name, read in readers.items() if (file := getattr(folder, name)).exists()}
-    return Contents(folder=folder, info=info, arm=arm, **found)
+    return Contents(folder=folder, info=info, arm=arm, settings=settings, **found)
 
 
 def write_report(folder: Path) -> Path:
