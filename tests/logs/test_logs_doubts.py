@@ -38,10 +38,8 @@ def test_states_that_answer_in_time_are_believed(rows: int, stepping: bool):
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        (10, r"best 0\.[01]\d* s before them"),
         (25, r"best 0.[34]. s before them.*stamped before .*exchanged"),
         (-15, r"best 0\.\d+ s after them.*or the clocks differ"),
-        (-25, r"s after them, expected 0 to 0.3 s"),
     ],
 )
 def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: bool):
