@@ -57,9 +57,9 @@ UNLOADED = 0.03
 """Least torque that counts, over the largest joint's"""
 SURE = 0.95
 """Share of torque limits at the nearest possible place (chosen)"""
-INSIDE = 0.001
-"""[m] of that place inside what is possible, so that it may be rounded (chosen)"""
-_STEPS, _TRIED = 0.5 ** np.arange(1, 8), 4
+_STEPS, _TRIED = (0.0, *0.5 ** np.arange(1, 10)), 4
+_RANKS = np.unique(np.geomspace(1, POOL, 24, dtype=int)) - 1
+"""of stored postures from which that place is sought: near ones, and others"""
 NEAR, TURNED = 1e-3, float(np.radians(0.5))
 """[m], [rad] largest misses of a reachable pose (chosen)"""
 
@@ -90,11 +90,11 @@ class Goals:
     """Postures of K targets."""
 
     q: Array
-    """(K, n) [rad] of the target, or the nearest possible place"""
+    """(K, n) [rad] of the target, or of ``nearest``"""
     refusals: tuple[str, ...]
-    """(K,) reasons in one line; empty: possible"""
+    """(K,) reasons and nearest possible place in one line; empty: possible"""
     nearest: Array
-    """(K, 3) [m] nearest possible places"""
+    """(K, 3) [m] nearest possible places, in whole mm; the start's where none was found"""
 
 
 def choose_postures(
@@ -189,17 +189,17 @@ def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Arr
     cost, stayed = redundancy.stay(body_of(arm), goal, start, load, near)
     if cost == 0.0 or (near and cost < SWITCH):
         return np.asarray(stayed)
-    other, found, _ = _search(arm, load, goal, start, EFFORT)
+    other, found = _search(arm, load, goal, start, EFFORT)
     if min(cost, other) >= redundancy.FAR:
         return None
     return stayed if cost <= other + float(near) else found
 
 
-def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) -> tuple[float, Array, Array]:
-    """Cost and best posture (n,) of a goal, and the posture (n,) nearest to the goal."""
+def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) -> tuple[float, Array]:
+    """Cost and best posture (n,) of a goal."""
     drawn = pool_of(arm).posture[_promising(arm, load, goal, start, effort[0])]
-    cost, found, nearest = redundancy.search(body_of(arm), drawn, goal, start, load, *effort[1:])
-    return cost, found, nearest
+    found: tuple[float, Array] = redundancy.search(body_of(arm), drawn, goal, start, load, *effort[1:])
+    return found
 
 
 def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> Index:
@@ -221,32 +221,35 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
 
 def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array, Array]:
     """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
-    if goal[2] < arm.floor:
-        lifted = np.array(goal)
-        lifted[2] = arm.floor
-        why = f"below the floor: {1e3 * goal[2]:.0f} mm high, the tool stays above {1e3 * arm.floor:.0f} mm"
-        found = _choose(arm, load, lifted, start, False)
-        return (why, *_nearby(arm, load, goal, start)) if found is None else (why, found, lifted[:3])
-    cost, found, closest = _search(arm, load, goal, start, THOROUGH)
+    low = goal[2] < arm.floor
+    cost, found = (np.inf, start) if low else _search(arm, load, goal, start, THOROUGH)
     if cost < redundancy.FAR:
         return "", found, goal[:3]
-    return _why(arm, load, goal, start, found if cost < np.inf else None, closest), *_nearby(arm, load, goal, start)
+    away, best, place = _nearby(arm, load, goal, start)
+    by, near = "", "no place that works was found"
+    if away < np.inf:
+        by = f" by {1e3 * away:.1f} mm"
+        near = "the nearest place that works is ({:.0f}, {:.0f}, {:.0f}) mm".format(*(1e3 * place + 0.0))
+    if low:
+        why = f"below the floor at {1e3 * arm.floor:.1f} mm"
+    else:
+        why = _why(arm, load, goal, start, found if cost < np.inf else None) or f"out of reach{by}"
+    return f"{why}; {near}", best, place
 
 
-def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None, closest: Array) -> str:
-    """Reason why a goal is refused; ``found`` (n,): its best posture, ``closest`` (n,): one beside it."""
+def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None) -> str:
+    """Reason why a goal is refused, empty if out of reach; ``found`` (n,): its best posture."""
     if found is None and goal[16] > 0.0:
-        cost, place, closest = _search(arm, load, np.append(goal[:16], 0.0), start, THOROUGH)
+        cost, place = _search(arm, load, np.append(goal[:16], 0.0), start, THOROUGH)
         if cost < redundancy.FAR:
             return "the orientation cannot be reached there; the place alone can"
         found = place if cost < np.inf else None
     if found is None:
-        away = float(np.linalg.norm(goal[:3] - tcp_position(arm, closest)))
-        return f"out of reach by {1e3 * away:.1f} mm"
+        return ""
     body = body_of(arm)
     room = clearances_of(arm, body.shape, found) - np.append(np.full(arm.joints, -2.0 * TOLERANCE), body.least)
     if room.min() < 0.0:
-        cost, found, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
+        cost, found = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
         if cost >= redundancy.FAR:
             what, other = contact(arm, int(np.argmin(room)))
             return f"in collision: {what} would touch {other}"
@@ -262,27 +265,33 @@ def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
     return j if share > 100.0 else None, why
 
 
-def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Array]:
-    """Posture (n,) and place (3,) [m] nearest to the goal, by bisection from stored postures."""
-    load, pool = np.stack([load[0], SURE * load[1]]), pool_of(arm)
-    away = np.linalg.norm(pool.place - goal[:3], axis=-1)
-    away[(np.abs(pool.torque) > load[1]).any(axis=-1)] = np.inf
-    best, least = start, np.inf
-    for k in np.argsort(away)[:_TRIED]:
-        works, share = pool.posture[k], 0.0
+def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[float, Array, Array]:
+    """Distance [m] of the nearest place in whole mm that works, its posture (n,) and place (3,); infinity: the start's.
+
+    By bisection from stored postures; each place is tried as it will be named.
+    """
+    load, pool, rows = np.stack([load[0], SURE * load[1]]), pool_of(arm), _promising(arm, load, goal, start, POOL)
+    rows = rows[(np.abs(pool.torque[rows]) <= load[1]).all(axis=-1)]
+    aim, best = np.append(goal[:2], max(goal[2], arm.floor)), (np.inf, start, tcp_position(arm, start))
+    rays = 0
+    for begin in pool.place[rows[_RANKS[len(rows) > _RANKS]]]:
+        share = 0.0
         for step in _STEPS:
-            trial = goal.copy()
-            trial[:3] = pool.place[k] + (share + step) * (goal[:3] - pool.place[k])
-            found = _choose(arm, load, trial, works, False)
-            if found is not None:
-                share, works = share + step, found
-        trial[:3] = pool.place[k] + max(share - INSIDE / max(away[k], INSIDE), 0.0) * (goal[:3] - pool.place[k])
-        found = _choose(arm, load, trial, works, False)
-        works = works if found is None else found
-        missed = float(np.linalg.norm(tcp_position(arm, works) - goal[:3]))
-        if missed < least:
-            best, least = works, missed
-    return np.array(best), tcp_position(arm, best)
+            trial = np.append(1e-3 * np.round(1e3 * (begin + (share + step) * (aim - begin))), goal[3:])
+            away = float(np.linalg.norm(trial[:3] - goal[:3]))
+            if away < best[0]:
+                found = _choose(arm, load, trial, start, False)
+                if found is None and step == 0.0:
+                    break
+                if found is None:
+                    continue
+                best = away, found, trial[:3]
+            share += step
+        else:
+            rays += 1
+        if rays == _TRIED:
+            break
+    return best
 
 
 def _neighbours(arm: Arm, goal: Array, other: Array) -> bool:

@@ -174,22 +174,17 @@ def stay(body, goal, start, load, near):  # noqa: ANN001, ANN201
     return _descend(body, goal, q, start, load, NEAR_REACH if near else np.inf, DESCENTS), q
 
 
-@compiled(types.Tuple((float64, OUT1, OUT1))(BODY, OUT2, IN1, IN1, IN2, int64, int64))
+@compiled(types.Tuple((float64, OUT1))(BODY, OUT2, IN1, IN1, IN2, int64, int64))
 def search(body, found, goal, start, load, bests, descents):  # noqa: ANN001, ANN201
-    """Cost, or infinity, and best posture (n,) of a goal, and the one with the least error.
+    """Cost, or infinity, and best posture (n,) of a goal.
 
     All postures ``found`` (S, n) are moved to the goal; the ``bests`` different ones are improved.
     """
-    cost, least = np.full(len(found), np.inf), np.inf
-    nearest = start.copy()
+    cost = np.full(len(found), np.inf)
     for s in range(len(found)):
-        missed = solve(body.chain, goal, found[s], body.inner, 0.0, ROUNDS, TOLERANCE)
-        if missed < least:
-            fill(nearest, found[s])
-            least = missed
-        if missed < TOLERANCE:
+        if solve(body.chain, goal, found[s], body.inner, 0.0, ROUNDS, TOLERANCE) < TOLERANCE:
             cost[s] = _cost(body, found[s], start, load)
-    best, q = np.inf, nearest.copy()
+    best, q = np.inf, start.copy()
     for _ in range(bests):
         s = int(np.argmin(cost))
         if cost[s] == np.inf:
@@ -201,7 +196,7 @@ def search(body, found, goal, start, load, bests, descents):  # noqa: ANN001, AN
         value = _descend(body, goal, chosen, start, load, np.inf, descents)
         if value < best:
             best, q = value, chosen
-    return best, q, nearest
+    return best, q
 
 
 ROUNDING = 1e-7

@@ -247,8 +247,7 @@ def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None
     goals = choose_postures(arm, points, arm.rest, turn=turns)
     bad = [k for k, why in enumerate(goals.refusals) if why]
     told = [
-        f"{names[k]}: {in_mm(points[k])} {'' if turns is None else f'with {in_words(turns[k])}: '}{goals.refusals[k]}; "
-        f"the nearest place that works is {in_mm(np.round(goals.nearest[k], 3))}"
+        f"{names[k]}: {in_mm(points[k])} {'' if turns is None else f'with {in_words(turns[k])}: '}{goals.refusals[k]}"
         for k in bad[:_NAMED]
     ]
     if bad and turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):

@@ -183,10 +183,7 @@ class ArmSession(ArmDriver):
         for k, why in enumerate(found.refusals):
             if why:
                 number = f" {k + 1}" if len(targets) > 1 else ""
-                raise InputError(
-                    f"target{number} {in_mm(targets[k])}: {why}; the nearest place that works is "
-                    f"{in_mm(found.nearest[k])}"
-                )
+                raise InputError(f"target{number} {in_mm(targets[k])}: {why}")
         return with_ways(self.arm, found.q, start, motors=self.motors)
 
     def move_joints(
