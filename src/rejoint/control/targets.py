@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, Box, choose_postures
+from rejoint.arms import Arm, Array, Box, Motors, choose_postures
 from rejoint.arms.collision import collides
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import (
@@ -101,14 +101,13 @@ class Pose:
         if self.direction is not None:
             return pointing(axis, np.asarray(self.direction, dtype=float))
         if self.angles_rad is not None:
-            return to_pose(np.concatenate([np.zeros(3), np.asarray(self.angles_rad, dtype=float)]))[:3, :3]
+            return to_pose(np.append(np.zeros(3), self.angles_rad))[:3, :3]
         return np.eye(3) if self.quaternion is None else rotation_of(np.asarray(self.quaternion, dtype=float))
 
 
 def placed(arm: Arm, poses: Sequence[Pose]) -> Poses:
     """Places (K, 3) [m] and orientations (K,); None for points alone."""
-    places = np.array([pose.place_m for pose in poses], dtype=float)
-    return places.reshape(-1, 3), oriented(tool_axis(arm), poses)
+    return np.array([pose.place_m for pose in poses], dtype=float).reshape(-1, 3), oriented(tool_axis(arm), poses)
 
 
 def oriented(axis: Array, poses: Sequence[Pose]) -> Orientation | None:
@@ -134,22 +133,22 @@ def in_words(turn: Orientation) -> str:
         return ""
     if not turn.whole:
         return "direction {:.2f} {:.2f} {:.2f}".format(*(np.round(turn.rotation @ turn.axis, 2) + 0.0))
-    angles = np.degrees(roll_pitch_yaw(turn.rotation))
-    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(angles, 1) + 0.0))
+    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(np.degrees(roll_pitch_yaw(turn.rotation)), 1) + 0.0))
 
 
 def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[list[int], Array, list[Pose]]:
     """Read a file with columns ``first``, and perhaps orientations: lines, first column [s, m] and poses; FileError."""
     found, lines = read_columns(path, _MEANINGS, first, most=most, exact=False)
     kind, own = next(((kind, own) for kind, own in KINDS.items() if found.keys() >= {*own}), ("", ()))
-    at, end = len(first), len(first) + len(own)
+    at = len(first)
+    end = at + len(own)
     names = [*first, *own, *["weight"] * (bool(own) and "weight" in found)]
     if found.keys() != {*names}:
-        units = "mm and deg" if first == PLACE else "s, mm and deg"
         raise FileError(
             path,
             f"the columns are {', '.join(found)}, expected {','.join(first)}",
-            f"name them so, and perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
+            f"name them so, and perhaps {ORIENTED}; in {'s, ' * (first != PLACE)}mm and deg where no title names a "
+            "unit, such as x_m",
         )
     values = np.column_stack([found[name] for name in names])
     poses = []
@@ -175,11 +174,11 @@ def knots_of(turn: Orientation) -> Array:
 
 def turned_as(knots: Array, axis: Array, weight: float) -> Orientation:
     """Orientations (...) of directions (..., 3) or quaternions (..., 4)."""
-    shape, whole = knots.shape[:-1], knots.shape[-1] == 4
+    *shape, size = knots.shape
     return Orientation(
-        rotation=rotation_of(knots) if whole else pointing(axis, knots),
+        rotation=rotation_of(knots) if size == 4 else pointing(axis, knots),
         axis=axis,
-        whole=np.full(shape, whole),
+        whole=np.full(shape, size == 4),
         weight=np.full(shape, weight),
     )
 
@@ -202,8 +201,8 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
     """Draw (sets, count, 3) [m] targets in the arm's region; more sets keep the first ones."""
     if sets < 1 or count < 1:
         raise InputError(f"targets: expected at least 1 set of at least 1, got {sets} of {count}")
-    streams = np.random.SeedSequence(seed).spawn(sets)
-    return np.stack([draw_set(arm, np.random.default_rng(stream), count) for stream in streams])
+    seeds = np.random.SeedSequence(seed)
+    return np.stack([draw_set(arm, np.random.default_rng(stream), count) for stream in seeds.spawn(sets)])
 
 
 _DRAWS, _AWAY = 100, 0.01
@@ -217,8 +216,9 @@ def draw_set(arm: Arm, rng: np.random.Generator, count: int) -> Array:
     """
     if not arm.keep_out:
         return arm.targets.sample(rng, (count,))
-    around = tuple(Box(lower=box.lower - _AWAY, upper=box.upper + _AWAY) for box in arm.keep_out)
-    crowded = replace(arm, keep_out=around)
+    crowded = replace(
+        arm, keep_out=tuple(Box(lower=box.lower - _AWAY, upper=box.upper + _AWAY) for box in arm.keep_out)
+    )
     found, begin, share = list[Array](), arm.rest[None], np.linspace(0.0, 1.0, 20)[:, None, None]
     for _ in range(_DRAWS * count):
         place = arm.targets.sample(rng, (1,))
@@ -230,27 +230,28 @@ def draw_set(arm: Arm, rng: np.random.Generator, count: int) -> Array:
     raise InputError("keep_out: too few targets beside the boxes have straight ways; give targets, or other boxes")
 
 
-def read_targets(path: Path, arm: Arm) -> Poses:
+def read_targets(path: Path, arm: Arm, motors: Motors | None = None) -> Poses:
     """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None; FileError."""
     lines, _, poses = read_poses(path, _MOST)
     if not lines:
         raise FileError(path, "no targets below the header", "add one line per target")
     targets, turns = placed(arm, poses)
-    problem = refused(arm, [f"line {number}" for number in lines], targets, turns)
-    if problem:
+    if problem := refused(arm, [f"line {number}" for number in lines], targets, turns, motors):
         raise FileError(path, problem, f"give places that the arm reaches{unit_hint(targets)}")
     return targets, turns
 
 
-def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None = None) -> str:
-    """Why ``points`` (K, 3) [m] are impossible, or empty."""
-    goals = choose_postures(arm, points, arm.rest, turn=turns)
-    bad = [k for k, why in enumerate(goals.refusals) if why]
+def refused(
+    arm: Arm, names: list[str], points: Array, turns: Orientation | None = None, motors: Motors | None = None
+) -> str:
+    """Why ``points`` (K, 3) [m] are impossible, or empty; without ``motors`` none is too heavy."""
+    why = choose_postures(arm, points, arm.rest, turn=turns, motors=motors).refusals
+    bad = np.flatnonzero(why)
     told = [
-        f"{names[k]}: {in_mm(points[k])} {'' if turns is None else f'with {in_words(turns[k])}: '}{goals.refusals[k]}"
+        f"{names[k]}: {in_mm(points[k])} {'' if turns is None else f'with {in_words(turns[k])}: '}{why[k]}"
         for k in bad[:_NAMED]
     ]
-    if bad and turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):
+    if turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):
         told.append(f"an arm of {arm.joints} joints has a direction dx,dy,dz at most")
     return "; ".join(told) + (f"; and {len(bad) - _NAMED} more" if len(bad) > _NAMED else "")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, cast
 
 from numpy.typing import ArrayLike
 
-from rejoint.arms import CATALOGUE, Arm, Array, Box, collides, differing, load_arm
+from rejoint.arms import CATALOGUE, Arm, Array, Box, Motors, collides, differing, load_arm
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, refused
@@ -182,15 +182,17 @@ def arm_of_twin(twin: TwinLike) -> Arm:
     return arm_named(as_twin(twin).arm, "the twin is")
 
 
-def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:
+def as_targets(
+    given: Targets | None, arm: Arm, *, sets: int, seed: int, motors: Motors | None = None
+) -> tuple[Array, Orientation | None]:
     """Return targets (S, K, 3) [m], given, read or drawn, and orientations (S, K) or None.
 
-    InputError or FileError for those out of reach.
+    InputError or FileError for those out of reach or too heavy.
     """
     if given is None:
         return draw_targets(arm, sets=sets, seed=seed), None
     if isinstance(given, Path | str):
-        points, turns = read_targets(Path(given), arm)
+        points, turns = read_targets(Path(given), arm, motors)
         return points[None], turns and turns[None]
     kinds = {isinstance(one, Pose) for one in given} if isinstance(given, Iterable) else set()
     if len(kinds) > 1:
@@ -203,7 +205,7 @@ def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tupl
     points, turns = points[None] if points.ndim == 2 else points, turns and turns[None]
     sets, count, _ = points.shape
     names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
-    if problem := refused(arm, names, points.reshape(-1, 3), turns and turns.flat):
+    if problem := refused(arm, names, points.reshape(-1, 3), turns and turns.flat, motors):
         raise InputError(f"targets: {problem}")
     return points, turns
 

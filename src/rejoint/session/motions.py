@@ -109,7 +109,7 @@ def deploy(
 def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[ArmMotion], Deployed]:
     """Return what drives to ``targets``; InputError if impossible, before anything moves."""
     arm, settings = session.arm, session.settings
-    points, turned = as_targets(targets, arm, sets=1, seed=session.seed)
+    points, turned = as_targets(targets, arm, sets=1, seed=session.seed, motors=session.motors)
     if len(points) != 1:
         raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
     if turned is not None and settings.eye is not None:
