@@ -70,9 +70,8 @@ IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
 
 UNKNOWN = {
-    "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does "
-    "not load it enough in these motions, they disagree too much, or it sags so little that its controller may carry "
-    "the weight.",
+    "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told. Gravity does "
+    "not load it enough in these motions, they disagree too much, or its controller may carry the weight.",
     "lag_s": "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too "
     "weak, in one direction only, with readings too far apart or without commands.",
     "overshoot": "Whether {} shoots over cannot be told: too few steps.",

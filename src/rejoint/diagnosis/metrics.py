@@ -24,7 +24,7 @@ from scipy import ndimage
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
-from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
+from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, QUIET, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
 from rejoint.logs.exclusions import free_runs, joint_speed
 from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
@@ -206,7 +206,7 @@ class Law(LinearFit):
     torque_range: float
     """[N m] of gravity"""
     farthest: float
-    """[rad] following error that the law leaves, exceeded in one of a hundred windows"""
+    """[rad] 99 % quantile of the following error that the law leaves"""
     follows: float = 1.0
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
     moments: Array | None = None
@@ -336,6 +336,8 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     time, both = data.log.time[rows], np.stack([data.log.command[rows, joint], data.log.position[rows, joint]], axis=1)
     error = both[:, 0] - both[:, 1] - offset - softness * data.gravity[rows, joint]
     runs = free_runs(joint_speed(time, both) < AT_REST, time, SETTLED_LAST)
+    left = (joint_speed(time, both[:, :1]) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
+    runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
     moving = 0.0 if law is None or data.of_kind(SWEEP) else law.farthest
     return float(max([moving, *(abs(error[a:b].mean()) - width for a, b in runs)]))
 

@@ -163,7 +163,7 @@ LONGEST = 300.0
 """[s] longest span of free motion; chosen"""
 
 QUIET, SETTLED_HOLD = 1.0, 2.0
-"""[s] of constant commands of a step or rest, and of a hold in which what swings has died out; chosen"""
+"""[s] of constant commands of a step or rest, and of a hold that outlasts a swing; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
 """[s] and [rad] of a command step; chosen"""
