@@ -284,11 +284,13 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
         found = found.take(seen)
     if found.command is not None:
-        told = np.asarray(np.isfinite(found.command).any(axis=1))
-        if early := int(told.argmax()):
-            table.notes.append(f"state: {early} samples before the first command left out")
-        held = np.maximum.accumulate(np.where(told, np.arange(len(told)), 0))  # a command holds until the next
-        found = replace(found, command=found.command[held]).take(np.arange(early, len(found)))
+        known = np.asarray(np.isfinite(found.command).any(axis=1))
+        early, late = int(known.argmax()), int(known[::-1].argmax())
+        for count, where in ((early, "before the first"), (late, "after the last")):
+            if count:
+                table.notes.append(f"state: {count} samples {where} command left out")
+        held = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))  # a command holds until the next
+        found = replace(found, command=found.command[held]).take(np.arange(early, len(found) - late))
     return replace(found, notes=table.notes)
 
 
