@@ -127,7 +127,7 @@ class ServedArm(Computer, Reference):
         if self.lock.acquire(blocking=False):  # else a posture is being searched: the reference waits
             try:
                 self._observe(now.state)
-                under_way = self.motion.moving or self.motion.paused
+                under_way = self.motion.moving or (self.motion.paused and not self._settled)
                 if under_way or np.isinf(self._since):
                     self._aim = self._apparent.measured(self.motion.reference)
                 wanted = replace(now, goal=self._aim[None], arrived=np.array([not under_way]))
@@ -225,9 +225,16 @@ class ServedArm(Computer, Reference):
             self._since, self._settled, self._stopped = np.inf, False, True
 
     def stand_by(self) -> None:
-        """Hold, as nobody is there to see a swing; only a last approach goes on."""
+        """Hold: no client sees a swing; only a last approach goes on."""
         if self._unloading.give_up() or self.motion.moving:
             self.stop()
+        self.motion.paused = False
+
+    def pause(self, on: bool) -> None:
+        """Hold or continue; a swing ends where it is."""
+        if on and self._unloading.give_up():
+            self.stop()
+        super().pause(on)
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
