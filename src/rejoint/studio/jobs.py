@@ -300,7 +300,7 @@ def serve(studio: Studio, listen: str) -> None:
 
 def export(studio: Studio, kind: str, lerobot: str) -> None:
     """Write what the run has found for other programs; ``lerobot``: calibration file of LeRobot."""
-    path, told = export_run(studio.begin_run(), kind, lerobot=Path(lerobot) if lerobot else None)
+    path, told = export_run(studio.begin_run(), kind, lerobot=Path(lerobot) if lerobot and kind == "lerobot" else None)
     studio.change(done=f"{path}: {told}")
 
 

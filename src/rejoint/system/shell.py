@@ -62,13 +62,17 @@ def is_loopback(host: str) -> bool:
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
     """Listen on a TCP port, 0: any free one; InputError."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
     try:
-        listener = socket.create_server((host, port), backlog=backlog)  # of IPv4 as the vendor's client
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
+            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
+        listener.bind((host, port))
+        listener.listen(backlog)
+        listener.setblocking(False)
     except (OSError, OverflowError) as error:
+        listener.close()
         raise InputError(f"cannot listen on {host}:{port} ({error.args[-1]}); choose another host or port") from error
-    for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
-        listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
-    listener.setblocking(False)
     return listener
 
 
