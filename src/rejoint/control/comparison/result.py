@@ -172,7 +172,7 @@ class Protocol:
     """[m] (chosen)"""
 
     def __post_init__(self) -> None:
-        least = min(self.threshold, self.dwell, self.window, *self.within)
+        least = np.min([self.threshold, self.dwell, self.window, *self.within])
         if not (self.within and least > 0.0 and self.window < self.hold):
             raise InputError(f"expected positive numbers, and a window that is shorter than the hold, got {self}")
 
