@@ -35,7 +35,7 @@ from rejoint.pages.report import tables
 from rejoint.pages.report.figures import Gallery, in_base
 from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
-from rejoint.system.errors import FileError
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, reading, write_json, write_text
 from rejoint.system.records import entity, value_type
 from rejoint.system.shell import command
@@ -231,7 +231,10 @@ def read_contents(path: Path) -> Contents:
     folder = RunFolder(path)
     info = read_info(folder.info)
     settings = read_settings(folder)
-    arm = loaded(load_arm(folder.arm(info.arm)), settings.payload, settings.tool)
+    try:
+        arm = loaded(load_arm(folder.arm(info.arm)), settings.payload, settings.tool)
+    except InputError as error:
+        raise FileError(folder.settings, str(error), "bring back the settings of this run") from error
     readers: dict[str, Callable[[Path], Any]] = {
         "diagnosis": partial(read_json, kind=Diagnosis),
         "twin": read_twin,
