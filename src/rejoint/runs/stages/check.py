@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import Arm
+from rejoint.arms import CATALOGUE, Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -168,7 +168,8 @@ def check(
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
-    described = () if arm is None else ("--arm", arm.name if isinstance(arm, Arm) else arm)
+    named = (arm.name if arm.name in CATALOGUE else None) if isinstance(arm, Arm) else arm
+    described = () if named is None else ("--arm", named)
     with pacing(observer) as update, ExitStack() as stack:
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm
             home = Path(stack.enter_context(TemporaryDirectory(prefix="rejoint-dry-run-")))
