@@ -62,7 +62,7 @@ that gains most; chosen
 ENOUGH = 300.0
 """[s] of free motion that tell signs; chosen"""
 
-EXPLAINED = 0.85
+SAG_EXPLAINED = 0.85
 """Share of the sag that gravity explains in logs of right signs and order; measured"""
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
@@ -246,7 +246,7 @@ def sag_doubt(data: ExcitationLog) -> str:
             "carries more than the weight"
         )
         tried.append((_explained(pulls, along), base))
-    if right.sum() < EXPLAINED * (pulls[..., 3] ** 2).sum():
+    if right.sum() < SAG_EXPLAINED * (pulls[..., 3] ** 2).sum():
         free = data.of_kind(FREE)
         few = tuple(free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)])
         ways = [(way, f"{name} turned the other way: check its sign") for name, way in zip(names, eye, strict=True)]

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.arms import Array, Box
-from rejoint.arms.inertia import Payload
+from rejoint.arms import Arm, Array, Box
+from rejoint.arms.inertia import Payload, loaded
 from rejoint.logs.journal import recover
 from rejoint.system.errors import LOGGER, FileError
 from rejoint.system.files import UNFINISHED, read_json, read_json_if, write_json, writing
@@ -67,6 +67,10 @@ class KeptSettings:
     keep_out: tuple[Box, ...] = ()
     period: tuple[float, float] | None = None
     within: float | None = None
+
+    def laden(self, arm: Arm) -> Arm:
+        """Return an ``arm`` with payload and tool; InputError where it cannot bear them."""
+        return loaded(arm, self.payload, self.tool)
 
     def given(self) -> dict[str, Any]:
         """Return the fields that were given."""

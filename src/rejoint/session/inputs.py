@@ -304,8 +304,7 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
 
 def laden(run: Run) -> Arm:
     """Return the arm with payload and tool of its diagnosis."""
-    mine = kept(run)
-    return loaded(run.arm, mine.payload, mine.tool)
+    return kept(run).laden(run.arm)
 
 
 def equipped(arm: Arm, robot: RobotLike | None, settings: Settings) -> Arm:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
-from rejoint.arms.inertia import loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
 from rejoint.control.comparison import protocols, recommend
@@ -232,7 +231,7 @@ def read_contents(path: Path) -> Contents:
     info = read_info(folder.info)
     settings = read_settings(folder)
     try:
-        arm = loaded(load_arm(folder.arm(info.arm)), settings.payload, settings.tool)
+        arm = settings.laden(load_arm(folder.arm(info.arm)))
     except InputError as error:
         raise FileError(folder.settings, str(error), "bring back the settings of this run") from error
     readers: dict[str, Callable[[Path], Any]] = {
