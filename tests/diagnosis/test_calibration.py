@@ -151,6 +151,15 @@ def test_the_gate_refuses_to_correct_noise():
     assert refused >= 6
 
 
+def test_a_wrong_earlier_calibration_is_not_believed():
+    m = measured(worn(0), 10)
+    wrong = fit(ARM, replace(m, point=m.point @ turned(np.radians([0.0, 0.0, 5.0])).T))
+    assert wrong.used
+    found, q = fit(ARM, m, prior=wrong), postures(40, seed=99)
+    assert found.used
+    np.testing.assert_allclose(found.tool(q), fitted(0, 10).tool(q), atol=1e-4)
+
+
 def test_one_misread_point_corrects_nothing():
     m = measured(Displacement.none(ARM), 1)
     assert not fit(ARM, replace(m, point=m.point - [0.0, 0.0, 0.025])).used

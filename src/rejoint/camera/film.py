@@ -25,7 +25,7 @@ from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, read_picture
 from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import ANYWHERE, Belief, Calibration, PriorCase, belief
-from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, earlier, judged, likeliest, solve
+from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, judged, likeliest, solve
 from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
 from rejoint.diagnosis.regression import fit_clustered
 from rejoint.logs.runfolder import RunFolder
@@ -115,9 +115,8 @@ class Film:
         sights = np.array([one.pose for one in placed])
         by_lens, told = _lens_ties(rig.lens, board, views, sights)
         outside = with_lens(told)
-        own = belief(arm, USUAL, outside) if prior is None else earlier(arm, prior, outside)
         problem = replace(
-            film_problem(own, arm, rig, positions(shots), sights),
+            film_problem(belief(arm, USUAL, outside), arm, rig, positions(shots), sights),
             by_lens=by_lens,
             spread=rig.spread(sights, np.array([one.covariance for one in placed])),
             posture=np.array([shot.posture for shot in shots], dtype=np.int64),

@@ -13,7 +13,7 @@ from rejoint.arms.rotations import REACHED_TURN
 from rejoint.cli.console import Shown
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
-from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed, fitting
+from rejoint.diagnosis.calibration.fit import DISTURBED, disturbed, fitting
 from rejoint.logs.runfolder import Effort, cost
 from rejoint.pages.words import grouped, plural
 
@@ -58,19 +58,14 @@ def calibration(found: rejoint.Calibrated) -> Shown:
     own, filmed = found.calibration, found.filmed
     for name, why in () if filmed is None else filmed.left_out:
         yield f"  ! {name} is not used: {why}"
-    if wrong := astray(own.arm, own.missed):  # then nothing fits to anything
-        yield (
-            "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
-            "the points right, and is it this arm?"
-        )
-    for row in () if wrong else own.suspects:
+    for row in own.suspects:
         name = (
             f"Measurement {row + 1} ({_place(found.measurements.point[row])} mm)"
             if filmed is None
             else filmed.residuals[row].name
         )
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
-    if disturbed(own.suspects, own.points) and not wrong:
+    if disturbed(own.suspects, own.points):
         yield f"  ! {DISTURBED}"
     if filmed is not None:
         rig = filmed.rig

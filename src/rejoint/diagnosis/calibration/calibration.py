@@ -262,11 +262,6 @@ class Calibration(Readable):
     """(M, 2) [m] errors ``before`` and ``after``"""
 
     @property
-    def missed(self) -> Array:
-        """(M,) [m] error at each point, by the others."""
-        return self.left_out[:, 1] if len(self.left_out) else np.array([self.after])
-
-    @property
     def layout(self) -> DisplacementLayout:
         """Places of the parameters in the covariance."""
         return DisplacementLayout(self.arm)

@@ -244,16 +244,7 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     numbers = np.unique(measured.posture)
     gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
     noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
-    return (
-        len(numbers) >= FEWEST
-        and not astray(arm, after)
-        and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
-    )
-
-
-def astray(arm: Arm, after: Array) -> bool:
-    """Whether over a fifth of the errors (M,) [m] are too large."""
-    return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
+    return len(numbers) >= FEWEST and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
 
 
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
@@ -327,11 +318,12 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
 
 
 def beliefs_of(arm: Arm, prior: Calibration | None, outside: Array) -> list[Belief]:
-    """Priors of an arm: an earlier calibration, or every case; ``outside``: see `belief`."""
-    if prior is not None:
-        prior.require(arm)
-        return [earlier(arm, prior, outside)]
-    return [belief(arm, case, outside) for case in CASES]
+    """Priors of an arm: every case, and an earlier calibration, which may be wrong; ``outside``: see `belief`."""
+    cases = [belief(arm, case, outside) for case in CASES]
+    if prior is None:
+        return cases
+    prior.require(arm)
+    return [earlier(arm, prior, outside), *cases]
 
 
 def earlier(arm: Arm, prior: Calibration, outside: Array = NOTHING) -> Belief:
@@ -352,8 +344,14 @@ def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem,
 
 
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
-    """Make a calibration of a fit, tested on rows left out."""
+    """Make a calibration of a fit, tested on rows left out; InputError for what no arm is."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
+    if (off := np.quantile(after, 0.8, method="lower")) > ASTRAY * reach(problem.arm):
+        raise InputError(
+            f"points lie {1e3 * off:.0f} mm or more from where the others put the tool, and no arm is that far from "
+            "its description: are units, columns, joint positions and the frame of the points right, and is it this "
+            "arm?"
+        )
     freedom = problem.known[:, :3].sum(axis=1)
     excess = surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)  # by chi-squared
     suspects = tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
