@@ -1,6 +1,7 @@
 """Measuring by hand: what a person has typed is never asked for again, whatever interrupts it."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,9 +98,17 @@ def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, 
 
 def test_what_was_interrupted_can_be_fitted_as_it_is_and_is_at_its_end_then(run):
     leave(run, 5)
+    before = run.folder.measurements.read_bytes()
     found = rejoint.calibrate(run=run, gauge=run.folder.measurements)
     assert found.calibration.points == 4
     assert read_interrupted(run.folder.measurements, ARM) is None
+    assert next(run.path.glob("measurements-*.json")).read_bytes() == before
+
+    whole = run.folder.calibration.read_bytes()
+    wrong = replace(found.measurements, point=0.1 * found.measurements.point)  # cm as mm
+    with pytest.raises(InputError, match="units"):
+        rejoint.calibrate(run=run, gauge=wrong)
+    assert run.folder.calibration.read_bytes() == whole
 
 
 def test_a_damaged_session_is_one_line_and_no_guess(run):

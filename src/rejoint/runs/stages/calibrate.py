@@ -56,9 +56,9 @@ def _measured(
     *,
     fresh: bool,
 ) -> tuple[Measurements, Calibration | None]:
-    robot, file = drive.robot, None if run is None else run.folder.measurements
+    robot, file = drive.robot, run.folder.measurements if run else None
     found, session = None, MeasuringSession(plan="", answered=0, fresh=fresh)
-    if file is not None and file.exists() and not fresh:
+    if file and file.exists() and not fresh:
         try:
             found, session = read_interrupted(file, robot.arm) or (None, session)
         except FileError as error:
@@ -76,12 +76,12 @@ def _measured(
             )
         else:
             log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
-    again = ["--fresh"] if session.fresh else []
+    again = ["--fresh"] * session.fresh
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
     with kept(file, fresh=session.fresh, more=f", and this fits it: {fits}"):
         for measured, answered in measure(drive, gauge, plan, found, session.answered, on_progress):
             found = measured
-            if file is not None and found is not None:
+            if file and found is not None:
                 write_measurements(file, robot.arm, found, replace(session, plan=plan.digest, answered=answered))
         drive.rest()
         if found is None:
@@ -200,7 +200,7 @@ def calibrate(
                 session.run = about = about and about.begin()
                 drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                 if isinstance(by, FilmingGauge):
-                    folder = None if about is None else about.folder
+                    folder = about.folder if about else None
                     measured = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
                 else:
                     measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
@@ -210,6 +210,8 @@ def calibrate(
             with saving(result):
                 about.begin()
                 write_calibration(set_aside(about.folder.calibration), result.calibration)
+                if before is not None or result.filmed is not None:  # else set aside before the first one
+                    set_aside(about.folder.measurements)
                 # from then on nothing goes on from them
                 write_measurements(about.folder.measurements, about.arm, result.measurements)
                 if result.filmed is not None:
