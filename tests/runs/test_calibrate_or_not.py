@@ -1,17 +1,20 @@
 """Whether a repair calibrates: what is asked for at the command line, and what is done because of it."""
 
 import io
+import os
+import signal
 import sys
 
 import pytest
 
 import rejoint
 from hearing import Hears
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, typed
 from rejoint.cli.upkeep import gauge_by_word
 from rejoint.diagnosis.calibration.procedure import TouchGauge, TrackerGauge
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError
+from rejoint.system.stopping import Interrupted, noted
 
 
 def test_words_stand_for_what_measures(tmp_path, monkeypatch):
@@ -25,6 +28,19 @@ def test_words_stand_for_what_measures(tmp_path, monkeypatch):
     tracker = gauge_by_word(terminal, "emulated:worn", f"tracker={file}", 0)
     assert isinstance(tracker, TrackerGauge)
     assert tracker.path == file
+
+
+def test_a_signal_ends_the_wait_for_a_line(monkeypatch):
+    out, into = os.pipe()
+    monkeypatch.setattr(sys, "stdin", os.fdopen(out, closefd=False))  # open as long as its reader
+    os.write(into, b"1 2 3\n4 ")
+    lines = typed()
+    with noted():
+        assert next(lines) == b"1 2 3\n"
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(Interrupted):
+            next(lines)
+    os.close(into)
 
 
 def test_nobody_types_where_standard_input_is_closed(monkeypatch):

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from queue import Empty, Queue
+from threading import Thread
 from typing import IO, Any, Literal, TextIO, cast
 
 import msgspec
@@ -25,7 +27,7 @@ from rich.text import Text
 
 from rejoint.system.progress import Progress
 from rejoint.system.shell import is_loopback
-from rejoint.system.stopping import raise_again
+from rejoint.system.stopping import check, raise_again
 
 WIDTH = 80
 """Characters of a line of a table where the terminal does not say its own"""
@@ -172,6 +174,32 @@ class Terminal:
                 bar.update(task, completed=share, total=1.0 if share else None, what=what)  # none: it only moves
 
             yield update
+
+
+LOOK = 0.05
+"""[s] between two looks for signals (chosen)"""
+LONGEST = 1 << 16
+"""[bytes] of a line (chosen: a hundred times what it needs)"""
+
+
+def typed(meanwhile: Callable[[], object] = lambda: None) -> Iterator[bytes]:
+    """Yield the lines of standard input; waiting for one blocks neither signals nor ``meanwhile``."""
+    came = Queue[bytes](1)
+
+    def read() -> None:
+        with open(sys.stdin.fileno(), "rb", closefd=False) as file, suppress(OSError):
+            while line := file.readline(LONGEST):
+                came.put(line)
+        came.put(b"")
+
+    Thread(target=read, daemon=True).start()
+    while True:
+        check()
+        meanwhile()
+        with suppress(Empty):
+            if not (line := came.get(timeout=LOOK)):
+                return
+            yield line
 
 
 def _parts(columns: Sequence[Sequence[str]], most: int) -> list[list[Sequence[str]]]:

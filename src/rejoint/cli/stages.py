@@ -3,7 +3,6 @@
 import math
 import os
 import secrets
-import select
 import sys
 import webbrowser
 from importlib.metadata import entry_points
@@ -17,7 +16,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import HERE, picked
+from rejoint.cli.console import HERE, picked, typed
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
@@ -32,7 +31,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command, host_and_port, is_loopback
-from rejoint.system.stopping import check, noted
+from rejoint.system.stopping import noted
 
 
 @takes
@@ -384,12 +383,6 @@ def serve(
     return done
 
 
-LOOK = 0.05
-"""[s] between two looks whether the arm is still driven (chosen)"""
-LONGEST = 1 << 16
-"""[bytes] of a line (chosen: a hundred times what it needs)"""
-
-
 class Order(msgspec.Struct, forbid_unknown_fields=True):
     """A line from the other program; an empty object asks for the state alone."""
 
@@ -411,8 +404,7 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
         arm.hold()
         middle = detail.middle(arm.arm).tolist() if isinstance(detail, ServoAddress) else [0.0] * arm.arm.joints
         _answer({"joints": arm.arm.joint_names, "middle": middle, "gripper": gripper is not None})
-        came = bytearray()
-        while (line := _next(arm, came)) is not None:
+        for line in typed(arm.hold):
             _answer(_obey(arm, gripper, line))
 
 
@@ -425,26 +417,6 @@ def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, An
     if gripper is not None and order.gripper is not None:
         gripper.goal = order.gripper
     return {"position": arm.shown_joints().tolist(), "goal": taken, "gripper": gripper and gripper.opened}
-
-
-def _next(arm: ArmSession, came: bytearray) -> bytes | None:
-    """Wait for a line; None at the end of input.
-
-    Half a line waits in ``came``, and blocks neither signals nor errors.
-    """
-    while True:
-        check()
-        arm.hold()
-        line, end, rest = came.partition(b"\n")
-        if end or len(came) > LONGEST:
-            came[:] = rest
-            return bytes(line)
-        if select.select([sys.stdin], [], [], LOOK)[0]:
-            more = os.read(sys.stdin.fileno(), LONGEST)
-            if not more:
-                came.clear()
-                return bytes(line) or None
-            came += more
 
 
 def _answer(content: dict[str, Any]) -> None:

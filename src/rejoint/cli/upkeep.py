@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, picked
+from rejoint.cli.console import Terminal, picked, typed
 from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
@@ -163,7 +164,7 @@ def gauge_by_word(
                 "--measure touch asks at the terminal, and there is none; measure into a file and give "
                 "--measure points=FILE"
             )
-        ask, frame = partial(_ask, terminal), means.frame or "base"
+        ask, frame = partial(_ask, terminal, typed()), means.frame or "base"
         return TouchGauge(ask=ask, complain=terminal.message, sigma=means.sigma, frame=frame)
     if word or not virtual:
         raise InputError(
@@ -173,13 +174,13 @@ def gauge_by_word(
     return EmulatedGauge(sigma=means.sigma, seed=seed)
 
 
-def _ask(terminal: Terminal, stop: Stop) -> str:
+def _ask(terminal: Terminal, lines: Iterator[bytes], stop: Stop) -> str:
     terminal.bars.close()  # one would write over the question
     terminal.notes.print(stop.question, end=" ", markup=False)
-    line = sys.stdin.readline()
-    if not line:
+    line = next(lines, None)
+    if line is None:
         raise InputError("the answers ended before the last posture was measured")
-    return line
+    return line.decode(errors="replace")
 
 
 @takes
