@@ -58,7 +58,7 @@ def test_the_arm_is_seen_to_move_the_guard_speaks_and_the_button_holds_it():
             assert picture.std() > 10.0
         assert (np.abs(first - second).max(axis=2) > 30).mean() > 0.01
         tab.ask("[...document.querySelectorAll('button')].find(b => b.innerText.includes('Hold the arm')).click()")
-        tab.wait_for("document.body.innerText.includes('Stopped, the arm holds.')", 10.0)
+        tab.wait_for("document.body.innerText.includes('Stopped.')", 10.0)
         out, err = process.communicate(timeout=30)
         assert process.returncode == 130  # as for Ctrl-C
         assert "error: interrupted by the button of the live view" in err
