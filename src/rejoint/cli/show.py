@@ -217,8 +217,7 @@ def fleet(found: FleetResult) -> Shown:
     from rejoint.runs.fleet.campaign import HEADERS
 
     yield "All arms, the worst first", HEADERS, [row.cells for row in found.rows]
-    for row in found.rows:
-        yield f"{row.name}: {row.found}"
+    yield from (f"{row.name}: {row.found}" for row in found.rows if row.found)
 
 
 def _mm(metres: float | None, digits: int) -> str:
