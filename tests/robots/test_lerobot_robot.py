@@ -78,6 +78,12 @@ def test_lines_of_another_program_are_answered_or_refused(tmp_path):
             program.stdin.write(json.dumps(line) + "\n")
             program.stdin.flush()
             hears.append(json.loads(program.stdout.readline()))
+        server.arm.execute = lambda _: []
+        time.sleep(1.3)
+        program.stdin.write("{}\n")
+        program.stdin.flush()
+        assert "answer" in json.loads(program.stdout.readline())["refused"]
+        del server.arm.execute
         program.stdin.close()
         assert program.wait(20) == 0
     program.stdout.close()

@@ -178,8 +178,6 @@ class Terminal:
 
 LOOK = 0.05
 """[s] between two looks for signals (chosen)"""
-LONGEST = 1 << 16
-"""[bytes] of a line (chosen: a hundred times what it needs)"""
 
 
 def typed(meanwhile: Callable[[], object] = lambda: None) -> Iterator[bytes]:
@@ -188,7 +186,7 @@ def typed(meanwhile: Callable[[], object] = lambda: None) -> Iterator[bytes]:
 
     def read() -> None:
         with open(sys.stdin.fileno(), "rb", closefd=False) as file, suppress(OSError):
-            while line := file.readline(LONGEST):
+            for line in file:
                 came.put(line)
         came.put(b"")
 

@@ -4,6 +4,7 @@ import math
 import os
 import secrets
 import sys
+import time
 import webbrowser
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -18,15 +19,15 @@ from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import HERE, picked, typed
 from rejoint.cli.options import Call, takes
-from rejoint.control.recording import Observer
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words, tunable
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.robots import BusRobot, place_of
+from rejoint.robots.bus import LOST
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.session.inputs import FIRST_ROBOT, RunLike, Settings, to_keep
+from rejoint.session.inputs import FIRST_ROBOT, Settings, to_keep
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
@@ -375,7 +376,7 @@ def serve(
     if stdio:
         if pty or call.json or call.settings.controller or call.live:
             raise InputError("--stdio does not go with --pty, --json, --live or --controller")
-        serve_lines(robot, run, call.settings, call)
+        serve_lines(robot, run, call)
         return None
     with call.watched("serve", bar=False) as observer:
         done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=call.settings, observer=observer)
@@ -392,12 +393,12 @@ class Order(msgspec.Struct, forbid_unknown_fields=True):
     """[%] open"""
 
 
-def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer) -> None:
+def serve_lines(robot: str, run: Path, call: Call) -> None:
     """Drive the arm by the lines of standard input until they end; the arm then holds."""
     if sys.stdin is None:
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
-    with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
+    with noted(), ArmSession(robot, run=run, settings=call.settings, observer=call) as arm:
         bus = getattr(part_of(arm.robot, BusRobot), "bus", None)
         gripper = Gripper.find(bus) if isinstance(bus, ServoBus) else None
         arm.watching += [] if gripper is None else [lambda _: gripper.serve()]
@@ -409,6 +410,8 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
 
 
 def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
+    if time.monotonic() - arm.heard > LOST:
+        return {"refused": f"the arm has not answered for {LOST:g} s"}
     try:
         order = msgspec.json.decode(line, type=Order)
         taken = None if order.goal is None else arm.send_joints(order.goal).tolist()

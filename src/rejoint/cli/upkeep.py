@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import rejoint
 from rejoint.cli import options as opt
@@ -75,7 +75,7 @@ def calibrate(
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
-        count = count or cast("int", getattr(gauge, "postures", POINTS))
+        count = count or int(getattr(gauge, "postures", POINTS))
         total = scouts + count * visits
         call.message(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "
@@ -159,7 +159,7 @@ def gauge_by_word(
     if kind == "tracker" and what:
         return TrackerGauge(path=Path(what), unit=means.unit, sigma=means.sigma, frame=means.frame or "tracker")
     if word == "touch":
-        if sys.stdin is None or not sys.stdin.readable():
+        if sys.stdin is None:
             raise InputError(
                 "--measure touch asks at the terminal, and there is none; measure into a file and give "
                 "--measure points=FILE"
@@ -177,8 +177,8 @@ def gauge_by_word(
 def _ask(terminal: Terminal, lines: Iterator[bytes], stop: Stop) -> str:
     terminal.bars.close()  # one would write over the question
     terminal.notes.print(stop.question, end=" ", markup=False)
-    line = next(lines, None)
-    if line is None:
+    line = next(lines, b"")
+    if not line:
         raise InputError("the answers ended before the last posture was measured")
     return line.decode(errors="replace")
 

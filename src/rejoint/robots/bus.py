@@ -32,6 +32,8 @@ ALARMING = 60.0
 """[deg C] a higher one is asked for again (chosen: below the guard's trip)"""
 SAME = 2.0
 """[deg C] allowed difference of two such answers (chosen)"""
+LOST = 1.0
+"""[s] until a silent robot's state is not reported (chosen: five slow periods)"""
 
 
 @entity

@@ -30,6 +30,7 @@ from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput, JointState
+from rejoint.robots.bus import LOST
 from rejoint.robots.mycobot.bus import ORDERS as NAMES
 from rejoint.robots.mycobot.motion import TimedPath
 from rejoint.robots.mycobot.wire import (
@@ -63,8 +64,6 @@ LONGEST = 0.1
 """[s] of the reference per cycle at most (chosen)"""
 TOUCH = 1e-6
 """[m] of rounding in comparisons of goals (chosen)"""
-LOST = 1.0
-"""[s] until a silent robot's state is not reported (chosen: five slow periods)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed that is told (chosen)
 
 

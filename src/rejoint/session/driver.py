@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
@@ -351,12 +352,14 @@ class ArmDriver:
         self.address = "" if robot is None else address_of(robot)
         self.period = None if robot is None else period_of(robot, self.settings.period)
         """[s] interval of control periods; None: the open robot knows"""
-        self.usual = float("nan")
+        self.usual = np.nan
         """[s] usual control period, after the first motion"""
         self.limits: GuardLimits | None = None
         """of the guard; None before the robot is open"""
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
+        self.heard = np.inf
+        """[s] monotonic time of the newest cycle"""
         self.given, self._pace = robot, pace
         """the robot or its address, as the user gave it"""
         self._stack, self._alone, self._gains = ExitStack(), ExitStack(), ExitStack()
@@ -416,7 +419,7 @@ class ArmDriver:
         """The twin of the settings or the run, as fitted."""
         if self.settings.twin is not None:
             return as_twin(self.settings.twin)
-        return None if self.run is None else self.run.twin
+        return self.run.twin if self.run else None
 
     @property
     def twin_now(self) -> Twin | None:
@@ -440,7 +443,7 @@ class ArmDriver:
         if own and found.used:
             return found
         why = "it did not clearly help" if own else f"it is not of {self.address}"
-        known = "the calibration" if self._named is None else self._named.folder.calibration
+        known = self._named.folder.calibration if self._named else "the calibration"
         name = given if isinstance(given, str | Path) else known
         self.observer.message(f"Not corrected: {name} is not applied; {why}.")
         return None
@@ -611,7 +614,7 @@ class ArmDriver:
         )
 
     def _see(self, cycle: Cycle, *watches: OnCycle) -> None:
-        self._last = cycle
+        self._last, self.heard = cycle, time.monotonic()
         for watch in (*watches, self.observer.cycle, *self.watching):
             watch(cycle)
 
