@@ -378,7 +378,7 @@ class Clients(Conversation[Frame]):
         self._number: int | None = None
         self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on
         self._lost = Counter[int]()  # answers of the robot to a command, the last ones in a row
-        self._said: dict[str, float] = {}  # refusal -> when [s] it was said last
+        self._said: dict[str, float] = {}  # line -> when [s] it was said last
 
     def server(self) -> Server:
         """Serve on the listening socket, or without one on a pseudo-terminal."""
@@ -386,7 +386,8 @@ class Clients(Conversation[Frame]):
 
     def came(self, client: str) -> None:
         """Say that a client is there."""
-        self._say(f"A client is there: {client}" if client else "A client has opened the serial line.")
+        self._served.error = 0  # of an order by another
+        self._say(f"A client is there: {client}.")
 
     def left(self, client: str) -> None:
         """Let the arm hold."""
@@ -408,8 +409,8 @@ class Clients(Conversation[Frame]):
         )
         if arrival.error > ARRIVED_LENGTH or arrival.short:
             cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
-            cause = cause or "it came no nearer"
-            self._say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
+            away = f" {1e3 * arrival.error:.0f} mm from where it was sent" * (arrival.error > ARRIVED_LENGTH)
+            self._say_again(f"A move ended{away}: {cause or 'it came no nearer'}.")
 
     def answer(self, request: Frame) -> Frame | None:
         """Carry out ``request``; None: silence."""
@@ -431,7 +432,7 @@ class Clients(Conversation[Frame]):
         if reply.payload != flag(True):
             return self._refuse(request, _OTHER_FRAME.get(command) or note or _REASONS[found])
         if note:
-            self._say_again(note, f"{NAMES[command]}: {note}.")
+            self._say_again(f"{NAMES[command]}: {note}.")
         number = self._log.ordered(command, payload, done=True, why=note)
         if command in MOVES:
             self._number = number
@@ -439,8 +440,7 @@ class Clients(Conversation[Frame]):
 
     def _refuse(self, request: Frame, why: str) -> Frame:
         self._log.ordered(request.command, request.payload, done=False, why=why)
-        line = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}"
-        self._say_again(line, line)
+        self._say_again(f"Refused {NAMES.get(request.command, hex(request.command))}: {why}")
         return Frame(request.command, flag(False))
 
     def _pass_on(self, request: Frame) -> Frame | None:
@@ -466,10 +466,10 @@ class Clients(Conversation[Frame]):
         self._lost[request.command] = 0 if answer is not None else self._lost[request.command] + 1
         future.set_result(answer)
 
-    def _say_again(self, about: str, line: str) -> None:
+    def _say_again(self, line: str) -> None:
         now = time.monotonic()
-        if now - self._said.get(about, -AGAIN) >= AGAIN:
-            self._said[about] = now
+        if now - self._said.get(line, -AGAIN) >= AGAIN:
+            self._said[line] = now
             self._say(line)
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
@@ -484,9 +484,9 @@ class Clients(Conversation[Frame]):
         if self._listener.fileno() not in ready or (readable in ready and _is_gone(readable)):
             return
         with contextlib.suppress(OSError):
-            connection, (host, port) = self._listener.accept()
+            connection, there = self._listener.accept()
             connection.close()
-            self._say_again("second client", f"Refused a second client, {host}:{port}: one at a time drives the arm.")
+            self._say_again(f"Refused a second client, {there[0]}: one at a time drives the arm.")
 
 
 def _is_gone(handle: int) -> bool:

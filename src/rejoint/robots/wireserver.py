@@ -289,7 +289,7 @@ class TerminalServer(Server):
         if [event for _, event in poll.poll(0)] == [select.POLLHUP]:
             self._session.wait(None, time.monotonic() + self._session.tick)
             return
-        self._session.came("")
+        self._session.came("on the serial line")
         self._session.converse(self)
         self._session.left("the serial line was closed")
         with contextlib.suppress(OSError):
