@@ -60,6 +60,7 @@ from rejoint.system.files import MEGABYTE, digest, reading, require_file
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.records import entity
 from rejoint.system.stopping import check, noted
+from rejoint.system.textfile import LENGTHS, split_unit
 
 CANDIDATES = 300
 """Postures to choose from; chosen"""
@@ -202,7 +203,6 @@ TRACK_MOST = 1000 * MEGABYTE
 FAR = 0.08
 """Share of summed link lengths of an implausible coordinate; chosen: three times a worn arm's error"""
 _TAIL = 64_000  # [bytes] of its end (chosen: 500 rows)
-_UNITS = {"m": 1.0, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -341,19 +341,19 @@ def parse_point(text: str) -> Array:
 
 @dataclass(kw_only=True)
 class TrackerGauge:
-    """Reads the end of a tracker's CSV file: time [s], x, y and z."""
+    """Reads the end of a tracker's CSV file: time [s], x, y and z, with units as in other tables."""
 
     path: Path
     unit: str = "mm"
-    """``mm`` or ``m``"""
+    """where titles name none"""
     sigma: float = NOISE
     frame: str = "tracker"
     source: str = "tracker"
     wait: Callable[[float], None] = time.sleep
 
     def __post_init__(self) -> None:
-        if self.unit not in _UNITS:
-            raise InputError(f"tracker: the unit is mm or m, got {self.unit!r}")
+        if self.unit not in LENGTHS:
+            raise InputError(f"tracker: the unit is {' or '.join(LENGTHS)}, got {self.unit!r}")
         self._newest()
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it only has to stand
@@ -365,31 +365,31 @@ class TrackerGauge:
             rows = self._newest()
             fresh = rows[rows[:, 0] > before]
             if len(fresh) and fresh[-1, 0] - before >= 0.8 * SPAN:
-                return _UNITS[self.unit] * fresh[:, 1:].mean(axis=0)
+                return fresh[:, 1:].mean(axis=0)
         raise FileError(
             self.path, f"no new rows for {waited:.1f} s", "start the tracker, or look whether it sees the tool"
         )
 
     def _newest(self) -> Array:
-        """Newest rows (T, 4) time, x, y, z."""
+        """Newest rows (T, 4) time [s], x, y, z [m]."""
         with reading(self.path, "cannot be read", "start the tracker first"):
             require_file(self.path, TRACK_MOST, "begin a new file")
             with self.path.open("rb") as file:
                 head = file.readline(4096).decode().strip()
                 file.seek(max(self.path.stat().st_size - _TAIL, len(head)))
                 text = file.read().decode(errors="replace")
-        names, wanted = [name.strip().lower() for name in head.split(",")], ("time", "x", "y", "z")
-        if not set(wanted) <= set(names):
+        titles, wanted = head.casefold().replace("time_s", "time").split(","), ("time", "x", "y", "z")
+        names, units = zip(*(split_unit(title.strip(), LENGTHS) for title in titles), strict=True)
+        if {*wanted} - {*names}:
             raise FileError(self.path, f"columns {head!r}, expected time, x, y, z", "name them in its first line")
         places = [names.index(name) for name in wanted]
         lines = text.splitlines()[1:-1]  # the first and the last may be cut
         with warnings.catch_warnings(action="ignore"):  # of lines that are no rows, which are left out
-            table = np.genfromtxt(lines, delimiter=",", usecols=places, invalid_raise=False, ndmin=2)
-        table = table.reshape(-1, 4)
+            table = np.genfromtxt(lines, delimiter=",", usecols=places, invalid_raise=False).reshape(-1, 4)
         table = table[np.isfinite(table).all(axis=1)]
         if not len(table):
             raise FileError(self.path, "no rows yet", "start the tracker, or look whether it sees the tool")
-        return table
+        return table * [1.0, *(LENGTHS[units[place] or self.unit] for place in places[1:])]
 
 
 SPEED = 0.5
