@@ -124,7 +124,7 @@ def test_a_fit_finds_the_displacement_that_was_put_in(count, most):
 
 def test_a_base_that_stands_askew_is_told_from_the_points():
     truth = replace(worn(), gravity=turned(np.radians([8.0, 0.0, 0.0])) @ GRAVITY)
-    m = measured(replace(truth, play=worn().play), 20)
+    m = measured(truth, 20)
     m = replace(m, point=truth.tool(ARM, m.position) + np.random.default_rng(0).normal(0.0, SIGMA, (20, 3)))
     assert error_of(fit(ARM, m), truth) < 0.4e-3
 

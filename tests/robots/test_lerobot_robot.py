@@ -71,18 +71,16 @@ def test_lines_of_another_program_are_answered_or_refused(tmp_path):
     with serving(tmp_path) as server:
         address = f"{server.address}?zero=0,0,0,5,0"
         command = [sys.executable, "-m", "rejoint", "serve", address, str(server.run), "--stdio"]
-        lines = [{}, {"goal": [1.0]}, {"speed": 3}, {"gripper": 40.0}, {}]
+        lines = [{}, {"goal": [1.0]}, {"speed": 3}, {"gripper": 40.0}, {}, None]
         program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         hears = [json.loads(program.stdout.readline())]
         for line in lines:
-            program.stdin.write(json.dumps(line) + "\n")
+            if line is None:
+                server.arm.execute = lambda _: []
+                time.sleep(1.3)
+            program.stdin.write(f"{json.dumps(line or {})}\n")
             program.stdin.flush()
             hears.append(json.loads(program.stdout.readline()))
-        server.arm.execute = lambda _: []
-        time.sleep(1.3)
-        program.stdin.write("{}\n")
-        program.stdin.flush()
-        assert "answer" in json.loads(program.stdout.readline())["refused"]
         del server.arm.execute
         program.stdin.close()
         assert program.wait(20) == 0
@@ -94,21 +92,8 @@ def test_lines_of_another_program_are_answered_or_refused(tmp_path):
     }
     assert "5 joint positions" in hears[2]["refused"]
     assert "speed" in hears[3]["refused"]
+    assert "answered" in hears[6]["refused"]
     assert hears[5]["position"] == pytest.approx((ARM.rest + np.radians([0, 0, 0, 5, 0])).tolist(), abs=np.radians(6.0))
-
-
-def test_half_a_line_keeps_no_signal_from_ending_in_a_hold(tmp_path):
-    with serving(tmp_path) as server:
-        command = [sys.executable, "-m", "rejoint", "serve", server.address, str(server.run), "--stdio"]
-        program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        with program:
-            assert b"joints" in program.stdout.readline()
-            program.stdin.write(b'{}\n{"goal": ')
-            program.stdin.flush()
-            assert b"position" in program.stdout.readline()
-            program.terminate()
-            assert program.wait(20) == 143
-        assert never_dropped(server.arm)
 
 
 @pytest.mark.skipif(not (JUDGE / "lerobot").is_dir(), reason=f"LeRobot is not in {JUDGE}: `make judge` puts it there")

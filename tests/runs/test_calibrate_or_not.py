@@ -5,13 +5,14 @@ import os
 import signal
 import sys
 
+import numpy as np
 import pytest
 
 import rejoint
 from hearing import Hears
-from rejoint.cli.console import Terminal, typed
+from rejoint.cli.console import Terminal
 from rejoint.cli.upkeep import gauge_by_word
-from rejoint.diagnosis.calibration.procedure import TouchGauge, TrackerGauge
+from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge, TrackerGauge
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError
 from rejoint.system.stopping import Interrupted, noted
@@ -34,12 +35,12 @@ def test_a_signal_ends_the_wait_for_a_line(monkeypatch):
     out, into = os.pipe()
     monkeypatch.setattr(sys, "stdin", os.fdopen(out, closefd=False))  # open as long as its reader
     os.write(into, b"1 2 3\n4 ")
-    lines = typed()
+    gauge, stop = gauge_by_word(Terminal(), "emulated:worn", "touch", 0), Stop(1, 1, np.zeros(3))
     with noted():
-        assert next(lines) == b"1 2 3\n"
+        assert gauge.ask(stop) == "1 2 3\n"
         os.kill(os.getpid(), signal.SIGINT)
         with pytest.raises(Interrupted):
-            next(lines)
+            gauge.ask(stop)
     os.close(into)
 
 

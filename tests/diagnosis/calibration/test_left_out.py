@@ -7,6 +7,8 @@ import pytest
 
 from madetwin import made_calibration
 from rejoint.arms import Displacement, gravity_torque, load_arm, mycobot280, tcp_position
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import turned
 from rejoint.arms.workspace import posture_grid
 from rejoint.diagnosis.calibration.calibration import (
     WEDGE,
@@ -63,21 +65,17 @@ def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
 def test_a_wedge_presses_a_base_joint(name):
     arm = load_arm(name)
-    own = calibration(1e-4, arm, play=[0.03] + [0.0] * (arm.joints - 1))
+    own = calibration(1e-4, arm, play=0.03 * np.eye(arm.joints)[0])
     what = preload(own, posture_grid(arm, 3).q)
     assert what.joints == arm.joint_names[:1]
     assert what.wedge < 0.5 * what.chance
 
 
-def test_the_side_to_raise_is_across_the_arm_and_not_along_it():
-    position = ARM.rest + np.radians([90.0, 0, 0, 0, 0, 0])  # it points along y
-    own = calibration(1e-4, play=[0.03] + [0.0] * 5)
-    assert preload(own, position[None]).side in ("-x", "+x")
-
-
-def test_where_the_base_leans_already_no_joint_floats():
-    lean = np.array([[1, 0, 0], [0, np.cos(WEDGE), -np.sin(WEDGE)], [0, np.sin(WEDGE), np.cos(WEDGE)]])
-    own = calibration(1e-4, play=[0.03] + [0.0] * 5, gravity=lean @ [0, 0, -9.81])
+def test_the_side_to_raise_is_across_the_arm_and_no_joint_floats_where_the_base_leans():
+    position = ARM.rest + np.radians([[90.0, 0, 0, 0, 0, 0]])  # it points along y
+    own = calibration(1e-4, play=0.03 * np.eye(6)[0])
+    assert preload(own, position).side in ("-x", "+x")
+    own = replace(own, displacement=replace(own.displacement, gravity=turned(WEDGE * np.eye(3)[0]) @ GRAVITY))
     assert preload(own, posture_grid(ARM, 3).q).joints == ()
 
 
@@ -90,23 +88,12 @@ def test_no_joint_rests_on_either_flank_where_it_is_to_be_measured(name):
     assert not ((loads.min(axis=0) < -2e-3) & (loads.max(axis=0) > 2e-3)).any()
 
 
-def points():
-    """Ten postures of the plan, and the tool of a worn arm."""
-    position = suggest(ARM, 10).postures
-    worn = replace(Displacement.none(ARM), compliance=np.full(6, 0.02), play=np.full(6, 0.02))
-    return Measurements(
-        position=position,
-        sigma=np.full(10, 5e-4),
-        point=worn.tool(ARM, position) + np.random.default_rng(0).normal(0.0, 5e-4, (10, 3)),
-        posture=np.arange(10),
-    )
-
-
 def test_a_slip_at_one_point_of_ten_does_not_condemn_the_others():
     """A decimal point in the wrong place had all ten refused as points of another frame."""
-    good = points()
-    point = good.point.copy()
+    position = suggest(ARM, 10).postures
+    worn = replace(Displacement.none(ARM), compliance=np.full(6, 0.02), play=np.full(6, 0.02))
+    point = worn.tool(ARM, position) + np.random.default_rng(0).normal(0.0, 5e-4, (10, 3))
     point[3, 0] *= 10.0
-    found = fit(ARM, replace(good, point=point))
+    found = fit(ARM, Measurements(position=position, sigma=np.full(10, 5e-4), point=point, posture=np.arange(10)))
     assert found.suspects == (3,)
     assert found.used

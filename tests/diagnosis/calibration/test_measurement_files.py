@@ -40,8 +40,7 @@ def test_a_file_keeps_every_bit(tmp_path_factory, seed, rows):
 
 
 def test_a_csv_by_hand_needs_joints_and_coordinates_alone(tmp_path):
-    names = ",".join(f"position.{name}_deg" for name in ARM.joint_names)
-    text = f"{names},z_mm,x_mm,y_mm\n10,20,30,40,50,60,250,100,-20\n1,2,3,4,5,6,251.5,,\n"
+    text = GOOD.replace("x_mm,y_mm,z", "z_mm,x_mm,y") + "\n10,20,30,40,50,60,250,100,-20\n1,2,3,4,5,6,251.5,,\n"
     (tmp_path / "hand.csv").write_text("\ufeff" + text)
     found = read_measurements(tmp_path / "hand.csv", ARM)
     np.testing.assert_allclose(found.position[0], np.radians([10, 20, 30, 40, 50, 60]))
@@ -113,15 +112,12 @@ def test_files_of_another_arm_and_damaged_ones_are_refused(tmp_path):
 
 
 def test_units_of_others_are_refused(tmp_path):
-    plan = suggest(ARM, 4).postures
-    tool = tcp_position(ARM, plan)
-    names = ",".join(f"position.{name}_deg" for name in ARM.joint_names) + ",x_mm,y_mm,z_mm"
-    path = tmp_path / "m.csv"
-    for degrees, millimetres, words in (
-        (np.degrees(plan), tool, "every coordinate of the tool is below 5; give millimetres"),
-        (plan, 1e3 * tool, "between -3.14 and 3.14; give degrees"),
-        (np.degrees(plan) + 300.0, 1e3 * tool, "line 2: joint1 at .* deg, expected -168 to 168"),
+    path, degrees, tool = tmp_path / "m.csv", np.degrees(PLAN), tcp_position(ARM, PLAN)
+    for joints, place, words in (
+        (degrees, tool, "every coordinate of the tool is below 5; give millimetres"),
+        (PLAN, 1e3 * tool, "between -3.14 and 3.14; give degrees"),
+        (degrees + 300.0, 1e3 * tool, "line 2: joint1 at .* deg, expected -168 to 168"),
     ):
-        np.savetxt(path, np.hstack([degrees, millimetres]), delimiter=",", header=names, comments="")
+        np.savetxt(path, np.hstack([joints, place]), delimiter=",", header=GOOD, comments="")
         with pytest.raises(FileError, match=words):
             read_measurements(path, ARM)

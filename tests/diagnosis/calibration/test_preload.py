@@ -20,12 +20,8 @@ ARM = mycobot280()
 RAISED = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
 
 
-def worn(**values):
-    found = replace(Displacement.none(ARM), **{name: np.asarray(value) for name, value in values.items()})
-    return made_calibration(ARM, found, covariance=1e-8 * np.eye(DisplacementLayout(ARM).body), floor=1e-4)
-
-
-FLOATING = worn(play=[0.03] + [0.0] * 5)
+LOOSE = replace(Displacement.none(ARM), play=0.03 * np.eye(6)[0])
+FLOATING = made_calibration(ARM, LOOSE, covariance=1e-8 * np.eye(DisplacementLayout(ARM).body), floor=1e-4)
 
 
 def lies(gravity):

@@ -1,5 +1,7 @@
 """Laws of the measuring drive: slow, from both sides, nothing lost, and what it brings when it is believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,36 +114,16 @@ def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
     np.testing.assert_array_equal(kept.point, found.measurements.point)
 
     targets = ARM.targets.sample(np.random.default_rng(8), (6,))
-    plain = rejoint.deploy(
-        "emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator", calibration="none")
+    usual = rejoint.Settings(controller="integrator")
+    plain, aimed, other = (
+        rejoint.deploy(f"emulated:worn?seed={seed}", targets, run=run, settings=settings)
+        for seed, settings in ((5, replace(usual, calibration="none")), (5, usual), (6, usual))
     )
-    aimed = rejoint.deploy("emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator"))
     error = [np.mean([visit.true_error.value for visit in done.visits]) for done in (plain, aimed)]
     assert error[1] < 0.4 * error[0]
-    assert plain.log.aim is None
-    assert aimed.log.aim is not None
+    assert [done.log.aim is None for done in (plain, aimed, other)] == [True, False, True]
 
     again = rejoint.calibrate(run=run, gauge=run.folder.measurements, settings=rejoint.Settings(calibration="none"))
     np.testing.assert_array_equal(again.calibration.displacement.offset, found.calibration.displacement.offset)
     with pytest.raises(ContractError, match="calibration of arm"):
-        rejoint.deploy(
-            "emulated:so101", settings=rejoint.Settings(controller="integrator", calibration=found.calibration)
-        )
-
-
-def test_a_calibration_of_one_robot_is_not_used_for_another(tmp_path):
-    run = Run.create(tmp_path, "emulated:worn?seed=5", ARM)
-    rejoint.calibrate("emulated:worn?seed=5", run=run, count=5)
-    targets = ARM.targets.sample(np.random.default_rng(8), (1,))
-    assert (
-        rejoint.deploy(
-            "emulated:worn?seed=6", targets, run=run, settings=rejoint.Settings(controller="integrator")
-        ).log.aim
-        is None
-    )
-    assert (
-        rejoint.deploy(
-            "emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator")
-        ).log.aim
-        is not None
-    )
+        rejoint.deploy("emulated:so101", settings=replace(usual, calibration=found.calibration))
