@@ -389,7 +389,7 @@ class _GroupedColumns:
         times = self.of("time")
         if self.motion.time is not None:
             return self.motion.time
-        if self.options.rate is not None and len(times) < 2:
+        if self.options.rate is not None:
             return np.arange(len(self.motion.number)) / self.options.rate
         if len(times) != 1:
             found = " and ".join(column.title for column in times) or "none"
@@ -420,8 +420,8 @@ class _GroupedColumns:
         if match.dropped and group in MOTION:
             self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
         if match.numbered:
-            told = f"{columns[0].title} to {columns[-1].title} taken as the joints from the base on"
-            self.notes.append(f"{group}: {told}")
+            ends = f"{columns[0].title} to {columns[-1].title}"
+            self.notes.append(f"{group}: {ends} taken as the joints from the base on")
         return columns
 
     def values(self, group: str, half: Array | None = None) -> tuple[Array, list[Column], list[str]]:
@@ -432,16 +432,15 @@ class _GroupedColumns:
         """
         columns = self._columns(group)
         units, raw = [self._unit(column) for column in columns], self._read(columns)
-        if half is None:
-            return raw * np.array([UNITS[group].get(unit, 1.0) for unit in units]), columns, units
-        worst = float(np.nanmax(np.abs(raw), initial=0.0))
-        if worst > NORMALISED_MOST:
+        worst = np.max(np.abs(raw), where=np.isfinite(raw), initial=0.0)
+        if half is not None and worst > NORMALISED_MOST:
             raise FileError(
                 self.motion.path,
                 f"{worst:g} is no normalised value, which lie in -100..100",
                 "set another --angle-unit",
             )
-        return raw * (half / 100.0), columns, units
+        factors = np.array([UNITS[group].get(unit, 1.0) for unit in units]) if half is None else half / 100.0
+        return raw * factors, columns, units
 
     def half_ranges(self) -> Array | None:
         """Half ranges (n,) [rad] of normalised values, by the calibration, or by the steps of the readings."""

@@ -64,13 +64,12 @@ def export_log(log: RunLog, path: Path) -> None:
 
 
 def _write_csv(log: RunLog, path: Path) -> None:
-    units = {"position": "rad", "command": "rad"} | {name: unit.replace(" ", "") for name, unit in log.units.items()}
-    units |= {"target": "m", "true_tcp": "m"}
+    units = {"position": "rad", "command": "rad", "target": "m", "true_tcp": "m"} | log.units
     columns = {"time_s": log.time}
     for group in ("position", "command", "torque", "current", "gain", "target", "true_tcp"):
         values = getattr(log, group)
         if values is not None and not np.isnan(values).all():
-            ending = f"_{units[group]}" if units.get(group) else ""
+            ending = f"_{units[group].replace(' ', '')}" if units.get(group) else ""
             columns |= {f"{group}.{name}{ending}": values[:, i] for i, name in enumerate(log.parts(group))}
     # Arrow writes the shortest text that reads back as the same float64; NaN becomes an empty cell
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})

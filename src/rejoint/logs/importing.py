@@ -73,9 +73,10 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
 
 def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
     """Return rows (T,) with a corrupt number."""
-    missing = ~np.isfinite(values).all(axis=1)
+    unknown = ~np.isfinite(values)
+    missing = unknown.any(axis=1)
     if missing.mean() > DAMAGED:
-        row, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        row, joint = np.argwhere(unknown)[0].tolist()
         said = f"{what}, {motion.where(row)}: joint {joint + 1} is {values[row, joint]}, one of {int(missing.sum())} "
         said += "rows with values that are not finite"
         raise FileError(motion.path, said, "mend the values or cut the rows")

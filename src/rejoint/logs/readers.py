@@ -48,10 +48,6 @@ _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _CUT = "cut it into several motions"
 
 
-def _is_sage(folder: Path, _: bool) -> bool:
-    return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
-
-
 def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
     file = folder / _JOINTS
     with reading(file, "a SAGE motion needs it, and it is no readable text", "copy it"):
@@ -163,10 +159,6 @@ _TOLERANCE = 1e-4
 _REMEDY = "download or record the dataset again"
 
 
-def _is_dataset(source: Path, named: bool) -> bool:
-    return named and (source / _INFO).is_file()
-
-
 def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
     path = source / _INFO
     with reading(path, "damaged", _REMEDY):
@@ -242,15 +234,6 @@ _RECORD_LIMIT = 1 << 28
 Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
 """Topics and their types; and decoded messages of some topics, with topic and time of recording [ns]"""
 Opener = Callable[[Path], AbstractContextManager[Opened]]
-
-
-def _is_mcap(file: Path, named: bool) -> bool:
-    return (named or file.suffix == ".mcap") and begins_with(file, b"\x89MCAP0\r\n")
-
-
-def _is_rosbag(file: Path, _: bool) -> bool:
-    magic = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}.get(file.suffix)
-    return magic is not None and begins_with(file, magic)
 
 
 @contextmanager
@@ -352,18 +335,25 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
     }
     origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    motions: list[RawMotion] = []
     extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
-    for topic in groups:  # states come first
-        messages = found[topic]
-        # whole nanoseconds are subtracted before they become float64, which keeps them exact
-        times = (clocks[topic] - origin) / NANOSECONDS
-        titles = dict.fromkeys(title for one in messages for title in one.columns)
-        columns = {title: np.array([one.columns.get(title, np.nan) for one in messages]) for title in titles}
-        about = {"place": f"topic {topic}, message", "angle_unit": "rad", "found": f"topic {topic}"}
-        motions.append(RawMotion.of(file.stem, file, columns, time=times, notes=notes, extra=extra, **about))
-    state, *sent = motions
-    return [state.with_commands(sent[0]) if sent else state]
+
+    def motion(topic: str) -> RawMotion:
+        titles = dict.fromkeys(title for one in found[topic] for title in one.columns)
+        return RawMotion.of(
+            file.stem,
+            file,
+            {title: np.array([one.columns.get(title, np.nan) for one in found[topic]]) for title in titles},
+            # whole nanoseconds are subtracted before they become float64, which keeps them exact
+            time=(clocks[topic] - origin) / NANOSECONDS,
+            notes=notes,
+            extra=extra,
+            place=f"topic {topic}, message",
+            angle_unit="rad",
+            found=f"topic {topic}",
+        )
+
+    state, *sent = map(motion, groups)
+    return [state.with_commands(*sent) if sent else state]
 
 
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
@@ -442,8 +432,14 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
 
 
-SAGE = Reader(_is_sage, _read_sage)
+SAGE = Reader(
+    lambda path, _: (path / _STATE).is_file() or ((path / _CONTROL).is_file() and (path / _JOINTS).is_file()),
+    _read_sage,
+)
 TABLE = Reader(_is_table, _read_table)
-LEROBOT = Reader(_is_dataset, _episodes)
-MCAP = Reader(_is_mcap, partial(_read, _open_mcap))
-ROSBAG = Reader(_is_rosbag, partial(_read, _open_rosbag))
+LEROBOT = Reader(lambda path, _: (path / _INFO).is_file(), _episodes)
+MCAP = Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap))
+_ROSBAGS = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}
+ROSBAG = Reader(
+    lambda path, _: path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix]), partial(_read, _open_rosbag)
+)

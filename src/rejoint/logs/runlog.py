@@ -195,8 +195,10 @@ class RunLog:
         """
         known = arm if isinstance(arm, Arm) else load_arm(arm)
         unknown = np.full((np.size(time), 3), np.nan)
-        given: dict[str, Any] = {"time": time, "command": command, "position": position}
-        given |= {
+        given: dict[str, Any] = {
+            "time": time,
+            "command": command,
+            "position": position,
             "target": unknown if target is None else target,
             "true_tcp": unknown if true_tcp is None else true_tcp,
         }

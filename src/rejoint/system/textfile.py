@@ -112,10 +112,9 @@ class Sheet:
                 if cell.casefold() in _EMPTY:
                     continue
                 try:
-                    if _DATE.match(cell):
-                        values[k, place] = datetime.fromisoformat(cell).timestamp()
-                    else:
-                        values[k, place] = float(cell if pointed else cell.replace(",", "."))
+                    number = cell if pointed else cell.replace(",", ".")
+                    dated = _DATE.match(cell)
+                    values[k, place] = datetime.fromisoformat(cell).timestamp() if dated else float(number)
                 except ValueError:
                     where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
                     wrong[where] = f"{cell[:40]!r} is no number"
