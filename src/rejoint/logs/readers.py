@@ -125,7 +125,8 @@ def _records(file: Path) -> tuple[dict[str, Array], str]:
         data = data if isinstance(data, dict) else {"": data}
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
         columns = {
-            key: [row.get(key) for row in rows] for key, value in rows[0].items() if isinstance(value, int | float)
+            key: [row.get(key) for row in rows]
+            for key in dict.fromkeys(key for row in rows for key, one in row.items() if isinstance(one, int | float))
         }
         beside = {key: [one] * len(rows) for key, one in data.items() if isinstance(one, int | float)}
         return {key: np.array(one, dtype=float) for key, one in (beside | columns).items()}, "JSON with records"
