@@ -483,11 +483,10 @@ def _classified(title: str, place: int = -1) -> Column | None:
     for prefix, group in _PREFIXES:
         if not title.casefold().startswith(prefix):
             continue
-        spelled = {spelling: unit for unit in UNITS[group] for spelling in (unit, unit.casefold())}
-        rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
+        rest, unit = split_unit(f"x{title[len(prefix) :]}", UNITS[group])
         found = _JOINT.fullmatch(rest[1:])
         name = found and (found["number"] or found["name"] or "")
         names = {"time": ("",), **dict.fromkeys(POINTS, AXES)}.get(group)
         if name is not None and (names is None or name in names):
-            return Column(place, title, group, name, spelled.get(unit or ""), prefix)
+            return Column(place, title, group, name, unit, prefix)
     return None

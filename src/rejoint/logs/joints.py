@@ -129,7 +129,7 @@ def joint_of(name: str, arm: Arm) -> str | None:
     short = split_unit(name.removesuffix(".pos"), ANGLES)[0]
     if {*NAMES["so101"].values()} == {*arm.joint_names}:
         short = NAMES["so101"].get(short, short)
-    return short if short in arm.joint_names else None
+    return next((joint for joint in arm.joint_names if joint.casefold() == short.casefold()), None)
 
 
 def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: Sequence[str] | None = None) -> Match:

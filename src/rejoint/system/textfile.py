@@ -45,7 +45,7 @@ _SHOWN = 24
 _EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
-_UNIT = re.compile(r"^(?P<name>.*?)(?:_(?P<ending>[^\W_]+)|\s*[\[(]\s*(?P<bracket>\w+|°)\s*[\])])$")
+_UNIT = re.compile(r"(?P<name>.+?)(?:_|\s*[\[(]\s*)(?P<unit>[^\W_]+)\s*[\])]?$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
 _MINUS = "\N{MINUS SIGN}"
 _REMEDY = "mend the line or take another file"
@@ -130,10 +130,11 @@ def shown(titles: Sequence[str]) -> str:
 
 
 def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
-    """Split ``elbow_deg``, ``elbow [deg]`` or ``elbow (deg)`` into name and unit, or None."""
-    found = _UNIT.match(title)
-    unit = "" if found is None else (found["ending"] or found["bracket"]).replace("°", "deg")
-    return (found["name"], unit) if found is not None and found["name"] and unit in units else (title, None)
+    """Split ``elbow_deg``, ``elbow [DEG]`` or ``elbow (deg)`` into name and unit, or None."""
+    found, known = _UNIT.match(title.replace("°", "deg")), {unit.casefold(): unit for unit in units}
+    if found and (unit := known.get(found["unit"].casefold())):
+        return found["name"], unit
+    return title, None
 
 
 def read_sheet(path: Path, *, names: Sequence[str] = (), whole: bool = True, most: int = TEXT_MOST) -> Sheet:
