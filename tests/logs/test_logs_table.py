@@ -14,19 +14,19 @@ from rejoint.system.errors import FileError, InputError
 
 
 def test_a_unit_may_stand_in_each_name_and_other_columns_are_told(tmp_path: Path):
-    titles = "time_ms,volts,command.b_deg,position.a_rad,command.a_rad,position.b_deg,true_tcp.x_mm,true_tcp.y_m"
+    titles = "time_ms,time_s,command.b_deg,position.a_rad,command.a_rad,position.b_deg,true_tcp.x_mm,true_tcp.y_m"
     rest = {"shoulder_lift": "c", "elbow_flex": "d", "wrist_flex": "e"}
     lines = [titles + ",true_tcp.z_m" + "".join(f",position.{n}_rad,command.{n}_rad" for n in rest.values())]
     lines += [f"{20 * k},7,{9 * k},{0.1 * k},{0.2 * k},{18 * k},{100 * k},{k},{-k}" + ",0,0" * 3 for k in range(4)]
     (tmp_path / "mixed.csv").write_text("\n".join(lines) + "\n")
-    options = ImportOptions(columns={"shoulder_pan": "a", "wrist_roll": "b"} | rest)
+    options = ImportOptions(columns={"time": "time_ms", "shoulder_pan": "a", "wrist_roll": "b"} | rest)
     imported = import_logs(tmp_path / "mixed.csv", ARM, out=tmp_path / "logs", options=options)
     (log,), k = imported.logs, np.arange(4)
     np.testing.assert_allclose(log.time, 0.02 * k)
     np.testing.assert_allclose(log.position, np.outer(k, [0.1, 0, 0, 0, np.pi / 10]))
     np.testing.assert_allclose(log.command, np.outer(k, [0.2, 0, 0, 0, np.pi / 20]))
     np.testing.assert_allclose(log.true_tcp, np.outer(k, [0.1, 1.0, -1.0]))
-    assert any("volts" in note for note in imported.notes)
+    assert any("time_s" in note for note in imported.notes)
 
 
 @pytest.mark.parametrize(("unit", "ticks"), {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}.items())

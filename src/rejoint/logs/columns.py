@@ -307,10 +307,10 @@ class _GroupedColumns:
         own = {column.place: column for column in mapped}
         if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
-        self.columns |= own
-        titles = [column.title for column in self.columns.values()]
-        if twice := sorted({title for title in titles if title and motion.titles.count(title) > 1}):
-            raise FileError(motion.path, f"line 1: column {', '.join(twice)} stands there twice", "rename one")
+        meant = {(column.group, column.name) for column in mapped}
+        self.columns = {
+            i: one for i, one in self.columns.items() if (one.group, joint_of(one.name, arm) or one.name) not in meant
+        } | own
         if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
             self.notes.append(f"columns ignored: {shown(ignored)}")
         if not self.of("position"):
@@ -341,7 +341,7 @@ class _GroupedColumns:
             if joint is not None or len(places) != len(names):
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
         else:
-            places = [titles.index(given)] if given in titles else []
+            places = [i for i, title in enumerate(titles) if title == given]
             if joint is not None and not places:
                 places = [i for i, column in self.columns.items() if column.name == given]
             names = (meaning.name,) * len(places)
@@ -353,9 +353,9 @@ class _GroupedColumns:
             )
         found = []
         for place, name in zip(places, names, strict=True):
-            unit = split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
-            column = self.columns.get(place) or Column(place, titles[place], unit=unit)
+            column = self.columns.get(place) or Column(place, titles[place])
             group = meaning.group if joint is None else column.group
+            column = column._replace(unit=column.unit or split_unit(titles[place], UNITS[group])[1])
             if joint is None or group in MOTION:
                 column = column._replace(unit=meaning.unit or column.unit, scale=scale, offset=offset)
             else:  # the gear's torque, the motor's current, and what has no gear
