@@ -289,8 +289,8 @@ STATES = ("JointState", "JointStates")
 ARRAY, CONTROLLER = "Float64MultiArray", "JointTrajectoryControllerState"
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
 """As of ROS 2's joint_state_broadcaster; and, chosen, its counterpart"""
-OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
-"""Topics without joint positions (chosen)"""
+OTHER_INTERFACES, TOOLS = ("velocity", "effort"), ("gripper", "hand")
+"""Words in topics without joint positions, and without joints of an arm (chosen)"""
 
 
 class Message(NamedTuple):
@@ -360,22 +360,25 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
 def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
     kinds = {name: schema.replace("/", ".").rpartition(".")[2] for name, schema in held.items()}
     found = shown([f"{name} ({held[name] or 'no type'})" for name in sorted(held)])
-    controllers = [name for name, kind in kinds.items() if kind == CONTROLLER]
     state, command = options.state_topic, options.command_topic
-    if not (state or command) and COMMAND_TOPIC not in held and len(controllers) == 1:
-        (state,) = controllers
-        notes.append(f"states and commands from {state} ({held[state]})")
+
+    def only(of: str, without: Sequence[str], option: str) -> str | None:
+        able = [name for name, kind in kinds.items() if kind == of and not any(word in name for word in without)]
+        if len(able) > 1:
+            raise FileError(file, f"several topics with {of}: {shown(able)}", f"name one with {option}")
+        notes.extend(f"commands from {name} ({held[name]})" for name in able)
+        return able[0] if able else None
+
+    if not (state or command or COMMAND_TOPIC in held):
+        state = only(CONTROLLER, TOOLS, "--state-topic")
     state = state or STATE_TOPIC
     if state not in held:
         raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
-    if state in controllers:
+    if kinds[state] == CONTROLLER:
         return {state: "position"}
-    able = [name for name, kind in kinds.items() if kind in (*STATES, ARRAY) and name != state]
-    ours = [n for n in able if kinds[n] not in STATES and not any(word in n for word in OTHER_INTERFACES)]
-    if command is None and COMMAND_TOPIC not in held and len(ours) == 1:
-        (command,) = ours
-        notes.append(f"commands from {command} ({held[command]})")
-    if command is None and not able:
+    if not (command or COMMAND_TOPIC in held):
+        command = only(ARRAY, (*TOOLS, *OTHER_INTERFACES), "--command-topic")
+    if not (command or any(kind in (*STATES, ARRAY) for name, kind in kinds.items() if name != state)):
         notes.append(f"no topic with commands; found {found}")
         return {state: "position"}
     command = command or COMMAND_TOPIC

@@ -124,7 +124,7 @@ class Sheet:
 
 def shown(titles: Sequence[str]) -> str:
     """Join titles in one short line."""
-    short = [re.sub(r"\s+", " ", title)[:40] or "(no name)" for title in titles[:_SHOWN]]
+    short = [re.sub(r"\s+", " ", title)[:120] or "(no name)" for title in titles[:_SHOWN]]
     more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
     return (", ".join(short) or "none") + more
 
