@@ -217,6 +217,7 @@ def states_with_current(dry, phase):
             acceleration[:, joint] -= 0.2 * rate**2 * np.sin(angle)
     noise = 0.02 * np.random.default_rng(5).standard_normal(speed.shape)
     current = dry * np.sign(speed) + 0.3 * speed + 0.05 * acceleration + noise
+    current[1000:1021] = np.nan  # not read
     log = as_log("states", time, position, np.full_like(position, np.nan))
     return replace(log, current=current, units={"current": "A"})
 

@@ -27,7 +27,7 @@ def header(stamp: int):
 
 
 def state(stamp: int, position: np.ndarray):
-    none = np.zeros(0)
+    none = np.full(len(NAMES), np.nan)
     return KINDS["sensor_msgs/msg/JointState"](
         header=header(stamp), name=NAMES, position=np.append(position, 0.5), velocity=none, effort=none
     )
@@ -69,6 +69,7 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, stor
     log = imported.logs[0]
     assert log.position.tolist() == found.position.tolist()
     assert log.command.tolist() == found.command.tolist()
+    assert log.torque is None
     said = " ".join(imported.notes)
     assert f"commands from {ARRAYS} (std_msgs/msg/Float64MultiArray)" in said
     assert "times are those of the recording" in said

@@ -62,7 +62,7 @@ class Averages(NamedTuple):
     gravity: Array
     """(N,) [N m] that holds the arm"""
     effort: Array
-    """(N,) torque or current, in the log's unit; else zero"""
+    """(N,) torque or current, in the log's unit; NaN: not read"""
     load: Array
     """(N,) [N m] that gravity and the links' inertia take; without effort only gravity"""
     cluster: Index
@@ -295,8 +295,8 @@ def gravity_terms(arm: Arm, position: Array) -> Array:
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
     """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion."""
     motion = _motion(data, joint, np.zeros(1), fast=True)
-    motion = motion.at(np.abs(motion.direction) > _TURNING)
-    if data.effort_unit is None or not motion.enough:
+    motion = motion.at((np.abs(motion.direction) > _TURNING) & np.isfinite(motion.effort))
+    if not motion.enough:
         return None
     design = motion.design
     design[:, WIDTH], design[:, SOFTNESS] = motion.direction, motion.load
@@ -308,9 +308,9 @@ def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
 
     A servo's torque over its following error is its stiffness, whatever the links weigh.
     """
-    if data.log.torque is None or data.effort_unit != "N m" or not data.log.commanded:
+    if data.effort_unit != "N m" or not data.log.commanded:
         return None
-    motion, most = _motion(data, joint, np.zeros(1), fast=True), np.abs(data.log.torque[:, joint]).max()
+    motion, most = _motion(data, joint, np.zeros(1), fast=True), np.fmax.reduce(np.abs(data.effort[:, joint]))
     motion = motion.at(np.abs(motion.effort) < LIMITED * most)  # at its limit the torque does not tell the error
     if not motion.enough:
         return None

@@ -107,9 +107,9 @@ class ExcitationLog:
 
     @property
     def effort(self) -> Array:
-        """(T, n) measured current, else torque, else zero."""
+        """(T, n) measured current, else torque, else NaN."""
         found = self.log.torque if self.log.current is None else self.log.current
-        return np.zeros_like(self.log.position) if found is None else found
+        return np.full_like(self.log.position, np.nan) if found is None else found
 
     @property
     def effort_unit(self) -> str | None:

@@ -470,11 +470,12 @@ class _GroupedColumns:
             if group == "powered":
                 group, values = "gain", np.where(values > 0, found.get("gain", np.nan), 0.0)
             elif group in SI:
-                units[group] = SI[group] if len({*named}) == 1 and named[0] else ""
+                if not (np.isfinite(values) & (values != 0.0)).any():  # not measured
+                    continue
+                units[group] = SI[group] if all(named) else ""
                 if not units[group]:
-                    values = self._read(columns)
                     self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
-            found[group] = values
+            found[group] = np.where(np.isfinite(values), values, np.nan)
         return found, units
 
 

@@ -393,16 +393,20 @@ def _message(content: Any, group: str, logged: int, options: ImportOptions) -> M
     """Joints of a decoded message; TypeError or ValueError for one of another kind."""
     held = {key: _some(content, paths) for key, paths in NAMES["messages"].items()}
     names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
-    given, effort = {group: held["values"]}, () if held["effort"] is None else held["effort"]
+    given = {group: held["values"]}
     if len(names) != len(given[group]):
         raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")
-    if group == "position" and held["sent"] is not None:
-        given["command"] = held["sent"]
-    if group == "position" and len(effort) == len(names) and any(effort):
-        given["torque"] = effort
-    numbers = {key: [np.nan if value is None else float(value) for value in values] for key, values in given.items()}
+    if group == "position":
+        given |= {"command": held["sent"], "torque": held["effort"]}
     return Message(
-        stamp, logged, {f"{key}.{name}": v for key, one in numbers.items() for name, v in zip(names, one, strict=True)}
+        stamp,
+        logged,
+        {
+            f"{key}.{name}": np.nan if value is None else float(value)
+            for key, values in given.items()
+            if values is not None and len(values) == len(names)
+            for name, value in zip(names, values, strict=True)
+        },
     )
 
 
