@@ -48,7 +48,7 @@ def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str, ticks: float):
 def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path: Path, unit: str, scale: float, said: str):
     names = {f"{g}.{j}_rad": f"{g}.{j}_{unit}" for g in ("position", "command") for j in ARM.joint_names}
     with pytest.raises(FileError, match=said):
-        import_logs(write_table(tmp_path / "wave.csv", sample(), names, scale=scale), ARM, out=tmp_path / "logs")
+        import_logs(write_table(tmp_path / "wave.csv", worn_sample(), names, scale=scale), ARM, out=tmp_path / "logs")
 
 
 def test_a_list_of_json_records_is_a_table(tmp_path: Path):

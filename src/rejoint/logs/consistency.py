@@ -231,7 +231,10 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
     """Check the declared unit of angles; FileError."""
     angles, unit = motion.position, motion.angle_unit
     extent = float(np.rad2deg(np.abs(angles).max()))
-    if unit == "deg" and (bits := turn_bits(np.rad2deg(angles))):
+    if unit == "deg" and extent <= 2 * np.pi:
+        said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"
+        yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
+    elif unit == "deg" and (bits := turn_bits(np.rad2deg(angles))):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
         yield f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY
     for what, values in {"state": angles, "command": motion.command}.items():
@@ -246,9 +249,6 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
             f"beyond two turns; the values are {cause if unit == 'rad' else 'in another unit'}",
             f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}",
         )
-    if unit == "deg" and extent <= 2 * np.pi:
-        said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"
-        yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
     # no other program normalises, and other encoders have other steps
     lerobot, declared = motion.extra.get("format") == "lerobot", options.angle_unit
     if declared in ("deg", "normalised") and (lerobot or options.calibration is not None):
