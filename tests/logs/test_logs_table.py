@@ -2,11 +2,13 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ARM, sample, write_table
+from log_samples import ARM, Sample, sample, worn_sample, write_table
+from test_logs_mcap import messages, state
 
 from rejoint.logs.importing import import_logs
 from rejoint.logs.joints import ImportOptions
@@ -51,11 +53,32 @@ def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path: Path, unit
         import_logs(write_table(tmp_path / "wave.csv", worn_sample(), names, scale=scale), ARM, out=tmp_path / "logs")
 
 
-def test_a_list_of_json_records_is_a_table(tmp_path: Path):
-    table = write_table(tmp_path / "wave.csv", sample())
-    with table.open(newline="") as stream:
-        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(stream)]
-    (tmp_path / "records.json").write_text(json.dumps(rows))
-    both = [import_logs(tmp_path / name, ARM, out=tmp_path / name[:3]).logs[0] for name in ("wave.csv", "records.json")]
-    for name in ("time", "position", "command"):
-        np.testing.assert_array_equal(*(getattr(log, name) for log in both))
+@pytest.mark.parametrize("way", ["cells", "records", "bag"])
+def test_each_command_holds_until_the_next_of_its_joint(tmp_path: Path, way: str):
+    """The last one for a second: what follows it, and what precedes the first, is left out."""
+    found = worn_sample(seconds=8)
+    row, turns = np.arange(len(found.time))[:, None], np.arange(3, 8)
+    held = found.command[np.minimum(row, 200) // turns * turns, np.arange(5)]
+    sent = np.where((row % turns == 0) & (row >= 20) & (row <= 200), held, np.nan)
+    source = write_table(tmp_path / "log.csv", replace(found, command=sent))
+    if way == "records":  # of states, and of commands
+        none = np.full_like(held, np.nan)
+        both = (found.time, found.time), (none, found.position), (sent, none)
+        time, position, command = (np.stack(one, axis=1).reshape(-1, *one[0].shape[1:]) for one in both)
+        table = Sample(time=time, position=position, command=command)
+        lines = csv.DictReader(write_table(source, table).read_text().splitlines())
+        rows = [{key: float(value) for key, value in line.items() if value != "nan"} for line in lines]
+        source = tmp_path / "log.json"
+        source.write_text(json.dumps(rows))
+    if way == "bag":
+        states = [state(k, k) | {"position": q.tolist()} for k, q in enumerate(found.position)]
+        commands = [
+            state(k, k) | {"name": [ARM.joint_names[joint]], "position": [sent[k, joint]]}
+            for k, joint in np.argwhere(np.isfinite(sent)).tolist()
+        ]
+        source = messages(tmp_path / "log.mcap", {"/joint_states": states, "/joint_commands": commands})
+    log = import_logs(source, ARM, out=tmp_path / "logs").logs[0]
+    kept = slice(24, 251)
+    np.testing.assert_allclose(log.time, found.time[kept])
+    np.testing.assert_array_equal(log.position, found.position[kept])
+    np.testing.assert_array_equal(log.command, held[kept])

@@ -108,6 +108,8 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
 
 FEWEST = 2
 """Rows of a log"""
+PAUSE = 1.0
+"""[s] between motions (chosen: ten times a hobby servo's lag)"""
 
 
 @entity
@@ -148,13 +150,12 @@ class RawMotion(FileMotion):
         return cls(name=name, path=path, titles=tuple(columns), values=lambda chosen: table[:, chosen], **about)
 
     def with_commands(self, sent: RawMotion) -> RawMotion:
-        """Add what was ``sent``, on a clock of its own: to each state, the last command before it. FileError."""
+        """Add rows of what was ``sent``, on a clock of its own; FileError."""
         time, times = np.asarray(self.time), np.asarray(sent.time)
-        for what, clock, file in (("state", time, self.path), ("command", times, sent.path)):
-            if len(clock) < FEWEST:
-                raise FileError(
-                    file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", "record it again"
-                )
+        if not (len(time) and len(times)):
+            raise FileError(
+                self.path, f"{len(time)} states and {len(times)} commands, expected both", "record it again"
+            )
         late = ~(np.diff(times) >= 0)
         if late.any():
             where = f"command, {sent.place} {sent.number[1:][late][0]}"
@@ -167,10 +168,19 @@ class RawMotion(FileMotion):
                 f"{times[-1]:.6f} s: not one clock",
                 "record both on one clock, or take the times of recording (--stamp log) of a bag",
             )
-        state, command = (one.values([*range(len(one.titles))]) for one in (self, sent))
-        last = np.searchsorted(times, time, side="right") - 1
-        table = np.concatenate([state, np.where((last < 0)[:, None], np.nan, command[last])], axis=1)
-        return replace(self, titles=(*self.titles, *sent.titles), values=lambda chosen: table[:, chosen])
+        # the order of the states stays, for the checks of their clock
+        order = np.argsort(np.concatenate([times, np.fmax.accumulate(time)]), kind="stable")
+        parts = [one.values([*range(len(one.titles))]) for one in (sent, self)]
+        table = np.full((len(order), sum(part.shape[1] for part in parts)), np.nan)
+        table[: len(times), : len(sent.titles)], table[len(times) :, len(sent.titles) :] = parts
+        table = table[order]
+        return replace(
+            self,
+            titles=(*sent.titles, *self.titles),
+            values=lambda chosen: table[:, chosen],
+            time=np.concatenate([times, time])[order],
+            number=np.concatenate([sent.number, self.number])[order],
+        )
 
 
 @entity
@@ -279,19 +289,28 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         robot=f"{kind}:{source.stem}",
         extra={"source": source.name, "format": kind, **motion.extra},
     )
-    seen = np.asarray(np.isfinite(position).any(axis=1))
-    if seen.any() and not seen.all():
-        table.notes.append(f"state: {int((~seen).sum())} rows without any joint left out")
-        found = found.take(seen)
-    if found.command is not None:
-        known = np.asarray(np.isfinite(found.command).any(axis=1))
-        early, late = int(known.argmax()), int(known[::-1].argmax())
-        for count, where in ((early, "before the first"), (late, "after the last")):
-            if count:
-                table.notes.append(f"state: {count} samples {where} command left out")
-        held = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))  # a command holds until the next
-        found = replace(found, command=found.command[held]).take(np.arange(early, len(found) - late))
-    return replace(found, notes=table.notes)
+    return _held(replace(found, notes=table.notes))
+
+
+def _held(motion: RecordedMotion) -> RecordedMotion:
+    """Rows with states, and the commands in force: each joint's until its next.
+
+    The last one holds as long as any did: motion after it may follow what the log does not hold.
+    """
+    out, notes = np.all(np.isnan(motion.position), axis=1), [*motion.notes]
+    out &= not out.all()
+    if motion.command is not None:
+        last = np.maximum.accumulate(np.where(np.isnan(motion.command), 0, np.arange(len(motion))[:, None]))
+        command, latest = np.take_along_axis(motion.command, last, axis=0), last.max(axis=1)
+        early = np.isnan(command).any(axis=1)
+        times = motion.time[np.unique(latest[~early])]
+        longest = max([PAUSE, *np.diff(times[np.isfinite(times)])]) if len(times) > 1 else np.inf
+        beyond = ~out & ((early & ~early.all()) | (motion.time - motion.time[latest] > longest))
+        if beyond.any():
+            notes.append(f"state: {beyond.sum()} samples before the first or after the last command left out")
+        out |= beyond
+        motion = replace(motion, command=command)
+    return replace(motion.take(~out), notes=notes)
 
 
 class _GroupedColumns:

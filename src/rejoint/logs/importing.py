@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask
-from rejoint.logs.columns import FEWEST, RecordedMotion, read_motion
+from rejoint.logs.columns import FEWEST, PAUSE, RecordedMotion, read_motion
 from rejoint.logs.consistency import (
     BETWEEN,
     FORCED,
@@ -32,8 +32,6 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.records import value_type
 from rejoint.system.textfile import DAMAGED
 
-PAUSE = 1.0
-"""[s] between motions (chosen: ten times a hobby servo's lag)"""
 PAUSE_PERIODS = 5.0
 """median periods in a pause at least, and around scattered corrupt rows (chosen)"""
 

@@ -315,10 +315,7 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
                 messages = found.setdefault(topic, [])
                 said = f"topic {topic}, message {len(messages) + 1}: no joint positions in {held[topic] or 'no type'}"
                 with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                    message = _message(content, groups[topic], time, options)
-                if messages and groups[topic] == "command":  # one need not name all joints: each keeps its last command
-                    message = message._replace(columns={**messages[-1].columns, **message.columns})
-                messages.append(message)
+                    messages.append(_message(content, groups[topic], time, options))
     except FileError:
         raise
     # Decoders, decompressors and message compilers stand behind this; none lists what it raises.

@@ -103,7 +103,10 @@ class Sheet:
         return [row[column] for row in self._cells()]
 
     def numbers(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Columns (rows, columns) as numbers, NaN: empty; FileError. Commas are decimal where no cell has a point."""
+        """Columns (rows, columns) as numbers, NaN: empty, inf: damaged; FileError.
+
+        Commas are decimal where no cell has a point.
+        """
         picked = [[row[column] for column in columns] for row in self._cells()]
         pointed = any("." in cell for row in picked for cell in row)
         values, wrong = np.full((len(self), len(columns)), np.nan), dict[str, str]()
@@ -116,8 +119,9 @@ class Sheet:
                     dated = _DATE.match(cell)
                     values[k, place] = datetime.fromisoformat(cell).timestamp() if dated else float(number)
                 except ValueError:
-                    where = f"line {self.lines[k]}, column {self.titles[columns[place]]}"
-                    wrong[where] = f"{cell[:40]!r} is no number"
+                    said = f"{cell[:40]!r} is no number"
+                    wrong[f"line {self.lines[k]}, column {self.titles[columns[place]]}"] = said
+                    values[k, place] = np.inf
         self._refuse(wrong, "mend the cell; dates as ISO 8601 or seconds")
         return values
 
@@ -140,8 +144,8 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
 def read_sheet(path: Path, *, names: Sequence[str] = (), whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
-    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is left out; damaged cells are
-    empty.
+    ``names``: titles of a file without them. Unless ``whole``, cells may be damaged, and an incomplete last line is
+    left out.
     """
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, "cut it into several files", most)
