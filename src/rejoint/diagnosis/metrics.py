@@ -22,6 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
+from rejoint.arms.kinematics import GRAVITY, frames
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, QUIET, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
@@ -265,7 +266,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
     position = interpolated(motion.time, log.time, log.position)
-    columns = gravity_terms(data.arm, position)[:, joint]
+    columns = gravity_terms(data.arm, position, joint)
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
 
@@ -285,11 +286,18 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     return follows, moments(columns) * scale[0], pulls * scale[1]
 
 
-def gravity_terms(arm: Arm, position: Array) -> Array:
-    """Gravity torques (N, n, 4 n) [N m] at ``position`` (N, n) by 1 kg in each link, at its joint and 1 m off."""
-    places = np.vstack([np.zeros(3), np.eye(3)])
-    loads = [replace(arm, mass=mass, com=mass[:, None] * place) for mass in np.eye(arm.joints) for place in places]
-    return np.stack([gravity_torque(load, position) for load in loads], axis=-1)
+def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
+    """Torques (N, 4 n) of a joint at ``position`` (N, n) by gravity on each link.
+
+    Per mass [m^2/s^2], and per mass times its place along each axis of the link [m/s^2].
+    """
+    found = frames(arm, position)
+    pull = np.cross(found.axis[:, joint], GRAVITY)[:, None]
+    lever = ((found.position - found.position[:, joint, None]) * pull).sum(axis=-1)
+    turned = (pull[..., None] * found.rotation).sum(axis=-2)
+    terms = np.concatenate([lever[..., None], turned], axis=-1)
+    terms[:, :joint] = 0.0
+    return terms.reshape(len(position), -1)
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
