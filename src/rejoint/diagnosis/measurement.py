@@ -13,6 +13,7 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import largest_loads, torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.metrics import (
+    COARSEST,
     INERTIA,
     LAG,
     OFFSET,
@@ -22,6 +23,7 @@ from rejoint.diagnosis.metrics import (
     arm_delay,
     fit_law,
     fit_torque,
+    mirrored_pulls,
     torque_given,
 )
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
@@ -61,9 +63,6 @@ that gains most; chosen
 
 ENOUGH = 300.0
 """[s] of free motion that tell signs; chosen"""
-
-SAG_EXPLAINED = 0.85
-"""Share of the sag that gravity explains in logs of right signs and order; measured"""
 
 KNOWN_WITHIN, SURE_WITHIN = 4.0, 2.0
 """Ratio of the ends of an interval that is used alone, and that outranks inertia; chosen"""
@@ -235,9 +234,18 @@ def _laws(data: ExcitationLog) -> list[Law | None]:
 
 def sag_doubt(data: ExcitationLog) -> str:
     """Doubt about base, signs or order of joints: where others clearly explain the sag better; else empty."""
-    names, eye = data.arm.joint_names, np.eye(data.arm.joints)
-    pulls = _pulls([] if data.arm.name in CATALOGUE else _laws(data))
-    right, tried = _explained(pulls), list[tuple[Array, str]]()
+    if data.arm.name in CATALOGUE or not data.log.commanded or data.log.period > COARSEST:
+        return ""
+    names, eye, free = data.arm.joint_names, np.eye(data.arm.joints), data.of_kind(FREE)
+    few = free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)]
+    ways = [(way, f"{name} turned the other way: check its sign") for name, way in zip(names, eye, strict=True)]
+    ways += [
+        (one - other, f"{a} and {b} were exchanged: check their order")
+        for (a, one), (b, other) in pairwise(zip(names, eye, strict=True))
+    ]
+    mirrors = [eye, *(eye - 2.0 * np.outer(way, way) / (way @ way) for way, _ in ways)]
+    pulls, *others = mirrored_pulls(replace(data, segments=tuple(few)), np.stack(mirrors))
+    right, tried = _explained(pulls), [(_explained(one), words) for one, (_, words) in zip(others, ways, strict=True)]
     for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, 3:])[..., 0]:  # those of single joints
         where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
         base = (
@@ -246,27 +254,9 @@ def sag_doubt(data: ExcitationLog) -> str:
             "carries more than the weight"
         )
         tried.append((_explained(pulls, along), base))
-    if right.sum() < SAG_EXPLAINED * (pulls[..., 3] ** 2).sum():
-        free = data.of_kind(FREE)
-        few = tuple(free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)])
-        ways = [(way, f"{name} turned the other way: check its sign") for name, way in zip(names, eye, strict=True)]
-        ways += [
-            (one - other, f"{a} and {b} were exchanged: check their order")
-            for (a, one), (b, other) in pairwise(zip(names, eye, strict=True))
-        ]
-        for way, words in ways:
-            mirror = eye - 2.0 * np.outer(way, way) / (way @ way)
-            log = replace(data.log, position=data.log.position @ mirror, command=data.log.command @ mirror)
-            laws = [fit_law(replace(data, log=log, segments=few), joint) for joint in range(len(eye))]
-            tried.append((_explained(_pulls(laws)), words))
     best, words = max(tried, key=lambda one: one[0].sum(), default=(right, ""))
     clear = best.sum() >= CLEARER * right.sum() and np.sort(best - right)[:-1].sum() >= DOUBTED
     return f"joints sag as if {words}" if clear and words else ""
-
-
-def _pulls(laws: Sequence[Law | None]) -> Array:
-    """`Law.pulls` (n, 4, 4), or zeros."""
-    return np.reshape([np.zeros((4, 4)) if law is None or law.pulls is None else law.pulls for law in laws], (-1, 4, 4))
 
 
 def _explained(pulls: Array, along: Array = GRAVITY) -> Array:

@@ -14,7 +14,6 @@ from lag: of a fit for each delay, the one that predicts these starts best wins.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -212,8 +211,6 @@ class Law(LinearFit):
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
     moments: Array | None = None
     """(4 n + 1, 4 n + 1) of `gravity_terms` and, last, error, in standard errors; None for hobby servos"""
-    pulls: Array | None = None
-    """(4, 4) the same of gravity along each axis of the base"""
 
 
 def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Averages:
@@ -249,7 +246,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     fit = fit_trimmed(design, error, motion.cluster, light)
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
-    follows, moments, pulls = (1.0, None, None) if known or fast else _shared(data, motion, joint)
+    follows, moments = (1.0, None) if known or fast else _shared(data, motion, joint)
     left = float(np.quantile(np.abs(error - design @ fit.coefficients), 0.99))
     return Law(
         **vars(fit),
@@ -257,33 +254,50 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
         farthest=left,
         follows=follows,
         moments=moments,
-        pulls=pulls,
     )
 
 
-def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array, Array]:
-    """Share of the sag by any masses that the arm's own explain, `Law.moments` and `Law.pulls`."""
+def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
+    """Share of the sag by any masses that the arm's own explain, and `Law.moments`."""
     model, error, log = motion.design, motion.error[0], data.log
     base = np.delete(model, SOFTNESS, axis=1)
-    position = interpolated(motion.time, log.time, log.position)
-    columns = gravity_terms(data.arm, position, joint)
+    columns = gravity_terms(data.arm, interpolated(motion.time, log.time, log.position), joint)
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
+    kept = _usual(error, free)
+    without, own, any_masses = ((_left(error[kept], design[kept]) ** 2).sum() for design in (base, model, free))
+    moments = np.asarray(np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept]), mode="r"))
+    scale = len(np.unique(motion.cluster[kept])) ** 0.5 / max(any_masses**0.5, 1e-150)
+    return (without - own) / max(without - any_masses, 1e-300), moments * scale
 
-    def left(design: Array, rows: Mask, values: Array = error) -> Array:
-        return values - design @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0]
 
-    rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
-    kept = rest <= 5 * 1.48 * np.median(rest)
-    without, own, any_masses = ((left(design, kept)[kept] ** 2).sum() for design in (base, model, free))
-    along = np.stack([gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)], axis=1)
+def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
+    """Sag (M, n, 4, 4) by gravity along each axis of the base, as `Law.moments`; zeros where no law can be fitted.
 
-    def moments(terms: Array) -> Array:
-        return np.asarray(np.linalg.qr(left(base, kept, np.column_stack([terms, error]))[kept], mode="r"))
+    As if angles (n,) were times ``mirrors`` (M, n, n), which exchange joints or turn their signs.
+    """
+    motions = [_motion(data, joint, np.zeros(1), fast=False) for joint in range(data.arm.joints)]
+    found, log = np.zeros((*mirrors.shape[:2], 4, 4)), data.log
+    for (k, joint), own in np.ndenumerate(np.abs(mirrors).argmax(axis=-1)):
+        motion, mirror = motions[int(own)], mirrors[k]
+        if motion.enough:
+            position = interpolated(motion.time, log.time, log.position) @ mirror
+            pulls = [gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)]
+            design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls])
+            error = mirror[joint, own] * motion.error[0]
+            kept = _usual(error, design)
+            root = np.asarray(np.linalg.qr(np.column_stack([design, error])[kept], mode="r"))[-4:, -4:]
+            found[k, joint] = root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(abs(root[-1, -1]), 1e-150)
+    return found
 
-    follows, pulls = (without - own) / max(without - any_masses, 1e-300), moments(along)
-    scale = len(np.unique(motion.cluster[kept])) ** 0.5 / np.maximum([any_masses**0.5, abs(pulls[-1, -1])], 1e-150)
-    return follows, moments(columns) * scale[0], pulls * scale[1]
+
+def _left(values: Array, design: Array) -> Array:
+    return values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+
+
+def _usual(error: Array, design: Array) -> Mask:
+    rest = np.abs(_left(error, design))
+    return rest <= 5 * 1.48 * np.median(rest)
 
 
 def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
