@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -227,7 +226,6 @@ def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
     return softness, np.where(known, 0.5 * (low + high), 0.0), np.where(known, high - low, np.inf) / (2.0 * NORMAL95)
 
 
-@lru_cache(maxsize=1)
 def _laws(data: ExcitationLog) -> list[Law | None]:
     return [fit_law(data, joint) for joint in range(data.arm.joints)]
 
