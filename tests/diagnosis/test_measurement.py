@@ -8,6 +8,7 @@ import pytest
 from rejoint.arms import gravity_torque, link_inertia, mycobot280
 from rejoint.diagnosis.excitation import EXCITATION_LABEL, plan_excitation
 from rejoint.diagnosis.measurement import measure
+from rejoint.diagnosis.metrics import gravity_terms
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.runlog import RunLog
 
@@ -56,6 +57,13 @@ def simulated(top_speed):
 @pytest.fixture(scope="module")
 def measured(log):
     return measure(ARM, log)
+
+
+def test_the_terms_of_gravity_add_up_to_the_torque():
+    q = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (5, ARM.joints))
+    links = np.column_stack([ARM.mass, ARM.mass[:, None] * ARM.com]).ravel()
+    found = [gravity_terms(ARM, q, joint) @ links for joint in range(ARM.joints)]
+    assert np.transpose(found) == pytest.approx(gravity_torque(ARM, q))
 
 
 @pytest.mark.parametrize("joint", [1, 2])
