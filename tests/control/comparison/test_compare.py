@@ -156,7 +156,7 @@ def test_one_arm_interleaves_and_returns_to_the_start():
 
 def test_a_trip_on_one_arm_ends_the_comparison():
     robot = SaggingRobot(hot=6.0)
-    with pytest.raises(GuardTripError, match="temperature"):
+    with pytest.raises(GuardTripError):
         compared(robot, factories("integrator"))
     assert robot.closed == 1
 

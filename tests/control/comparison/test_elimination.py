@@ -140,7 +140,7 @@ def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
 
     on(STIFFNESS, tried := [])
     assert len(tried) == 2, "a crossing and a hold"
-    with pytest.raises(NotReadyError, match="from where the twin of this run expects it"):
+    with pytest.raises(NotReadyError):
         on(0.5, tried := [])
     assert tried == []
 
@@ -175,7 +175,7 @@ def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
         (factories("integrator") | {"policy": slow}, {}),
         ({"policy": slow}, {"leave_out": True}),
     ):
-        with pytest.raises(ContractError, match="trained for 40 to 60 ms"):
+        with pytest.raises(ContractError):
             on(controllers, **settings)
     assert trials == [], "asked for by name, or the only one: refused"
 
