@@ -182,10 +182,10 @@ LOOK = 0.05
 
 def typed(meanwhile: Callable[[], object] = lambda: None) -> Iterator[bytes]:
     """Yield the lines of standard input; waiting for one blocks neither signals nor ``meanwhile``."""
-    came = Queue[bytes](1)
+    came, handle = Queue[bytes](1), sys.stdin.fileno()
 
     def read() -> None:
-        with open(sys.stdin.fileno(), "rb", closefd=False) as file, suppress(OSError):
+        with open(handle, "rb", closefd=False) as file, suppress(OSError):
             for line in file:
                 came.put(line)
         came.put(b"")
