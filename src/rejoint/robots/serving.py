@@ -378,7 +378,7 @@ class Clients(Conversation[Frame]):
         self._number: int | None = None
         self._waiting: tuple[Frame, Future[bytes | None]] | None = None  # what the loop is to pass on
         self._lost = Counter[int]()  # answers of the robot to a command, the last ones in a row
-        self._said: dict[str, float] = {}  # line -> when [s] it was said last
+        self._said: dict[str, float] = {}  # what was said -> when [s] last
 
     def server(self) -> Server:
         """Serve on the listening socket, or without one on a pseudo-terminal."""
@@ -410,7 +410,8 @@ class Clients(Conversation[Frame]):
         if arrival.error > ARRIVED_LENGTH or arrival.short:
             cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
             away = f" {1e3 * arrival.error:.0f} mm from where it was sent" * (arrival.error > ARRIVED_LENGTH)
-            self._say_again(f"A move ended{away}: {cause or 'it came no nearer'}.")
+            cause = cause or "it came no nearer"
+            self._say_again(f"A move ended{away}: {cause}.", about=cause)
 
     def answer(self, request: Frame) -> Frame | None:
         """Carry out ``request``; None: silence."""
@@ -466,10 +467,10 @@ class Clients(Conversation[Frame]):
         self._lost[request.command] = 0 if answer is not None else self._lost[request.command] + 1
         future.set_result(answer)
 
-    def _say_again(self, line: str) -> None:
-        now = time.monotonic()
-        if now - self._said.get(line, -AGAIN) >= AGAIN:
-            self._said[line] = now
+    def _say_again(self, line: str, about: str = "") -> None:
+        now, about = time.monotonic(), about or line
+        if now - self._said.get(about, -AGAIN) >= AGAIN:
+            self._said[about] = now
             self._say(line)
 
     def _answer(self, channel: ByteStream, request: Frame) -> None:
