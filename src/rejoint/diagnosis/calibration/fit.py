@@ -346,7 +346,8 @@ def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem,
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out; InputError for what no arm is."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
-    if (off := np.quantile(after, 0.8, method="lower")) > ASTRAY * reach(problem.arm):
+    off = np.quantile(after, 0.8, method="lower")
+    if off > ASTRAY * reach(problem.arm) and len(np.unique(measured.posture)) >= FEWEST:
         raise InputError(
             f"points lie {1e3 * off:.0f} mm or more from where the others put the tool, and no arm is that far from "
             "its description: are units, columns, joint positions and the frame of the points right, and is it this "
