@@ -124,12 +124,11 @@ def _records(file: Path) -> tuple[dict[str, Array], str]:
         data = json.loads(read_bounded(file, "cut it into several files", TEXT_MOST))
         data = data if isinstance(data, dict) else {"": data}
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
-        columns = {
-            key: [row.get(key) for row in rows]
-            for key in dict.fromkeys(key for row in rows for key, one in row.items() if isinstance(one, int | float))
-        }
-        beside = {key: [one] * len(rows) for key, one in data.items() if isinstance(one, int | float)}
-        return {key: np.array(one, dtype=float) for key, one in (beside | columns).items()}, "JSON with records"
+        found = {key: [one] * len(rows) for key, one in data.items()}
+        found |= {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
+        numbers = {key: all(isinstance(one, int | float | None) for one in column) for key, column in found.items()}
+        columns = {key: np.array(column, dtype=float) for key, column in found.items() if numbers[key]}
+        return columns, "JSON with records"
 
 
 def _archive(file: Path) -> tuple[dict[str, Array], str]:
@@ -359,15 +358,17 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
     found = shown([f"{name} ({held[name] or 'no type'})" for name in sorted(held)])
     state, command = options.state_topic, options.command_topic
 
-    def only(of: str, without: Sequence[str], option: str) -> str | None:
-        able = [name for name, kind in kinds.items() if kind == of and not any(word in name for word in without)]
-        if len(able) > 1:
+    def only(of: str, without: Sequence[str], option: str, *, needed: bool = True) -> str | None:
+        able = [n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)]
+        if len(able) > 1 and needed:
             raise FileError(file, f"several topics with {of}: {shown(able)}", f"name one with {option}")
-        notes.extend(f"commands from {name} ({held[name]})" for name in able)
-        return able[0] if able else None
+        if len(able) != 1:
+            return None
+        notes.append(f"commands from {able[0]} ({held[able[0]]})")
+        return able[0]
 
     if not (state or command or COMMAND_TOPIC in held):
-        state = only(CONTROLLER, TOOLS, "--state-topic")
+        state = only(CONTROLLER, TOOLS, "--state-topic", needed=STATE_TOPIC not in held)
     state = state or STATE_TOPIC
     if state not in held:
         raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
@@ -442,7 +443,7 @@ SAGE = Reader(
     _read_sage,
 )
 TABLE = Reader(_is_table, _read_table)
-LEROBOT = Reader(lambda path, _: (path / _INFO).is_file(), _episodes)
+LEROBOT = Reader(lambda path, named: named and (path / _INFO).is_file(), _episodes)
 MCAP = Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap))
 _ROSBAGS = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}
 ROSBAG = Reader(
