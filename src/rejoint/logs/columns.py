@@ -299,13 +299,16 @@ def _held(motion: RecordedMotion) -> RecordedMotion:
     """
     out, notes = np.all(np.isnan(motion.position), axis=1), [*motion.notes]
     out &= not out.all()
+    if lost := int((out & (motion.command is None or np.isnan(motion.command).all(axis=1))).sum()):
+        notes.append(f"state: {lost} rows without any joint left out")
     if motion.command is not None:
         last = np.maximum.accumulate(np.where(np.isnan(motion.command), 0, np.arange(len(motion))[:, None]))
         command, latest = np.take_along_axis(motion.command, last, axis=0), last.max(axis=1)
         early = np.isnan(command).any(axis=1)
         times = motion.time[np.unique(latest[~early])]
         longest = max([PAUSE, *np.diff(times[np.isfinite(times)])]) if len(times) > 1 else np.inf
-        beyond = ~out & ((early & ~early.all()) | (motion.time - motion.time[latest] > longest))
+        with np.errstate(invalid="ignore"):  # of damaged times
+            beyond = ~out & ((early & ~early.all()) | (motion.time - motion.time[latest] > longest))
         if beyond.any():
             notes.append(f"state: {beyond.sum()} samples before the first or after the last command left out")
         out |= beyond
@@ -326,10 +329,12 @@ class _GroupedColumns:
         own = {column.place: column for column in mapped}
         if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
-        meant = {(column.group, column.name) for column in mapped}
-        self.columns = {
-            i: one for i, one in self.columns.items() if (one.group, joint_of(one.name, arm) or one.name) not in meant
-        } | own
+
+        def meaning(column: Column) -> tuple[str, str]:
+            return column.group, joint_of(column.name, arm) or column.name
+
+        meant = set(map(meaning, mapped))
+        self.columns = {place: one for place, one in self.columns.items() if meaning(one) not in meant} | own
         if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
             self.notes.append(f"columns ignored: {shown(ignored)}")
         if not self.of("position"):
