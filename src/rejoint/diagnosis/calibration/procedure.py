@@ -54,6 +54,7 @@ from rejoint.diagnosis.calibration.calibration import (
 )
 from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.logs.joints import TIME_UNITS
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, digest, reading, require_file
@@ -341,7 +342,7 @@ def parse_point(text: str) -> Array:
 
 @dataclass(kw_only=True)
 class TrackerGauge:
-    """Reads the end of a tracker's CSV file: time [s], x, y and z, with units as in other tables."""
+    """Reads the end of a tracker's CSV file: time, x, y and z, with units as in other tables."""
 
     path: Path
     unit: str = "mm"
@@ -378,8 +379,8 @@ class TrackerGauge:
                 head = file.readline(4096).decode().strip()
                 file.seek(max(self.path.stat().st_size - _TAIL, len(head)))
                 text = file.read().decode(errors="replace")
-        titles, wanted = head.casefold().replace("time_s", "time").split(","), ("time", "x", "y", "z")
-        names, units = zip(*(split_unit(title.strip(), LENGTHS) for title in titles), strict=True)
+        titles, wanted = [title.strip() for title in head.casefold().split(",")], ("time", "x", "y", "z")
+        names, units = zip(*(split_unit(one, TIME_UNITS if "time" in one else LENGTHS) for one in titles), strict=True)
         if {*wanted} - {*names}:
             raise FileError(self.path, f"columns {head!r}, expected time, x, y, z", "name them in its first line")
         places = [names.index(name) for name in wanted]
@@ -389,7 +390,8 @@ class TrackerGauge:
         table = table[np.isfinite(table).all(axis=1)]
         if not len(table):
             raise FileError(self.path, "no rows yet", "start the tracker, or look whether it sees the tool")
-        return table * [1.0, *(LENGTHS[units[place] or self.unit] for place in places[1:])]
+        ticks, *lengths = (units[place] for place in places)
+        return table * [1.0 / TIME_UNITS[ticks or "s"], *(LENGTHS[unit or self.unit] for unit in lengths)]
 
 
 SPEED = 0.5
