@@ -126,9 +126,10 @@ def _records(file: Path) -> tuple[dict[str, Array], str]:
         (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
         found = {key: [one] * len(rows) for key, one in data.items()}
         found |= {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
-        numbers = {key: all(isinstance(one, int | float | None) for one in column) for key, column in found.items()}
-        columns = {key: np.array(column, dtype=float) for key, column in found.items() if numbers[key]}
-        return columns, "JSON with records"
+        numbers = {
+            key: one for key, one in found.items() if all(isinstance(value, int | float | None) for value in one)
+        }
+        return {key: np.array(one, dtype=float) for key, one in numbers.items()}, "JSON with records"
 
 
 def _archive(file: Path) -> tuple[dict[str, Array], str]:
