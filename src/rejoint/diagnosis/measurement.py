@@ -234,12 +234,12 @@ def sag_doubt(data: ExcitationLog) -> str:
     """Doubt about base, signs or order of joints: where others clearly explain the sag better; else empty."""
     if data.arm.name in CATALOGUE or not data.log.commanded or data.log.period > COARSEST:
         return ""
-    names, eye, free = data.arm.joint_names, np.eye(data.arm.joints), data.of_kind(FREE)
+    eye, free = np.eye(data.arm.joints), data.of_kind(FREE)
     few = free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)]
-    ways = [(way, f"{name} turned the other way: check its sign") for name, way in zip(names, eye, strict=True)]
+    joints = [*zip(data.arm.joint_names, eye, strict=True)]
+    ways = [(way, f"{name} turned the other way: check its sign") for name, way in joints]
     ways += [
-        (one - other, f"{a} and {b} were exchanged: check their order")
-        for (a, one), (b, other) in pairwise(zip(names, eye, strict=True))
+        (one - other, f"{a} and {b} were exchanged: check their order") for (a, one), (b, other) in pairwise(joints)
     ]
     mirrors = [eye, *(eye - 2.0 * np.outer(way, way) / (way @ way) for way, _ in ways)]
     pulls, *others = mirrored_pulls(replace(data, segments=tuple(few)), np.stack(mirrors))
@@ -252,9 +252,9 @@ def sag_doubt(data: ExcitationLog) -> str:
             "carries more than the weight"
         )
         tried.append((_explained(pulls, along), base))
-    best, words = max(tried, key=lambda one: one[0].sum(), default=(right, ""))
+    best, words = max(tried, key=lambda one: one[0].sum())
     clear = best.sum() >= CLEARER * right.sum() and np.sort(best - right)[:-1].sum() >= DOUBTED
-    return f"joints sag as if {words}" if clear and words else ""
+    return f"joints sag as if {words}" if clear else ""
 
 
 def _explained(pulls: Array, along: Array = GRAVITY) -> Array:

@@ -266,7 +266,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
     kept = _usual(error, free)
     without, own, any_masses = ((_left(error[kept], design[kept]) ** 2).sum() for design in (base, model, free))
-    moments = np.asarray(np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept]), mode="r"))
+    moments = np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept])).R
     scale = len(np.unique(motion.cluster[kept])) ** 0.5 / max(any_masses**0.5, 1e-150)
     return (without - own) / max(without - any_masses, 1e-300), moments * scale
 
@@ -286,7 +286,7 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
             design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls])
             error = mirror[joint, own] * motion.error[0]
             kept = _usual(error, design)
-            root = np.asarray(np.linalg.qr(np.column_stack([design, error])[kept], mode="r"))[-4:, -4:]
+            root = np.linalg.qr(np.column_stack([design, error])[kept]).R[-4:, -4:]
             found[k, joint] = root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(abs(root[-1, -1]), 1e-150)
     return found
 
