@@ -159,9 +159,10 @@ def torques(chain, frames, gravity):  # noqa: ANN001, ANN201
 @compiled(OUT2(CHAIN, IN2, IN1))
 def torques_all(chain, q, gravity):  # noqa: ANN001, ANN201
     """`torques` (B, n) [N m] at postures (B, n)."""
-    held = np.empty(q.shape)
+    held, frames = np.empty(q.shape), np.empty((q.shape[1] + 1, 4, 4))
     for b in range(len(q)):
-        fill(held[b], torques(chain, place(chain, q[b]), gravity))
+        put(chain, q[b], frames)
+        fill(held[b], torques(chain, frames, gravity))
     return held
 
 

@@ -175,8 +175,8 @@ class Simulation:
         self.twins.timestep[:] = step
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
         references = self.reference.follow(self.latency, starts, step)
-        if self.feed.any():
-            references = references + self.feed[:, None] * gravity_torque(self.arm, references)
+        fed = self.feed.any(axis=1)
+        references[fed] += self.feed[fed, None] * gravity_torque(self.arm, references[fed])
         passed = self.twins.rollout(references if offset is None else references + offset[:, None])
         self.latency.record(starts + step[:, None], passed)
         self.time = self.time + period
