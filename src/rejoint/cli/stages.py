@@ -27,7 +27,7 @@ from rejoint.robots.bus import LOST
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
-from rejoint.session.inputs import FIRST_ROBOT, Settings, to_keep
+from rejoint.session.inputs import FIRST_ROBOT, Settings, source_of, to_keep
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
@@ -164,7 +164,7 @@ def diagnose(
     if logs is not None and (robot is not None or call.settings.dry_run or to_keep(call.settings).given()):
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
     robot = FIRST_ROBOT if robot is None else robot
-    job = call.job(robot if logs is None else f"{LOGS}{logs}", run, seed)
+    job = call.job(robot if logs is None else source_of(logs), run, seed)
     found = call.do(
         rejoint.diagnose, logs or robot, run=job, healthy=healthy, quick=quick, settings=call.settings
     ).diagnosis
@@ -199,7 +199,7 @@ def identify(
             "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "
             "--gain and --torque-off"
         )
-    job = Run.open(run) if run is not None else call.job(f"{LOGS}{logs}", folder, seed or 0)
+    job = Run.open(run) if run is not None else call.job(source_of(logs), folder, seed or 0)
     plan = rejoint.LogPlan(
         beside=offline.read_sets(published, job.arm),
         hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
