@@ -123,11 +123,23 @@ def messages(path: Path, topics: dict[str, list[object]], **layout: object) -> P
     with path.open("wb") as stream:
         writer = Writer(stream, **layout)
         writer.start()
-        schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
         for topic, contents in topics.items():
+            kind = "JointTrajectoryControllerState" if "controller" in topic else "JointState"
+            schema = writer.register_schema(f"control_msgs/{kind}", "jsonschema", b"{}")
             channel = writer.register_channel(topic, "json", schema)
             for row, content in enumerate(contents):
                 time = 20_000_000 * row
                 writer.add_message(channel, log_time=time, data=json.dumps(content).encode(), publish_time=time)
         writer.finish()
     return path
+
+
+def test_a_controller_that_tells_its_state_on_two_topics_has_commands(tmp_path: Path):
+    position = [[0.1 * row] * 5 for row in range(8)]
+    told = [
+        {"joint_names": list(ARM.joint_names), "actual": {"positions": q}, "desired": {"positions": q[::-1]}}
+        for q in position
+    ]
+    told = {f"/arm_controller/{name}": told for name in ("state", "controller_state")}
+    source = messages(tmp_path / "bag.mcap", {"/joint_states": [state(k, k) for k in range(8)], **told})
+    np.testing.assert_allclose(import_logs(source, ARM, out=tmp_path / "logs").logs[0].command, position)

@@ -38,10 +38,12 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path, sorted by name."""
+        """Return what it reads at a path, sorted by name: in a folder, else in the folders there, as of ROS 2's bags."""
         if self.fits(source, True):
             return [source]
-        return [path for path in sorted(source.iterdir()) if self.fits(path, False)] if source.is_dir() else []
+        below = sorted(source.iterdir()) if source.is_dir() else []
+        deeper = (path for folder in below if folder.is_dir() for path in sorted(folder.iterdir()))
+        return [path for path in below if self.fits(path, False)] or [path for path in deeper if self.fits(path, False)]
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -96,8 +98,8 @@ def _is_table(file: Path, named: bool) -> bool:
 
 def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | None:
     """Reader of the columns of a file by its ending and first bytes; None: not of text."""
-    magic, read = _KINDS.get(file.suffix.lower(), ((), None))
-    return read if any(begins_with(file, one) for one in magic) else None
+    magic, read = _KINDS.get(file.suffix.lower(), (b"", None))
+    return read if begins_with(file, magic) else None
 
 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
@@ -151,7 +153,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     return columns, "a NumPy archive"
 
 
-_KINDS = {".npz": ((b"PK\x03\x04",), _archive), ".json": ((b"{", b"["), _records)}
+_KINDS = {".npz": (b"PK\x03\x04", _archive), ".json": ((b"{", b"["), _records)}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")
@@ -360,7 +362,8 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
     state, command = options.state_topic, options.command_topic
 
     def only(of: str, without: Sequence[str], option: str, *, needed: bool = True) -> str | None:
-        able = [n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)]
+        able = {n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)}
+        able = sorted(able - {f"{n.removesuffix('controller_state')}state" for n in able})  # ROS Humble's older name
         if len(able) > 1 and needed:
             raise FileError(file, f"several topics with {of}: {shown(able)}", f"name one with {option}")
         if len(able) != 1:

@@ -118,13 +118,13 @@ def require_file(path: Path, most: int, remedy: str) -> None:
         raise FileError(path, f"{decimal(size)} large, expected at most {decimal(most)}", remedy)
 
 
-def begins_with(path: Path, first: bytes) -> bool:
-    """Whether ``path`` is a file with these first bytes."""
+def begins_with(path: Path, first: bytes | tuple[bytes, ...]) -> bool:
+    """Whether ``path`` is a file with these first bytes, or some of these: at most 16."""
     try:
         if not path.is_file():  # a pipe is not opened: it might never answer
             return False
         with path.open("rb") as file:
-            return file.read(len(first)) == first
+            return file.read(16).startswith(first)
     except OSError:
         return False
 
