@@ -38,7 +38,7 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path, sorted by name: in a folder, else in the folders there, as of ROS 2's bags."""
+        """Return what it reads at a path, sorted by name: in a folder, else in those in it, as ROS 2's bags."""
         if self.fits(source, True):
             return [source]
         below = sorted(source.iterdir()) if source.is_dir() else []
@@ -153,7 +153,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
     return columns, "a NumPy archive"
 
 
-_KINDS = {".npz": (b"PK\x03\x04", _archive), ".json": ((b"{", b"["), _records)}
+_KINDS: dict[str, Any] = {".npz": (b"PK\x03\x04", _archive), ".json": ((b"{", b"["), _records)}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")
@@ -362,8 +362,8 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
     state, command = options.state_topic, options.command_topic
 
     def only(of: str, without: Sequence[str], option: str, *, needed: bool = True) -> str | None:
-        able = {n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)}
-        able = sorted(able - {f"{n.removesuffix('controller_state')}state" for n in able})  # ROS Humble's older name
+        found = {n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)}
+        able = sorted(found - {f"{n.removesuffix('controller_state')}state" for n in found})  # ROS Humble's older name
         if len(able) > 1 and needed:
             raise FileError(file, f"several topics with {of}: {shown(able)}", f"name one with {option}")
         if len(able) != 1:
