@@ -223,11 +223,13 @@ def hysteresis(case: _Case) -> Found:
     explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
     if not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
         return None
-    width = case.value("hysteresis_rad")
-    return case.lever * width / 2, (
+    width, rest = case.value("hysteresis_rad"), (case.levers * case.errors).mean()
+    least = case.lever * width / 2
+    far = f", and {np.degrees(case.errors.mean()):.2f} deg from its commands" if rest > least else ""
+    return max(least, rest), (
         f"stops short: coming from below and from above it rests {np.degrees(width):.2f} deg apart"
-        f"{case.against('hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
-        "cannot be told; on either side,"
+        f"{case.against('hysteresis_rad', '.2f', np.degrees(1.0))}{far}; whether it is stiff to turn or soft, or both, "
+        "cannot be told;"
     )
 
 
