@@ -161,7 +161,8 @@ def diagnose(
     quick: bool = False,
 ) -> object:
     """Find out what is wrong with an arm: by moving it, or from logs."""
-    if logs is not None and (robot is not None or call.settings.dry_run or to_keep(call.settings).given()):
+    given = to_keep(call.settings).given().keys() - {"payload", "tool"}
+    if logs is not None and (robot is not None or call.settings.dry_run or given):
         raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
     robot = FIRST_ROBOT if robot is None else robot
     job = call.job(robot if logs is None else source_of(logs), run, seed)
@@ -199,7 +200,7 @@ def identify(
             "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "
             "--gain and --torque-off"
         )
-    job = Run.open(run) if run is not None else call.job(source_of(logs), folder, seed or 0)
+    job = Run.open(run) if run is not None else call.job(source_of(logs or ""), folder, seed or 0)
     plan = rejoint.LogPlan(
         beside=offline.read_sets(published, job.arm),
         hold_out=None if not hold_out else [name for name in hold_out if name != "none"],

@@ -32,6 +32,7 @@ from rejoint.session.inputs import (
     run_of_logs,
     settled,
     source_of,
+    to_keep,
 )
 from rejoint.session.session import ArmSession
 from rejoint.system.files import read_json, saving, set_aside, write_json
@@ -116,11 +117,13 @@ def diagnose(
     if not is_robot(source):
         given = cast(LogsLike, source)
         kept, known = run_of_logs(run, given, arm)
+        chosen = settled(settings, kept, None)[0]
         with pacing(observer) as update, exclusive(kept):
-            name = source_of(given) if kept is None else kept.robot
-            told = diagnose_logs(known, as_logs(given), _reference(known, healthy), source=name, on_progress=update)
+            name, own = source_of(given) if kept is None else kept.robot, to_keep(chosen).laden(known)
+            told = diagnose_logs(own, as_logs(given), _reference(known, healthy), source=name, on_progress=update)
             if kept is not None:
                 write_json(kept.begin().folder.diagnosis, told)
+                keep(kept, chosen)
                 summarise(kept)
         return Diagnosed(diagnosis=told)
     robot, chosen = cast(RobotLike, source), settled(settings, None, None)[0]

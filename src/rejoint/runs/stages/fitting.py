@@ -32,7 +32,7 @@ from rejoint.session.inputs import (
     as_arm,
     as_logs,
     as_twin,
-    laden,
+    kept,
     run_of_logs,
 )
 from rejoint.session.session import ArmSession
@@ -128,9 +128,10 @@ def identify(
         elif run is not None:
             about = Run.open(run)
             stack.enter_context(exclusive(about))
-            chosen, motions = laden(about), _motions(about)
+            chosen, motions = about.arm, _motions(about)
         else:
             raise InputError("identification: neither logs nor a run is given")
+        chosen = kept(about).laden(chosen)
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
         if logs is None or (about is None and of_diagnosis(motions)):
             twin = fit(chosen, motions, update)
