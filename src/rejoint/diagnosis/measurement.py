@@ -60,6 +60,9 @@ CLEARER, DOUBTED = 2.0, 25.0
 that gains most; chosen
 """
 
+LOADS = np.arange(0.05, 1.01, 0.05)
+"""Loads at the tip, over the mass of the arm, that might explain the sag; chosen"""
+
 ENOUGH = 300.0
 """[s] of free motion that tell signs; chosen"""
 
@@ -213,7 +216,8 @@ def _stiffness(
         total = shifted(motor, links[joint])
         if total is not None:
             found[joint] = product(total, reciprocal(ratio)), None
-    return found
+    less_sure = _by_sag(arm, laws, KNOWN_WITHIN)
+    return [(k or sag, motor) for (k, motor), sag in zip(found, less_sure, strict=True)]
 
 
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
@@ -231,8 +235,8 @@ def _laws(data: ExcitationLog) -> list[Law | None]:
 
 
 def sag_doubt(data: ExcitationLog) -> str:
-    """Doubt about base, signs or order of joints: where others clearly explain the sag better; else empty."""
-    if data.arm.name in CATALOGUE or not data.log.commanded or data.log.period > COARSEST:
+    """Doubt about base, signs, order or load of joints: where others clearly explain the sag better; else empty."""
+    if not data.log.commanded or data.log.period > COARSEST:
         return ""
     eye, free = np.eye(data.arm.joints), data.of_kind(FREE)
     few = free[:: 1 + int(sum(one.stop - one.start for one in free) / ENOUGH)]
@@ -244,7 +248,7 @@ def sag_doubt(data: ExcitationLog) -> str:
     mirrors = [eye, *(eye - 2.0 * np.outer(way, way) / (way @ way) for way, _ in ways)]
     pulls, *others = mirrored_pulls(replace(data, segments=tuple(few)), np.stack(mirrors))
     right, tried = _explained(pulls), [(_explained(one), words) for one, (_, words) in zip(others, ways, strict=True)]
-    for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, 3:])[..., 0]:  # those of single joints
+    for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, 4:])[..., 0]:  # those of single joints
         where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
         base = (
             f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed "
@@ -253,13 +257,18 @@ def sag_doubt(data: ExcitationLog) -> str:
         )
         tried.append((_explained(pulls, along), base))
     best, words = max(tried, key=lambda one: one[0].sum())
-    clear = best.sum() >= CLEARER * right.sum() and np.sort(best - right)[:-1].sum() >= DOUBTED
-    return f"joints sag as if {words}" if clear else ""
+    if best.sum() < CLEARER * right.sum() or np.sort(best - right)[:-1].sum() < DOUBTED:
+        masses = data.arm.mass.sum() * LOADS
+        most, mass = max((_explained(pulls, np.append(GRAVITY, one)).sum(), one) for one in masses)
+        words = f"the tip carried {1e3 * mass:.0f} g more: if it did, diagnose with --payload; else check the zeros"
+        words *= bool(most >= right.sum() + DOUBTED)
+    return words and f"joints sag as if {words}"
 
 
 def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
-    """Sag (n,) by gravity ``along`` (3,) [m/s^2], in squared standard errors."""
-    sag, error = pulls[:, :3, :3] @ along, pulls[:, :3, 3]
+    """Sag (n,) by gravity ``along`` (3,) [m/s^2], and a mass [kg] at the tip, in squared standard errors."""
+    known = len(along)
+    sag, error = pulls[:, :known, :known] @ along, pulls[:, :known, -1]
     return (sag * error).sum(axis=1).clip(0.0) ** 2 / ((sag**2).sum(axis=1) + 1e-12)
 
 

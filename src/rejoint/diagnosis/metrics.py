@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
-from rejoint.arms.kinematics import GRAVITY, frames
+from rejoint.arms.kinematics import GRAVITY, frames, position_kinematics
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, QUIET, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
@@ -272,21 +272,23 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
 
 
 def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
-    """Sag (M, n, 4, 4) by gravity along each axis of the base, as `Law.moments`; zeros where no law can be fitted.
+    """Sag (M, n, 5, 5) by gravity along each axis of the base, and by 1 kg at the tip, as `Law.moments`.
 
-    As if angles (n,) were times ``mirrors`` (M, n, n), which exchange joints or turn their signs.
+    As if angles (n,) were times ``mirrors`` (M, n, n), which exchange joints or turn their signs. Zeros where no law
+    can be fitted.
     """
     motions = [_motion(data, joint, np.zeros(1), fast=False) for joint in range(data.arm.joints)]
-    found, log = np.zeros((*mirrors.shape[:2], 4, 4)), data.log
+    found, log = np.zeros((*mirrors.shape[:2], 5, 5)), data.log
     for (k, joint), own in np.ndenumerate(np.abs(mirrors).argmax(axis=-1)):
         motion, mirror = motions[int(own)], mirrors[k]
         if motion.enough:
             position = interpolated(motion.time, log.time, log.position) @ mirror
             pulls = [gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)]
-            design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls])
+            tip = position_kinematics(data.arm, position)[1][:, :, joint] @ -GRAVITY
+            design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls, tip])
             error = mirror[joint, own] * motion.error[0]
             kept = _usual(error, design)
-            root = np.linalg.qr(np.column_stack([design, error])[kept]).R[-4:, -4:]
+            root = np.linalg.qr(np.column_stack([design, error])[kept]).R[-5:, -5:]
             found[k, joint] = root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(abs(root[-1, -1]), 1e-150)
     return found
 

@@ -60,6 +60,7 @@ from rejoint.twin.structure import (
     explored,
     find_acceleration,
     find_structure,
+    limited,
     rough_fit,
     with_both,
     with_limit,
@@ -169,16 +170,28 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
 
 
 def fitted_twin(
-    problem: Problem, found: Fit, clusters: Index, held_out: HeldOut, table: TablePlane | None = None
+    problem: Problem,
+    found: Fit,
+    clusters: Index,
+    held_out: HeldOut,
+    table: TablePlane | None = None,
+    *,
+    doubted: bool = False,
 ) -> Twin:
-    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
-    replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
-    covariance = uncertainty(problem, found, clusters)
+    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it.
+
+    No stiffness is identified where the sag is ``doubted``.
+    """
+    replay, belief, at = problem.replay, problem.prior, problem.layout.at
+    covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
+    place = at("torque_limit")
+    found.vector[place][unreached] = belief.upper[place][unreached]
+    parameters = unpack(found.vector, problem.joints)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
+    identified[at("stiffness")] &= not doubted
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
-    unreached, at = limit >= drive_torque(problem, found.vector), problem.layout.at
-    identified[place := at("torque_limit")] &= ~unreached
+    identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
     # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
@@ -278,13 +291,14 @@ def identify_logs(
         motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
-    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
+    doubt = sag_doubt(motions.data)
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table, doubted=bool(doubt))
     return replace(
         twin,
         gain=gain,
         notes=(*twin.notes, note),
         fitted=tuple(log.label for log in seen),
-        judgement=replace(judgement, doubts=(*judgement.doubts, *missing, *filter(None, [sag_doubt(motions.data)]))),
+        judgement=replace(judgement, doubts=(*judgement.doubts, *missing, *filter(None, [doubt]))),
     )
 
 

@@ -56,7 +56,7 @@ SELDOM, OFTEN = 0.005, 0.02
 
 _RAMPS = (1.5, 5.0)
 """[rad/s] tried"""
-_TORQUES = (0.4, 0.7)
+_TORQUES = (0.4, 0.7, 0.9)
 """Tried, over the largest torque without limit"""
 _SHARES = (0.3,)
 """Load friction tried"""
@@ -213,16 +213,26 @@ def with_limit(problem: Problem, x: Array, limit: str) -> Array:
 def with_both(problem: Problem, x: Array) -> Array:
     """Start (k,) with `TOGETHER` from an optimum ``x`` (k,) without them."""
     y = x.copy()
-    y[problem.layout.at("torque_limit")] = np.log(_TORQUES[-1] * drive_torque(problem, x))
+    y[problem.layout.at("torque_limit")] = np.log(_TORQUES[1] * drive_torque(problem, x))
     y[problem.layout.at("load_friction")] = _SHARES
     return y
 
 
+def limited(problem: Problem, x: Array) -> Mask:
+    """Joints (n,) whose torque limit shows: without it, their motion is explained worse."""
+    place = problem.layout.at("torque_limit")
+    lifted = np.tile(x, (problem.joints, 1))
+    np.fill_diagonal(lifted[:, place], problem.prior.upper[place])
+    losses = loss(problem.residuals(np.vstack([x, lifted]))).sum(axis=1)
+    return (1.0 - GAIN) * np.diag(losses[1:]) > losses[0]
+
+
 def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
-    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows."""
+    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows; a stalled joint lags further."""
     parameters = unpack(x, problem.joints)
     lead = problem.replay.references(parameters) + parameters.offset - problem.measured
-    torque = parameters.stiffness * np.maximum(np.abs(lead), problem.floor)
+    lead = np.minimum(np.abs(lead), np.abs(lead - problem.residuals(x[None])[0]))
+    torque = parameters.stiffness * np.maximum(lead, problem.floor)
     return np.quantile(torque, 1.0 - share, axis=0)
 
 
