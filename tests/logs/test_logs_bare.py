@@ -1,7 +1,5 @@
 """Logs of states alone: what they are good for, and what is refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from log_samples import ARM, worn_sample, write_table
@@ -15,7 +13,7 @@ from rejoint.system.errors import InputError
 FOUND = worn_sample(seconds=2)
 
 
-def test_states_survive_the_disk_and_an_export(tmp_path: Path):
+def test_states_survive_the_disk_and_an_export(tmp_path):
     source = write_table(tmp_path / "wave.csv", worn_sample(seconds=12))
     source.write_text("".join(",".join(line.split(",")[:6]) + "\n" for line in source.read_text().splitlines()))
     imported = import_logs(source, ARM, out=tmp_path / "logs")

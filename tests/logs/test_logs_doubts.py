@@ -121,7 +121,7 @@ def calibration(folder: Path) -> Path:
     return folder / "arm.json"
 
 
-def test_degrees_declared_as_normalised_and_the_reverse(tmp_path: Path):
+def test_degrees_declared_as_normalised_and_the_reverse(tmp_path):
     found = worn_sample()
     degrees = dataset(tmp_path / "deg", np.full(5, 180 / np.pi), found)
     normalised = dataset(tmp_path / "norm", 200 / (SPANS * 2 * np.pi / 4096), found)
@@ -143,7 +143,7 @@ def test_degrees_declared_as_normalised_and_the_reverse(tmp_path: Path):
             path.unlink()
 
 
-def test_what_is_forced_is_kept_in_the_file(tmp_path: Path):
+def test_what_is_forced_is_kept_in_the_file(tmp_path):
     found = shifted(worn_sample(), 20)
     source = write_table(tmp_path / "wave.csv", found)
     imported = import_logs(source, ARM, out=tmp_path / "logs", options=FORCE)

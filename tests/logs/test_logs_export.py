@@ -1,12 +1,10 @@
 """Logs on their way out and back, and through the readers of other projects."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from log_samples import ARM, sample
 from mcap.reader import make_reader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import import_logs
@@ -39,7 +37,7 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 @pytest.mark.parametrize("ending", ["csv", "mcap"])
 @pytest.mark.parametrize("seed", range(3))
-def test_logs_come_back_bit_for_bit(tmp_path: Path, seed: int, ending: str):
+def test_logs_come_back_bit_for_bit(tmp_path, seed: int, ending: str):
     log = run_log(seed)
     for turn in range(2):
         export_log(log, tmp_path / f"{turn}.{ending}")
@@ -50,11 +48,11 @@ def test_logs_come_back_bit_for_bit(tmp_path: Path, seed: int, ending: str):
         log = back
 
 
-def test_rosbags_reads_the_mcap_with_its_own_definitions(tmp_path: Path):
+def test_rosbags_reads_the_mcap_with_its_own_definitions(tmp_path):
     log = run_log()
     export_log(log, tmp_path / "log.mcap")
     store = get_typestore(Stores.ROS2_JAZZY)
-    found: dict[str, list] = {}
+    found, texts = {}, {}
     with (tmp_path / "log.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
@@ -64,6 +62,7 @@ def test_rosbags_reads_the_mcap_with_its_own_definitions(tmp_path: Path):
             stamp = content.header.stamp
             assert stamp.sec * 10**9 + stamp.nanosec == message.log_time
             found.setdefault(channel.topic, []).append(content)
+            texts[schema.name] = schema.data.decode()
     assert [list(state.name) for state in found["/joint_states"]] == [list(ARM.joint_names)] * 60
     for topic, values in (("/joint_states", log.position), ("/joint_commands", log.command)):
         assert same_bits(np.array([state.position for state in found[topic]]), values)
@@ -72,19 +71,11 @@ def test_rosbags_reads_the_mcap_with_its_own_definitions(tmp_path: Path):
     # the definition in the file is the one that ROS 2 ships
     kind = "sensor_msgs/msg/JointState"
     own = get_typestore(Stores.EMPTY)
-    from rosbags.typesys import get_types_from_msg
-
-    own.register(get_types_from_msg(schemas(tmp_path / "log.mcap")[kind], kind))
+    own.register(get_types_from_msg(texts[kind], kind))
     assert own.hash_rihs01(kind) == store.hash_rihs01(kind)
 
 
-def schemas(path: Path) -> dict[str, str]:
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    return {schema.name: schema.data.decode() for schema in summary.schemas.values()}
-
-
-def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path):
+def test_what_cannot_be_exported_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match=r"exported to .csv or .mcap, not to .xlsx"):
         export_log(run_log(), tmp_path / "log.xlsx")
     with pytest.raises(InputError, match="do not fit a ROS stamp"):

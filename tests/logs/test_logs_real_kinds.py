@@ -63,7 +63,7 @@ def motor_log(folder: Path) -> Path:
     return columns(folder / "motors.csv", table)
 
 
-def test_angles_of_motors_are_refused_with_the_gear_and_mapped(tmp_path: Path, arm: Arm):
+def test_angles_of_motors_are_refused_with_the_gear_and_mapped(tmp_path, arm: Arm):
     source = motor_log(tmp_path)
     for unit in ("rad", "deg"):
         with pytest.raises(FileError, match=r"motors, before .*gear.*--map JOINT=THEIRS/RATIO"):
@@ -80,7 +80,7 @@ def test_angles_of_motors_are_refused_with_the_gear_and_mapped(tmp_path: Path, a
             import_logs(source, arm, out=tmp_path / "no", options=replace(UNITS, columns=read_map([wrong])))
 
 
-def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path: Path):
+def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path):
     (tmp_path / "in").mkdir()
     names = {"time_s": FOUND.time}
     for group, values in (("position", FOUND.position), ("command", FOUND.command)):

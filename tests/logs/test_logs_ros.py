@@ -56,7 +56,7 @@ def states(found: Sample, late: int = 0) -> list[tuple[str, int, object]]:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, storage: str):
+def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path, storage: str):
     found = worn_sample(seconds=6)
     order = [3, 0, 4, 1, 2]
     sent = [(ARRAYS, round(1e9 * t), array(u[order])) for t, u in zip(found.time, found.command, strict=True)]
@@ -75,7 +75,7 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, stor
     assert "times are those of the recording" in said
 
 
-def test_a_bag_that_was_not_closed_is_refused(tmp_path: Path):
+def test_a_bag_that_was_not_closed_is_refused(tmp_path):
     source = write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6)))
     source.with_name(f"{source.name}-wal").write_bytes(b"rest")
     with pytest.raises(FileError, match=r"was not closed: part of it is still in .*db3-wal"):

@@ -4,7 +4,6 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from rejoint.system.errors import FileError
 
 
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
-def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):
+def test_recorded_logs_arrive_bit_for_bit(tmp_path):
     steps = []
     imported = import_logs(FOLDER, ARM, out=tmp_path / "logs", on_progress=lambda *step: steps.append(step))
     assert len(imported.logs) == len(list(FOLDER.glob("*/state_motor.csv"))) == 44
@@ -36,7 +35,7 @@ def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):
     assert any("Jaw" in note for note in imported.notes)
 
 
-def test_joint_order_is_that_of_the_list(tmp_path: Path):
+def test_joint_order_is_that_of_the_list(tmp_path):
     shuffled = ("Elbow", "Jaw", "Wrist_Roll", "Rotation", "Wrist_Pitch", "Pitch")
     plain = import_logs(write_sage(tmp_path / "a", sample()), ARM, out=tmp_path / "1").logs[0]
     other = import_logs(write_sage(tmp_path / "b", sample(), shuffled), ARM, out=tmp_path / "2").logs[0]
@@ -45,14 +44,14 @@ def test_joint_order_is_that_of_the_list(tmp_path: Path):
 
 
 @pytest.mark.parametrize("file", ["control.csv", "state_motor.csv"])
-def test_a_file_without_samples_is_refused(tmp_path: Path, file: str):
+def test_a_file_without_samples_is_refused(tmp_path, file: str):
     folder = write_sage(tmp_path / "empty", sample())
     (folder / file).write_text("type,timestamp,positions\n")
     with pytest.raises(FileError, match=r"0 (states|commands)"):
         import_logs(folder, ARM, out=tmp_path / "logs")
 
 
-def test_two_clocks_are_refused(tmp_path: Path):
+def test_two_clocks_are_refused(tmp_path):
     folder = write_sage(tmp_path / "clocks", sample())
     later = replace(sample(), time=sample().time + 1.7e9)
     shutil.copy(write_sage(tmp_path / "later", later) / "control.csv", folder)

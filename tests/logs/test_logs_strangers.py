@@ -1,7 +1,6 @@
 """What strangers put into one file: pauses, two motions, two arms, repeated readings, commands that moved nothing."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ def paused(*pauses: tuple[int, float]) -> Sample:
     return replace(FOUND, time=time)
 
 
-def test_a_long_pause_parts_a_recording(tmp_path: Path):
+def test_a_long_pause_parts_a_recording(tmp_path):
     source = write_table(tmp_path / "day.csv", paused((400, 60.0), (700, 3600.0)))
     found = import_logs(source, ARM, out=tmp_path / "logs")
     assert [log.label for log in found.logs] == ["day-1of3", "day-2of3", "day-3of3"]
@@ -42,7 +41,7 @@ def test_a_long_pause_parts_a_recording(tmp_path: Path):
     np.testing.assert_array_equal(np.concatenate([log.command for log in found.logs]), FOUND.command)
 
 
-def test_holes_close_together_are_left_out(tmp_path: Path):
+def test_holes_close_together_are_left_out(tmp_path):
     position = FOUND.position.copy()
     position[[100, 110], 1] = np.nan
     source = write_table(tmp_path / "day.csv", replace(FOUND, position=position))
@@ -61,7 +60,7 @@ def test_commands_that_never_change_move_no_arm(row: int):
     refused(replace(FOUND, command=held), "the command of .* never changes, yet it moves away from it")
 
 
-def test_a_copied_recording_is_no_further_evidence(tmp_path: Path):
+def test_a_copied_recording_is_no_further_evidence(tmp_path):
     for name in ("a", "b", "a (copy)"):
         found = FOUND if name != "b" else replace(FOUND, position=FOUND.position + 5 * ARM.encoder_step)
         (tmp_path / "in").mkdir(exist_ok=True)

@@ -1,13 +1,11 @@
 """Text with columns: units are read from names or options, never guessed."""
 
-import csv
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ARM, Sample, sample, worn_sample, write_table
+from log_samples import ARM, sample, worn_sample, write_table
 from test_logs_mcap import messages, state
 
 from rejoint.logs.importing import import_logs
@@ -15,7 +13,7 @@ from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError, InputError
 
 
-def test_a_unit_may_stand_in_each_name_and_other_columns_are_told(tmp_path: Path):
+def test_a_unit_may_stand_in_each_name_and_other_columns_are_told(tmp_path):
     titles = "time_ms,time_s,command.b_deg,position.a_rad,command.a_rad,position.b_deg,true_tcp.x_mm,true_tcp.y_m"
     rest = {"shoulder_lift": "c", "elbow_flex": "d", "wrist_flex": "e"}
     lines = [titles + ",true_tcp.z_m" + "".join(f",position.{n}_rad,command.{n}_rad" for n in rest.values())]
@@ -32,7 +30,7 @@ def test_a_unit_may_stand_in_each_name_and_other_columns_are_told(tmp_path: Path
 
 
 @pytest.mark.parametrize(("unit", "ticks"), {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}.items())
-def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str, ticks: float):
+def test_a_declared_time_unit_is_taken(tmp_path, unit: str, ticks: float):
     found = sample()
     scaled = type(found)(time=found.time * ticks, position=found.position, command=found.command)
     source = write_table(tmp_path / "wave.csv", scaled, {"time_s": "time"})
@@ -47,14 +45,14 @@ def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str, ticks: float):
 @pytest.mark.parametrize(
     ("unit", "scale", "said"), [("rad", 180 / np.pi, "beyond two turns; .* degrees"), ("deg", 1.0, "surely radians")]
 )
-def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path: Path, unit: str, scale: float, said: str):
+def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path, unit: str, scale: float, said: str):
     names = {f"{g}.{j}_rad": f"{g}.{j}_{unit}" for g in ("position", "command") for j in ARM.joint_names}
     with pytest.raises(FileError, match=said):
         import_logs(write_table(tmp_path / "wave.csv", worn_sample(), names, scale=scale), ARM, out=tmp_path / "logs")
 
 
 @pytest.mark.parametrize("way", ["cells", "records", "bag"])
-def test_each_command_holds_until_the_next_of_its_joint(tmp_path: Path, way: str):
+def test_each_command_holds_until_the_next_of_its_joint(tmp_path, way: str):
     """The last one for a second: what follows it, and what precedes the first, is left out."""
     found = worn_sample(seconds=8)
     row, turns = np.arange(len(found.time))[:, None], np.arange(3, 8)
@@ -62,14 +60,10 @@ def test_each_command_holds_until_the_next_of_its_joint(tmp_path: Path, way: str
     sent = np.where((row % turns == 0) & (row >= 20) & (row <= 200), held, np.nan)
     source = write_table(tmp_path / "log.csv", replace(found, command=sent))
     if way == "records":  # of states, and of commands
-        none = np.full_like(held, np.nan)
-        both = (found.time, found.time), (none, found.position), (sent, none)
-        time, position, command = (np.stack(one, axis=1).reshape(-1, *one[0].shape[1:]) for one in both)
-        table = Sample(time=time, position=position, command=command)
-        lines = csv.DictReader(write_table(source, table).read_text().splitlines())
-        rows = [{key: float(value) for key, value in line.items() if value != "nan"} for line in lines]
-        source = tmp_path / "log.json"
-        source.write_text(json.dumps(rows))
+        groups = {"command_rad": sent.tolist(), "position_rad": found.position.tolist()}
+        rows = [{"time_s": time, group: groups[group][k]} for k, time in enumerate(found.time) for group in groups]
+        source = tmp_path / "log.jsonl"
+        source.write_text("\n".join(map(json.dumps, rows)))
     if way == "bag":
         states = [state(k, k) | {"position": q.tolist()} for k, q in enumerate(found.position)]
         commands = [
@@ -82,3 +76,21 @@ def test_each_command_holds_until_the_next_of_its_joint(tmp_path: Path, way: str
     np.testing.assert_allclose(log.time, found.time[kept])
     np.testing.assert_array_equal(log.position, found.position[kept])
     np.testing.assert_array_equal(log.command, held[kept])
+
+
+@pytest.mark.parametrize("kind", ["records", "columns", "arrays"])
+def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str):
+    found, source = worn_sample(seconds=8), tmp_path / "log.json"
+    held = {"time_s": found.time, "position_deg": np.rad2deg(found.position), "command_rad": found.command}
+    lists = {name: one.tolist() for name, one in held.items()} | {"names": ARM.joint_names}
+    if kind == "records":
+        parts = [dict(zip(ARM.joint_names, row, strict=True)) for row in lists["position_deg"]]
+        rows = zip(found.time, parts, lists["command_rad"], strict=True)
+        lists = {"about": {"names": ARM.joint_names, "rows": [dict(zip(held, row, strict=True)) for row in rows]}}
+    source.write_text(json.dumps(lists))
+    if kind == "arrays":
+        source = tmp_path / "log.npz"
+        np.savez(source, **held, names=ARM.joint_names)
+    (log,) = import_logs(source, ARM, out=tmp_path / "logs").logs
+    np.testing.assert_allclose(log.position, found.position[: len(log)])
+    np.testing.assert_array_equal(log.command, found.command[: len(log)])

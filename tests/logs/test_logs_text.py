@@ -58,7 +58,7 @@ WAYS: dict[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_every_way_of_writing_a_table_gives_the_same_numbers(tmp_path: Path, way: str):
+def test_every_way_of_writing_a_table_gives_the_same_numbers(tmp_path, way: str):
     data, said = WAYS[way]
     (tmp_path / "log.csv").write_bytes(data)
     imported = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs")
@@ -73,7 +73,7 @@ def test_every_way_of_writing_a_table_gives_the_same_numbers(tmp_path: Path, way
     assert all(said in note for note in read)
 
 
-def test_a_line_that_was_cut_is_left_out(tmp_path: Path):
+def test_a_line_that_was_cut_is_left_out(tmp_path):
     whole = text(*lines())
     (tmp_path / "log.csv").write_text(whole[:-12])
     imported = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs")
@@ -81,7 +81,7 @@ def test_a_line_that_was_cut_is_left_out(tmp_path: Path):
     assert any("the last line does not end and may be cut: left out" in note for note in imported.notes)
 
 
-def test_columns_without_titles_are_numbered(tmp_path: Path):
+def test_columns_without_titles_are_numbered(tmp_path):
     (tmp_path / "serial.txt").write_text(text("starting ...", *lines(header=False)).replace("starting", "# starting"))
     numbered = dict(zip(["time_s", *ARM.joint_names], map(str, range(1, 7)), strict=True))
     numbered |= {f"command.{name}": str(column) for column, name in enumerate(ARM.joint_names, start=7)}
@@ -93,7 +93,7 @@ def test_columns_without_titles_are_numbered(tmp_path: Path):
 PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text()
 
 
-def test_the_example_of_the_documentation_is_imported(tmp_path: Path):
+def test_the_example_of_the_documentation_is_imported(tmp_path):
     tables = re.findall(r"```csv\n(.*?)```", PAGE, re.DOTALL)
     assert len(tables) == 2
     (tmp_path / "one.csv").write_text(tables[0])

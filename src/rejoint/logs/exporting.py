@@ -90,15 +90,21 @@ def _write_mcap(log: RunLog, path: Path) -> None:
         )
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         point = writer.register_msgdef("geometry_msgs/msg/PointStamped", _POINT_STAMPED)
-        torque = log.torque if log.torque is not None and log.units.get("torque") == "N m" else np.zeros((len(log), 0))
+        none = np.zeros((len(log), 0))
+        torque = log.torque if log.torque is not None and log.units.get("torque") == "N m" else none
         joint_topics = {STATE_TOPIC: (log.position, torque)}
         if log.commanded:
-            joint_topics[COMMAND_TOPIC] = (log.command, np.zeros((len(log), 0)))
+            joint_topics[COMMAND_TOPIC] = (log.command, none)
         for row, stamp in enumerate(stamps.astype(np.int64).tolist()):
             header = {"stamp": {"sec": stamp // NANOSECONDS, "nanosec": stamp % NANOSECONDS}, "frame_id": "base"}
             for topic, (position, effort) in joint_topics.items():
-                numbers = {"position": position[row].tolist(), "velocity": [], "effort": effort[row].tolist()}
-                content = {"header": header, "name": list(log.joint_names), **numbers}
+                content = {
+                    "header": header,
+                    "name": list(log.joint_names),
+                    "position": position[row].tolist(),
+                    "velocity": [],
+                    "effort": effort[row].tolist(),
+                }
                 writer.write_message(topic, joints, content, log_time=stamp)
             for group, topic in POINT_TOPICS.items():
                 place = getattr(log, group)[row].tolist()

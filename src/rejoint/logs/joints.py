@@ -181,9 +181,8 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
 
     FileError: ``source`` is no calibration; InputError: offset out of range.
     """
-    motors = read_homing(source)
-    columns = match_joints(list(motors), arm, source, "calibration").columns
-    names, changes = list(motors), {}
+    motors, changes = read_homing(source), {}
+    columns = match_joints(names := list(motors), arm, source, "calibration").columns
     for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
         motor, change = motors[names[column]], -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi))
         if abs(motor["homing_offset"] + change) > LARGEST:

@@ -12,8 +12,8 @@ what was commanded: the controller's state does.
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,9 +23,10 @@ from rejoint.arms import Array
 from rejoint.logs.columns import RawMotion
 from rejoint.logs.joints import NAMES, TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import LOG_MOST, read_parquet
-from rejoint.system.errors import FileError, first_line
+from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
 from rejoint.system.files import begins_with, read_bounded, reading, require_file
+from rejoint.system.numbers import as_floats
 from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit
 
 
@@ -38,7 +39,7 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path, sorted by name: in a folder, else in those in it, as ROS 2's bags."""
+        """Return what it reads at a path, sorted by name: in a folder, else in folders there, as of ROS 2's bags."""
         if self.fits(source, True):
             return [source]
         below = sorted(source.iterdir()) if source.is_dir() else []
@@ -56,11 +57,8 @@ def _read_sage(folder: Path, options: ImportOptions) -> list[RawMotion]:
         text = read_bounded(file, _CUT).decode("utf-8-sig")
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
-    state, sent = (
-        _sage_motion(folder / file, names, group, ticks)
-        for file, group in ((_STATE, "position"), (_CONTROL, "command"))
-    )
-    return [state.with_commands(sent)]
+    sent = _sage_motion(folder / _CONTROL, names, "command", ticks)
+    return [_sage_motion(folder / _STATE, names, "position", ticks).with_commands(sent)]
 
 
 def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawMotion:
@@ -85,25 +83,19 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
     )
 
 
-_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
+_ENDINGS = (".tsv", ".txt", ".dat", ".log")
 _AGAIN = "record it again, or write its columns as text"
 
 
 def _is_table(file: Path, named: bool) -> bool:
-    if not file.is_file() or not (named or file.suffix.lower() in _ENDINGS):
-        return False
+    suffix = file.suffix.lower()
     # what calls itself a table is refused by name where it is none
-    return file.suffix.lower() == ".csv" or _columns_of(file) is not None or head(file) is not None
-
-
-def _columns_of(file: Path) -> Callable[[Path], tuple[dict[str, Array], str]] | None:
-    """Reader of the columns of a file by its ending and first bytes; None: not of text."""
-    magic, read = _KINDS.get(file.suffix.lower(), (b"", None))
-    return read if begins_with(file, magic) else None
+    sure = suffix == ".csv" or suffix in _KINDS
+    return file.is_file() and (sure or ((named or suffix in _ENDINGS) and head(file) is not None))
 
 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
-    if (read := _columns_of(file)) is not None:
+    if read := _KINDS.get(file.suffix.lower()):
         columns, found = read(file)
         return [RawMotion.of(file.stem, file, columns, found=found)]
     sheet = read_sheet(file, names=options.names, whole=False)
@@ -122,38 +114,62 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
-    with reading(file, "JSON without one list of records of numbers", _AGAIN):
-        data = json.loads(read_bounded(file, "cut it into several files", TEXT_MOST))
-        data = data if isinstance(data, dict) else {"": data}
-        (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
-        found = {key: [one] * len(rows) for key, one in data.items()}
-        found |= {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
-        numbers = {
-            key: one for key, one in found.items() if all(isinstance(value, int | float | None) for value in one)
-        }
-        return {key: np.array(one, dtype=float) for key, one in numbers.items()}, "JSON with records"
+    """Columns of JSON: a list of records, also one in each line, or lists of numbers by name."""
+    with reading(file, "JSON without one list of records, or lists, of numbers", _AGAIN):
+        text = read_bounded(file, "cut it into several files", TEXT_MOST)
+        try:
+            data = json.loads(text)
+        except ValueError:
+            data = json.loads(b"[%b]" % text.strip().replace(b"\n", b","))
+        held = dict(_flat(data))
+        tables = [one for one in held.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
+        if not tables:
+            return _columns(held), "JSON with columns"
+        (rows,) = tables
+        rows = [held | dict(_flat(row, dict | list)) for row in rows]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return _columns({name: [row.get(name) for row in rows] for name in names}), "JSON with records"
+
+
+def _flat(value: object, kinds: Any = dict, name: str = "") -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - or a union
+    """Yield what dicts and lists of these ``kinds`` hold, with the `_title` of each part."""
+    if isinstance(value, kinds):
+        for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _flat(inner, kinds, _title(name, part))
+    else:
+        yield name, value
+
+
+@cache
+def _title(name: str, part: str | int) -> str:
+    """NAME.KEY or NAME_0 of a part, with the unit of NAME at its end."""
+    stem, unit = split_unit(name, ANGLES)
+    return f"{stem}{'_' if isinstance(part, int) else '.' * bool(stem)}{part}{f'_{unit}' if unit else ''}"
 
 
 def _archive(file: Path) -> tuple[dict[str, Array], str]:
-    """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on, with the unit of NAME at their ends."""
     with reading(file, "no archive of NumPy arrays", _AGAIN):
         require_file(file, LOG_MOST, "cut it into several files")
         with np.load(file, allow_pickle=False) as arrays:
-            held = {name: arrays[name] for name in arrays.files}
-    numbers = {name: one for name, one in held.items() if one.ndim in (1, 2) and one.dtype.kind in "biuf"}
-    lengths = [len(one) for one in numbers.values()]
+            return _columns(arrays), "a NumPy archive"
+
+
+def _columns(held: Mapping[str, Any]) -> dict[str, Array]:
+    """Columns of numbers, of the length that most have; (T, n) become NAME_0 and so on."""
+    found = dict[str, Array]()
+    for name, one in held.items():
+        with suppress(InputError):
+            values = as_floats(name, one)
+            if values.ndim == 1:
+                found[name] = values
+            elif values.ndim == 2:
+                found |= {_title(name, i): column for i, column in enumerate(values.T)}
+    lengths = [*map(len, found.values())]
     rows = max(lengths, key=lengths.count, default=0)
-    columns: dict[str, Array] = {}
-    for name, one in numbers.items():
-        if len(one) == rows:
-            stem, unit = split_unit(name, ANGLES)
-            ending = f"_{unit}" * bool(unit)
-            titles = [name] if one.ndim == 1 else [f"{stem}_{i}{ending}" for i in range(one.shape[1])]
-            columns |= zip(titles, one.reshape(rows, -1).T.astype(float), strict=True)
-    return columns, "a NumPy archive"
+    return {name: one for name, one in found.items() if len(one) == rows}
 
 
-_KINDS: dict[str, Any] = {".npz": (b"PK\x03\x04", _archive), ".json": ((b"{", b"["), _records)}
+_KINDS = {".npz": _archive, ".json": _records, ".jsonl": _records}
 _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("frame_index", "timestamp", "episode_index")
@@ -362,14 +378,15 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
     state, command = options.state_topic, options.command_topic
 
     def only(of: str, without: Sequence[str], option: str, *, needed: bool = True) -> str | None:
-        found = {n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)}
-        able = sorted(found - {f"{n.removesuffix('controller_state')}state" for n in found})  # ROS Humble's older name
+        able = {n for n, kind in kinds.items() if kind == of and n != state and not any(word in n for word in without)}
+        able -= {f"{n.removesuffix('controller_state')}state" for n in able}  # ROS Humble's older name
         if len(able) > 1 and needed:
-            raise FileError(file, f"several topics with {of}: {shown(able)}", f"name one with {option}")
+            raise FileError(file, f"several topics with {of}: {shown(sorted(able))}", f"name one with {option}")
         if len(able) != 1:
             return None
-        notes.append(f"commands from {able[0]} ({held[able[0]]})")
-        return able[0]
+        (name,) = able
+        notes.append(f"commands from {name} ({held[name]})")
+        return name
 
     if not (state or command or COMMAND_TOPIC in held):
         state = only(CONTROLLER, TOOLS, "--state-topic", needed=STATE_TOPIC not in held)
@@ -434,9 +451,8 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     """Time or duration [ns], or 0."""
     if stamp is None:
         return 0
-    seconds, rest = (
-        _some(stamp, names) for names in (("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs"))
-    )
+    seconds = _some(stamp, ("sec", "seconds", "secs"))
+    rest = _some(stamp, ("nanosec", "nsec", "nanos", "nsecs"))
     if seconds is not None and rest is not None:
         return int(seconds) * NANOSECONDS + int(rest)
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")

@@ -245,7 +245,9 @@ class StageCost:
     def __add__(self, other: StageCost) -> StageCost:
         return StageCost(
             name=self.name,
-            **{name: getattr(self, name) + getattr(other, name) for name in ("wall", "moving", "travel")},
+            wall=self.wall + other.wall,
+            moving=self.moving + other.moving,
+            travel=self.travel + other.travel,
         )
 
 
