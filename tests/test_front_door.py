@@ -100,6 +100,7 @@ def test_controllers_come_in_every_form():
     assert isinstance(found["controller"](ARM), IntegratorController)
     assert list(ControllerMaker(ARM, None).factories([own, IntegratorController])) == ["integrator", "integrator-2"]
     assert list(ControllerMaker(ARM, None).factories({"mine": "integrator"})) == ["mine"]
+    assert list(ControllerMaker(ARM, None).factories(own)) == ["integrator"]
     with pytest.raises(rejoint.InputError, match="known controllers"):
         ControllerMaker(ARM, None).factories(["magic"])
 

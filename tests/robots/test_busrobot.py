@@ -166,7 +166,7 @@ def test_an_answer_of_another_number_of_servos_is_named(name):
 
 def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one():
     robot, bus = opened(fault=np.zeros(6, bool))
-    bus.faults = [Reading(position=ARM.rest, fault=np.arange(6) == 1)]
+    bus.faults = [Reading(position=ARM.rest, fault=["", "overload", *[""] * 4])]
     assert not robot.read().fault.any()
     bus.extra = {"fault": np.arange(6) == 1}
     np.testing.assert_array_equal(robot.read().fault, [np.arange(6) == 1])

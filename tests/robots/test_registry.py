@@ -78,7 +78,12 @@ def test_a_scheme_of_ours_cannot_be_taken(install):
 
 @pytest.mark.parametrize(
     ("address", "arm"),
-    [("feetech://127.0.0.1:1", "mycobot280"), ("tcp://127.0.0.1:1", "so101"), ("serial:///dev/nowhere", "so101")],
+    [
+        ("feetech://127.0.0.1:1", "mycobot280"),
+        ("tcp://127.0.0.1:1", "so101"),
+        ("serial:///dev/nowhere", "so101"),
+        ("emulated:koch", "so101"),
+    ],
 )
 def test_an_arm_of_another_kind_is_refused_before_anything_is_opened(address, arm):
     with pytest.raises(InputError, match=f"this is about a {arm}; check the address"):

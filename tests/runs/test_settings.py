@@ -1,6 +1,7 @@
 """Settings: refused where they cannot be meant, kept by a run, and the same words at the command line."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,23 +26,29 @@ def run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "call",
     [
-        {"within": 2.0},
-        {"within": np.nan},
-        {"payload": -1.0},
-        {"tool": [0.0, 0.0, 50.0]},
+        partial(rejoint.Settings, within=2.0),
+        partial(rejoint.Settings, within=np.nan),
+        partial(rejoint.Settings, payload=-1.0),
+        partial(rejoint.Settings, tool=[0.0, 0.0, 50.0]),
+        partial(rejoint.load_arm, 3),
+        partial(rejoint.Run.open, None),
+        partial(rejoint.train, 3),
+        partial(rejoint.compare, "emulated:worn", plan={}),
+        partial(rejoint.check, "emulated:worn", notes=rejoint.CheckNotes(when="2027-01-01")),
     ],
 )
-def test_settings_that_cannot_be_meant_are_refused_at_once(wrong):
-    with pytest.raises(rejoint.InputError):
-        rejoint.Settings(**wrong)
+def test_what_cannot_be_meant_is_refused_at_once(call):
+    with pytest.raises((rejoint.InputError, rejoint.ContractError)):
+        call()
 
 
-def test_what_is_no_settings_is_refused_before_anything_moves():
+def test_arguments_of_another_kind_are_refused_before_anything_moves():
     for call in (rejoint.connect, rejoint.deploy, rejoint.diagnose, rejoint.repair):
-        with pytest.raises(rejoint.InputError, match=r"rejoint\.Settings"):
-            call("emulated:worn", settings={"payload": 0.1})
+        for wrong in ({"settings": {"payload": 0.1}}, {"arm": 3}, {"run": 3}, {"observer": rejoint.Observer}):
+            with pytest.raises(rejoint.InputError):
+                call("emulated:worn", **wrong)
         with pytest.raises(rejoint.InputError, match=r"'5'|got 5"):
             call(5)
 

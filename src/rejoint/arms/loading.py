@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -23,7 +23,7 @@ from rejoint.arms.modelfile import Places, cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
-from rejoint.system.files import Number, Positive, Table, Text, Triple, read_toml, toml_of, write_text
+from rejoint.system.files import Number, Positive, Table, Text, Triple, as_path, read_toml, toml_of, write_text
 
 
 class _FrameTable(Table):
@@ -348,13 +348,17 @@ SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf", ".xacro")
 """The last one gets the advice to make a URDF"""
 
 
-def load_arm(source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Places | None = None) -> Arm:
+ArmLike: TypeAlias = Arm | Loaded | str | Path
+"""An arm, also as `read_arm` returns it, its catalogue name or its file"""
+
+
+def load_arm(source: ArmLike, *, base: str | None = None, tip: str | None = None, hold: Places | None = None) -> Arm:
     """Load an arm by name, or from a TOML, URDF or MJCF file.
 
     Parameters
     ----------
     source
-        a name of `CATALOGUE`, or a ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf`` file
+        a name of `CATALOGUE`, or a ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf`` file; an arm stays as it is
     base, tip
         first and last body or site of a URDF or MJCF file; default: its root, the end of its only chain
     hold
@@ -378,9 +382,7 @@ def load_arm(source: str | Path, *, base: str | None = None, tip: str | None = N
     return read_arm(source, base=base, tip=tip, hold=hold).arm
 
 
-def read_arm(
-    source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Places | None = None
-) -> Loaded:
+def read_arm(source: ArmLike, *, base: str | None = None, tip: str | None = None, hold: Places | None = None) -> Loaded:
     r"""Load an arm as `load_arm` does, with notes on assumptions.
 
     Parameters
@@ -403,7 +405,9 @@ def read_arm(
     >>> loaded = rejoint.read_arm("ur5e.urdf")
     >>> print(*loaded.notes, sep="\n")
     """
-    path, source = Path(source), str(source)
+    if isinstance(source, Arm | Loaded):
+        return Loaded(arm=source) if isinstance(source, Arm) else source
+    path, source = as_path("an arm, its name or its file", source), str(source)
     suffix = path.suffix.lower()
     if (base or tip or hold) and suffix not in SUFFIXES[1:]:
         raise InputError(f"base, tip and hold choose a chain of a URDF or MJCF file; {source} is one already")

@@ -14,7 +14,7 @@ from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import JointState, Robot
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, RateLimit
-from rejoint.system.records import entity
+from rejoint.system.records import as_options, entity
 
 GAP = 0.8
 """[s] of a gap (chosen)"""
@@ -276,6 +276,6 @@ class StageObserver(Observers):
 @contextmanager
 def pacing(observer: Observer | None) -> Iterator[Progress]:
     """Rate-limited progress of an observer; reports the end."""
-    pace = RateLimit((observer or Observer()).progress)
+    pace = RateLimit(as_options(observer, Observer).progress)
     yield pace
     pace(1.0, "done")

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, Index, load_arm
+from rejoint.arms import Arm, ArmLike, Array, Index, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
@@ -156,7 +156,7 @@ class RunLog:
         command: ArrayLike,
         position: ArrayLike,
         *,
-        arm: Arm | Path | str,
+        arm: ArmLike,
         label: str = "motion",
         target: ArrayLike | None = None,
         true_tcp: ArrayLike | None = None,
@@ -193,22 +193,10 @@ class RunLog:
         >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
         >>> print(rejoint.diagnose(log).verdict)
         """
-        known = arm if isinstance(arm, Arm) else load_arm(arm)
-        unknown = np.full((np.size(time), 3), np.nan)
-        given: dict[str, Any] = {
-            "time": time,
-            "command": command,
-            "position": position,
-            "target": unknown if target is None else target,
-            "true_tcp": unknown if true_tcp is None else true_tcp,
-        }
-        return cls(
-            arm=known.name,
-            joint_names=known.joint_names,
-            robot="memory",
-            label=label,
-            **given,
-        )
+        known, unknown = load_arm(arm), np.full((np.size(time), 3), np.nan)
+        given = dict[str, Any](time=time, command=command, position=position, target=target, true_tcp=true_tcp)
+        given = {name: unknown if one is None else one for name, one in given.items()}
+        return cls(arm=known.name, joint_names=known.joint_names, robot="memory", label=label, **given)
 
     @classmethod
     def load(cls, path: Path | str) -> RunLog:

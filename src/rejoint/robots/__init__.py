@@ -1,8 +1,6 @@
 """Robots by families."""
 
-from pathlib import Path
-
-from rejoint.arms import CATALOGUE, Arm, load_arm
+from rejoint.arms import CATALOGUE, ArmLike, load_arm
 from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot, bus_family
@@ -10,13 +8,13 @@ from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.registry import is_virtual, place_of, usable
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.numbers import as_period, as_seed
+from rejoint.system.numbers import as_period, as_seed, as_whole
 
 
 def open_robot(
     address: str,
     *,
-    arm: Arm | str | Path | None = None,
+    arm: ArmLike | None = None,
     seed: int = 0,
     count: int = 1,
     period: tuple[float, float] | None = None,
@@ -34,16 +32,13 @@ def open_robot(
     >>> robot.close()
     """
     place = place_of(address)
-    if not isinstance(arm, Arm):
-        arm = load_arm(place.default_arm if arm is None else arm)
+    arm = load_arm(place.default_arm if arm is None else arm)
     if place.family.only and arm.name in CATALOGUE and arm.name != place.default_arm:
         raise InputError(
             f"at {place.family.scheme}: addresses there are arms of the kind {place.default_arm}, and this is about a "
             f"{arm.name}; check the address, and whose run it is"
         )
-    if count < 1:
-        raise InputError(f"a robot needs at least one arm, got count {count}")
-    if count != 1 and not place.virtual:
+    if as_whole("count", count, 1) != 1 and not place.virtual:
         raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
     require(address, *place.family.needs)
     cycle = as_period(period) or place.default_period

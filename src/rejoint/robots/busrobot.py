@@ -41,8 +41,6 @@ REPEAT_LIMIT = 1.5
 
 def judge(position: Array, arm: Arm) -> None:
     """Raise ImpossibleReplyError for impossible positions (n,) [rad]; NaN: unknown."""
-    if np.shape(position) != (arm.joints,):
-        raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
     unreadable = np.isnan(position)
     if unreadable.any():
         names = ", ".join(compress(arm.joint_names, unreadable))
@@ -137,18 +135,22 @@ V = TypeVar("V", bound=Vitals)
 
 def believed(ask: Callable[[], V], joints: int) -> V:
     """Ask again after an alarm until two answers agree; copies arrays (n,). ImpossibleReplyError for another shape."""
-    before, found = None, ask()
+    found = _copied(ask(), joints)
+    for _ in range(DOUBTS if found.alarming else 0):
+        before, found = found, _copied(ask(), joints)
+        if not found.alarming or found.agrees(before):
+            break
+    return found
+
+
+def _copied(found: V, joints: int) -> V:
     if not isinstance(found, Vitals):
         raise InputError(f"the driver of this arm returned {type(found).__name__}, expected a Reading, or Vitals")
-    for _ in range(DOUBTS):
-        if not found.alarming or (before is not None and found.agrees(before)):
-            break
-        before, found = found, ask()
     arrays: dict[str, Any] = {}
     for name, value in vars(found).items():
         if value is not None and name != "trouble":
             arrays[name] = np.array(value, bool if name == "fault" else float)
-            if name != "position" and arrays[name].shape != (joints,):
+            if arrays[name].shape != (joints,):
                 raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
     return replace(found, **arrays)
 

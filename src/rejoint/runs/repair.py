@@ -44,7 +44,7 @@ from rejoint.session.inputs import (
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.records import entity
+from rejoint.system.records import as_options, entity
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def repair(
     >>> print(result.diagnosis.verdict, result.recommendation.controller)
     >>> print(result.page)
     """
-    what = plan or RepairPlan()
+    what = as_options(plan, RepairPlan)
     chosen, _ = settled(settings, None, robot)
     if only is None and not chosen.dry_run:
         require("rejoint repair", "train", "report")
@@ -185,7 +185,7 @@ def repair(
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
     about = Run.plan(run, address_of(robot), built, chosen.seed)
     chosen, told = settled(chosen, about, robot)
-    watching = observer or Observer()
+    watching = as_options(observer, Observer)
     if told:
         watching.message(told)
     if about.folder.quick.exists() and not quick:
@@ -239,7 +239,7 @@ def _comparison(
 ) -> Iterator[ComparisonJob]:
     compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
     targets = plan.targets
-    given = plan.trials or TrialPlan()
+    given = as_options(plan.trials, TrialPlan)
     emulated = is_batchable(robot)
     small = ONE_ARM_PROTOCOL if quick else Protocol(crossings=False)
     usual = TrialPlan(

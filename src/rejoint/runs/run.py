@@ -25,7 +25,7 @@ from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import UNFINISHED, digest, read_bounded, read_json_if, reading, unused, write_json
+from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, entity
 from rejoint.system.shell import __version__
@@ -60,7 +60,7 @@ class Run(Readable):
         """Open a run folder, unless it is open; FileError if missing, damaged, or of a later version."""
         if isinstance(path, Run):
             return path
-        folder = RunFolder(Path(path))
+        folder = RunFolder(as_path("a run or its folder", path))
         if not folder.info.exists():
             within = sorted(str(p.parent.relative_to(path)) for p in runs_below(folder.path))
             start = "start with: rejoint diagnose ROBOT --run FOLDER"
@@ -80,7 +80,7 @@ class Run(Readable):
         """
         if path is None:
             path = newest_or_new(robot, arm, RUNS / plain_name(f"{arm.name}-{robot}-seed{as_seed(seed)}"))
-        folder = path.folder if isinstance(path, Run) else RunFolder(Path(path))
+        folder = path.folder if isinstance(path, Run) else RunFolder(as_path("a run or its folder", path))
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
             seed = run.seed if seed is None else seed

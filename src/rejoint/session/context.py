@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -181,8 +181,8 @@ def quick_note(run: Run | None) -> str:
     return f"{run.path} is a quick try, which is no result." if run is not None and run.folder.quick.exists() else ""
 
 
-Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike] | str | Path"
-"""Controllers, a mapping from their names, or a single name or file"""
+Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike] | ControllerLike"
+"""Controllers, a mapping from their names, or a single one"""
 
 Factory = Callable[[Arm], Controller]
 
@@ -206,7 +206,7 @@ def named(given: Controllers) -> dict[str, ControllerLike]:
     if isinstance(given, Mapping):
         return dict(given)
     found: dict[str, ControllerLike] = {}
-    for one in (given,) if isinstance(given, str | Path) else given:
+    for one in given if isinstance(given, Iterable) and not isinstance(given, str) else (given,):
         name = name_of(one)
         taken = sum(other == name or other.startswith(f"{name}-") for other in found)
         found[f"{name}-{taken + 1}" if name in found else name] = one

@@ -77,6 +77,7 @@ from rejoint.system.errors import FileError, InputError, NotReachedError, Rejoin
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import RateLimit
+from rejoint.system.records import as_options
 from rejoint.system.stopping import noted
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
@@ -341,7 +342,7 @@ class ArmDriver:
 
         Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
         """
-        about, self.observer = None if run is None else Run.open(run), observer or Observer()
+        about, self.observer = None if run is None else Run.open(run), as_options(observer, Observer)
         self.settings, kept = settled(settings, about, robot)
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)

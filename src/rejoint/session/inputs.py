@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, cast
 from numpy.typing import ArrayLike
 
 from rejoint.arms import CATALOGUE, Arm, Array, Box, Motors, collides, differing, load_arm
+from rejoint.arms import ArmLike as ArmLike
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.control.robot import Controller, Robot, RobotWrapper
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, refused
@@ -21,8 +22,9 @@ from rejoint.logs.runlog import RunLog, describe
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import write_json
+from rejoint.system.files import as_path, write_json
 from rejoint.system.numbers import as_period, as_place, as_seconds, as_seed, as_within
+from rejoint.system.records import as_options
 from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
@@ -30,9 +32,6 @@ if TYPE_CHECKING:
     from rejoint.control.controllers.policy import Policy
     from rejoint.control.seeing import Eye
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-
-ArmLike: TypeAlias = "Arm | str | Path"
-"""An arm, its catalogue name or its file"""
 
 RobotLike: TypeAlias = "Robot | str"
 """An open robot, or the address of one"""
@@ -71,11 +70,6 @@ FIRST_ROBOT = "emulated:worn"
 """The default robot: a worn arm in this process"""
 
 
-def as_arm(given: ArmLike) -> Arm:
-    """Arm, from the catalogue or its file."""
-    return given if isinstance(given, Arm) else load_arm(given)
-
-
 def is_robot(given: RobotLike | LogsLike) -> bool:
     """Whether it is a robot and no logs: addresses begin with a word and a colon, and no drive of Windows."""
     return bool(re.match(r"[\w.+-]{2,}:", given)) if isinstance(given, str) else isinstance(given, Robot)
@@ -91,7 +85,7 @@ def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
     if isinstance(robot, Robot):
         return robot.arm
     if arm is not None:
-        return as_arm(arm)
+        return load_arm(arm)
     if robot is None:
         raise InputError("neither a robot, a run nor an arm is given; give one of them")
     return load_arm(place_of(robot).default_arm)
@@ -132,7 +126,7 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     return [RunLog.load(file) for file in files]
 
 
-def source_of(logs: LogsLike) -> str:
+def source_of(logs: LogsLike | None) -> str:
     """Name the source of a run made from logs, below the working directory as seen from there."""
     if not isinstance(logs, Path | str):
         return f"{LOGS}memory"
@@ -142,7 +136,7 @@ def source_of(logs: LogsLike) -> str:
 
 def as_twin(given: TwinLike) -> Twin:
     """Twin, or read it."""
-    return read_twin(Path(given)) if isinstance(given, Path | str) else given
+    return given if isinstance(given, Twin) else read_twin(as_path("a twin or its file", given))
 
 
 def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
@@ -165,7 +159,7 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
     if arm is None and isinstance(run, str | Path) and RunFolder(Path(run)).info.exists():
         chosen = Run.open(run).arm  # described there
     else:
-        chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else as_arm(arm)
+        chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else load_arm(arm)
     return None if run is None else Run.plan(run, source_of(logs), chosen, None), chosen
 
 
@@ -292,9 +286,7 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
 
     An open robot has its own payload and tool.
     """
-    settings = Settings() if given is None else given
-    if not isinstance(settings, Settings):
-        raise InputError(f"settings of type {type(settings).__name__} were given, expected rejoint.Settings")
+    settings = as_options(given, Settings)
     own = to_keep(settings).given().keys() | ({"payload", "tool"} if isinstance(robot, Robot) else set())
     used = {name: value for name, value in kept(run).given().items() if name not in own}
     if settings.keep_out and (boxes := kept(run).keep_out):  # they add up

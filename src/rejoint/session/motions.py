@@ -44,8 +44,8 @@ from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Setting
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReachedError
 from rejoint.system.files import saving
-from rejoint.system.numbers import as_floats, as_seconds, as_within
-from rejoint.system.records import Readable, value_type
+from rejoint.system.numbers import as_floats, as_seconds, as_whole, as_within
+from rejoint.system.records import Readable, as_options, value_type
 from rejoint.system.shell import host_and_port, listen_tcp
 from rejoint.system.stopping import Interrupted, noted
 from rejoint.twin.twin import Twin
@@ -253,7 +253,7 @@ def follow(
     >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
     >>> print(done.passes[-1].encoder.rms)
     """
-    chosen = settings or Settings()
+    chosen = as_options(settings, Settings)
     chosen = replace(chosen, within=chosen.within or WITHIN)
     with noted(), ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session:
         return cast(Followed, session.follow(path, repeat=repeat))
@@ -268,8 +268,8 @@ def along(
     """
     arm, settings = session.arm, session.settings
     accepted = as_within("follow", (settings.within or WITHIN) if within is None else within)
-    if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
-        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    if as_whole("repeat", repeat, 1) > 1 and isinstance(path, Stream):
+        raise InputError("follow: a stream cannot be repeated, since its path is not known ahead; take repeat=1")
     told = guide_of(path, arm, session.seed, duration)
     told.home(arm, session.motors)
     posed = told.ahead(0.0, np.zeros(1))[1] is not None

@@ -20,7 +20,7 @@ import tomlkit
 from numpy.typing import NDArray
 from rich.filesize import decimal
 
-from rejoint.system.errors import FileError, UnsavedError, first_line
+from rejoint.system.errors import FileError, InputError, UnsavedError, first_line
 
 T = TypeVar("T")
 
@@ -81,6 +81,13 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def as_path(what: str, given: object) -> Path:
+    """Return ``given`` as a path; InputError for what is none."""
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise InputError(f"expected {what}, got {given!r:.80}")
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write bytes as `write_whole`."""
     write_whole(path, lambda temporary: temporary.write_bytes(data))
@@ -118,8 +125,8 @@ def require_file(path: Path, most: int, remedy: str) -> None:
         raise FileError(path, f"{decimal(size)} large, expected at most {decimal(most)}", remedy)
 
 
-def begins_with(path: Path, first: bytes | tuple[bytes, ...]) -> bool:
-    """Whether ``path`` is a file with these first bytes, or some of these: at most 16."""
+def begins_with(path: Path, first: bytes) -> bool:
+    """Whether ``path`` is a file with these first bytes: at most 16."""
     try:
         if not path.is_file():  # a pipe is not opened: it might never answer
             return False

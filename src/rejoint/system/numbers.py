@@ -5,7 +5,7 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, first_line
 
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
 """[s] control periods (chosen: faster than any servo bus)"""
@@ -16,15 +16,20 @@ FARTHEST_PLACE = 10.0
 """[m] from the base of a place (chosen: what is farther is in millimetres)"""
 
 
+def as_whole(what: str, given: int, least: int = 0) -> int:
+    """Return a whole number of at ``least`` so much; InputError."""
+    try:
+        found = operator.index(given)
+    except TypeError:
+        found = least - 1
+    if found < least:
+        raise InputError(f"{what} {given!r}: expected a whole number from {least} on")
+    return found
+
+
 def as_seed(seed: int | None) -> int:
     """Return a seed, by default 0; InputError."""
-    try:
-        found = 0 if seed is None else operator.index(seed)
-    except TypeError:
-        found = -1
-    if found < 0:
-        raise InputError(f"seed {seed!r}: expected a whole number from 0 on")
-    return found
+    return as_whole("seed", 0 if seed is None else seed)
 
 
 def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
@@ -82,8 +87,8 @@ def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np
         if array.dtype.kind in "biufO":  # the last: numbers of other kinds, such as Decimal
             return array.astype(float, copy=False)
         found = "text" if array.dtype.kind in "SU" else f"values of type {array.dtype.name}"
-    except (TypeError, ValueError):
-        found = "rows of different length, or no numbers"
+    except (TypeError, ValueError, RuntimeError) as error:  # the last: a tensor of PyTorch with its gradient
+        found = f"rows of different length, or no numbers ({first_line(error)})"
     raise InputError(f"{what}: expected {expected}, found {found}")
 
 

@@ -9,12 +9,22 @@ from typing import Any, TypeVar, dataclass_transform
 import msgspec
 import numpy as np
 
+from rejoint.system.errors import InputError
+
 T = TypeVar("T")
 
 FEW = 3
 """Items that are shown as they are (chosen)"""
 LONG = 80
 """Characters of a text that is shown whole (chosen)"""
+
+
+def as_options(given: object, kind: type[T]) -> T:
+    """Return ``given``, by default a new object of its ``kind``; InputError for anything else."""
+    found = kind() if given is None else given
+    if isinstance(found, kind):
+        return found
+    raise InputError(f"expected an object of the class {kind.__name__}, got {given!r:.80}")
 
 
 class Readable:

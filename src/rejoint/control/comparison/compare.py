@@ -41,8 +41,9 @@ from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import OverloadedError, limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import in_words
-from rejoint.system.errors import ContractError, GuardTripError, InputError
+from rejoint.system.errors import ContractError, GuardTripError
 from rejoint.system.files import read_json, set_aside, write_json
+from rejoint.system.numbers import as_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import pause
 
@@ -117,8 +118,7 @@ class Settings:
     """targets between eliminations on one arm; 0: only failing controllers leave"""
 
     def __post_init__(self) -> None:
-        if self.repetitions < 1:
-            raise InputError(f"comparison: repetitions must be at least 1, got {self.repetitions}")
+        as_whole("repetitions", self.repetitions, 1)
 
 
 @dataclass(eq=False)

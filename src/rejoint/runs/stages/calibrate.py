@@ -37,7 +37,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part
-from rejoint.system.records import Readable, entity
+from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
@@ -177,7 +177,10 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    chosen, known = settings or Settings(), isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots")
+    chosen, known = (
+        as_options(settings, Settings),
+        isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots"),
+    )
     before = cast("Measurements | Film | Path | str", gauge) if known else None
     if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import CATALOGUE, Arm
+from rejoint.arms import CATALOGUE
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -35,7 +35,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import LOGGER, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
-from rejoint.system.records import Readable, entity
+from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
@@ -132,8 +132,8 @@ def check(
     >>> found = rejoint.check("emulated:healthy?hours=6", notes=notes, tolerance_mm=6.0)
     >>> print(found.line)
     """
-    said, chosen, home = notes or CheckNotes(), settings or Settings(), Path(history)
-    when = said.when or utc_now()
+    said, chosen, home = as_options(notes, CheckNotes), as_options(settings, Settings), Path(history)
+    when = as_options(said.when or utc_now(), datetime)
     if when.tzinfo is not None:
         when = when.astimezone(UTC).replace(tzinfo=None)
     if tolerance_mm is not None:
@@ -168,7 +168,7 @@ def check(
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
-    named = (arm.name if arm.name in CATALOGUE else None) if isinstance(arm, Arm) else arm
+    named = arm if isinstance(arm, str | Path | None) else built.name if built.name in CATALOGUE else None
     described = () if named is None else ("--arm", named)
     with pacing(observer) as update, ExitStack() as stack:
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm

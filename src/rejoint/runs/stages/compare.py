@@ -57,7 +57,7 @@ from rejoint.session.inputs import (
 from rejoint.session.session import ArmSession
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
-from rejoint.system.records import Readable, entity
+from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 from rejoint.twin.twin import Twin
@@ -352,7 +352,7 @@ def compare(
         pacing(observer) as update,
         ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
     ):
-        return comparison_job(session, controllers, targets, plan or TrialPlan()).drive(update)
+        return comparison_job(session, controllers, targets, as_options(plan, TrialPlan)).drive(update)
 
 
 def comparison_job(
@@ -366,7 +366,7 @@ def comparison_job(
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
     session.say_heavy(points, turns)
-    protocol = plan.protocol or (ONE_ARM_PROTOCOL if block else Protocol())
+    protocol = as_options(plan.protocol or (ONE_ARM_PROTOCOL if block else None), Protocol)
     trials = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,

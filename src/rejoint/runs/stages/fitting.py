@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Array
+from rejoint.arms import Array, load_arm
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search
@@ -29,7 +29,6 @@ from rejoint.session.inputs import (
     Settings,
     TwinLike,
     arm_of_twin,
-    as_arm,
     as_logs,
     as_twin,
     kept,
@@ -39,7 +38,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.records import Readable, entity
+from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.stopping import noted
 from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
@@ -117,7 +116,7 @@ def identify(
     from rejoint.twin.identify import identify as fit
     from rejoint.twin.judge import predict_logs
 
-    what, size = plan or LogPlan(), dict[str, Any]()
+    what, size = as_options(plan, LogPlan), dict[str, Any]()
     with pacing(observer) as update, ExitStack() as stack:
         if logs is not None:
             about, chosen = run_of_logs(run, logs, arm)
@@ -221,7 +220,7 @@ def replay(
     from rejoint.twin.judge import Candidate, judge, predict_logs
 
     known = as_twin(twin)
-    chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
+    chosen = arm_of_twin(twin) if arm is None else load_arm(arm)
     known.require(chosen)
     motions = list(map(answered, declared(as_logs(logs))))
     require_commands(motions, "replay")
@@ -309,7 +308,7 @@ def train(
     >>> policy.save("policy.onnx")
     >>> rejoint.train(run="runs/mine")
     """
-    how, servo_gains = settings or TrainSettings(), None
+    how, servo_gains = as_options(settings, TrainSettings), None
     with pacing(observer) as update, ExitStack() as stack:
         if how.trainer is None:
             from rejoint.training.task import load_preset
@@ -332,13 +331,13 @@ def train(
                 known = twin_under(known, tuned.found, tuned.under)
             chosen, folder, seed = found.arm, found.path, found.seed
         else:
-            known = None if twin is None else as_twin(twin)
             if arm is not None:
-                chosen = as_arm(arm)
+                chosen = load_arm(arm)
             elif twin is not None:
                 chosen = arm_of_twin(twin)
             else:
                 raise InputError("training: neither a twin, a run nor an arm is given")
+            known = None if twin is None else as_twin(twin)
             if known is not None:
                 known.require(chosen)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
