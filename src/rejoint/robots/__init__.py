@@ -33,10 +33,14 @@ def open_robot(
     """
     place = place_of(address)
     arm = load_arm(place.default_arm if arm is None else arm)
-    if place.family.only and arm.name in CATALOGUE and arm.name != place.default_arm:
+    if (
+        (place.family.only or getattr(place.detail, "arm", None))
+        and arm.name in CATALOGUE
+        and arm.name != place.default_arm
+    ):
         raise InputError(
-            f"at {place.family.scheme}: addresses there are arms of the kind {place.default_arm}, and this is about a "
-            f"{arm.name}; check the address, and whose run it is"
+            f"{address} is an arm of the kind {place.default_arm}, and this is about a {arm.name}; check the address, "
+            "and whose run it is"
         )
     if as_whole("count", count, 1) != 1 and not place.virtual:
         raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
