@@ -37,6 +37,7 @@ def run(tmp_path):
         partial(rejoint.train, 3),
         partial(rejoint.compare, "emulated:worn", plan={}),
         partial(rejoint.check, "emulated:worn", notes=rejoint.CheckNotes(when="2027-01-01")),
+        lambda: rejoint.connect("emulated:so101", settings=rejoint.Settings(twin=a_twin())).robot,
     ],
 )
 def test_what_cannot_be_meant_is_refused_at_once(call):

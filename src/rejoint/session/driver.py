@@ -417,9 +417,9 @@ class ArmDriver:
 
     @cached_property
     def twin(self) -> Twin | None:
-        """The twin of the settings or the run, as fitted."""
+        """The twin of the settings or the run, as fitted; ContractError for another arm's."""
         if self.settings.twin is not None:
-            return as_twin(self.settings.twin)
+            return as_twin(self.settings.twin, self.arm)
         return self.run.twin if self.run else None
 
     @property

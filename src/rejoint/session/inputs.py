@@ -134,9 +134,12 @@ def source_of(logs: LogsLike | None) -> str:
     return f"{LOGS}{whole.relative_to(here) if whole.is_relative_to(here) else whole}"
 
 
-def as_twin(given: TwinLike) -> Twin:
-    """Twin, or read it."""
-    return given if isinstance(given, Twin) else read_twin(as_path("a twin or its file", given))
+def as_twin(given: TwinLike, arm: Arm | None = None) -> Twin:
+    """Twin, or read it; ContractError if it is not of ``arm``."""
+    found = given if isinstance(given, Twin) else read_twin(as_path("a twin or its file", given))
+    if arm is not None:
+        found.require(arm)
+    return found
 
 
 def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:

@@ -219,9 +219,8 @@ def replay(
     """
     from rejoint.twin.judge import Candidate, judge, predict_logs
 
-    known = as_twin(twin)
     chosen = arm_of_twin(twin) if arm is None else load_arm(arm)
-    known.require(chosen)
+    known = as_twin(twin, chosen)
     motions = list(map(answered, declared(as_logs(logs))))
     require_commands(motions, "replay")
     page = None
@@ -337,9 +336,7 @@ def train(
                 chosen = arm_of_twin(twin)
             else:
                 raise InputError("training: neither a twin, a run nor an arm is given")
-            known = None if twin is None else as_twin(twin)
-            if known is not None:
-                known.require(chosen)
+            known = None if twin is None else as_twin(twin, chosen)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
             seed = as_seed(how.seed)
         if how.trainer is None:
