@@ -15,20 +15,10 @@ from rejoint.system.extras import require
 
 FAMILIES: tuple[Family[Any], ...] = (
     # TCP port of the vendor's server; the shortest cycle [s] that the vendor names (its FAQ) is the default
-    bus_family(
-        "rejoint.robots.mycobot.bus:MyCobotBus",
-        scheme="tcp",
-        form="tcp://HOST:PORT",
-        parse=wire_address,
-        only=True,
-    ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
-    bus_family(
-        "rejoint.robots.mycobot.bus:MyCobotBus",
-        scheme="serial",
-        form="serial:///dev/DEVICE",
-        parse=wire_address,
-        only=True,
+    *(
+        bus_family("rejoint.robots.mycobot.bus:MyCobotBus", scheme=scheme, form=form, parse=wire_address, only=True)
+        for scheme, form in (("tcp", "tcp://HOST:PORT"), ("serial", "serial:///dev/DEVICE"))
     ),
     # 50 Hz (chosen)
     bus_family(

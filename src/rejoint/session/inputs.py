@@ -119,7 +119,7 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     path = Path(given)
     if path.is_file():
         return [RunLog.load(path)]
-    files = sorted(path.glob("*.parquet")) if path.is_dir() else []
+    files = sorted(path.glob("*.parquet"))
     if not files:
         there = f"no folder with run logs (.parquet): {describe(path) if path.exists() else 'nothing there'}"
         raise FileError(path, there, "make one with: rejoint import SOURCE FOLDER")
@@ -177,7 +177,7 @@ def arm_of_twin(twin: TwinLike) -> Arm:
     """Arm of a twin, from its run or the catalogue."""
     if isinstance(twin, Path | str):
         folder = RunFolder(Path(twin).parent)
-        if folder.info.exists() and folder.twin.name == Path(twin).name:
+        if folder.info.exists() and folder.twin == Path(twin):
             return Run.open(folder.path).arm
     return arm_named(as_twin(twin).arm, "the twin is")
 

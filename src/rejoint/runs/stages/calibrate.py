@@ -177,10 +177,8 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    chosen, known = (
-        as_options(settings, Settings),
-        isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots"),
-    )
+    chosen = as_options(settings, Settings)
+    known = isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots")
     before = cast("Measurements | Film | Path | str", gauge) if known else None
     if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")
