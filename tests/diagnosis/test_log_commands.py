@@ -2,12 +2,12 @@
 
 import dataclasses
 import html
-from types import SimpleNamespace
 
 import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 import rejoint
+from madetwin import made_twin
 from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo
@@ -80,4 +80,4 @@ def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkey
     with pytest.raises(InputError, match="the logs are of an arm 'mine', which is described elsewhere; give its file"):
         rejoint.diagnose("recorded")
     with pytest.raises(InputError, match="the twin is of an arm 'mine', which is described elsewhere; give its file"):
-        arm_of_twin(SimpleNamespace(arm=name, parameters=None))
+        arm_of_twin(made_twin(dataclasses.replace(ARM, name=name), None))
