@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import load_arm, tcp_position
+from rejoint.arms import gravity_torque, load_arm, tcp_position
 from rejoint.arms.workspace import is_safe
 from rejoint.diagnosis.monitoring.measures import CYCLES, POSES, measure_check, plan_check, record_check
 from rejoint.diagnosis.segments import attach_segments
@@ -38,7 +38,12 @@ def test_the_routine_is_short_safe_and_always_the_same(arm):
     plan, again = plan_check(arm), plan_check(arm)
     assert (plan.position == again.position).all()
     assert 100.0 < plan.duration < 180.0
-    assert is_safe(arm, plan.command(np.arange(0.0, plan.duration, 0.1))).all()
+    time = np.arange(0.0, plan.duration, 0.1)
+    command = plan.command(time)
+    assert is_safe(arm, command).all()
+    sagging = RunLog.of(time, command, command - gravity_torque(arm, command) / 9.0, arm=arm)
+    found = measure_check(arm, attach_segments(sagging, plan.segments, np.zeros((0, 2))), None)
+    assert min(row.sag_mm or 1.0 for row in found.joints) > 0.0
     poses = [segment for segment in plan.segments if segment.kind == "pose"]
     assert len(poses) == POSES * 2 * CYCLES
     swept = {joint for segment in plan.segments if segment.kind == "sweep" for joint in segment.joints}
