@@ -88,7 +88,7 @@ def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typ
 def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, other):
     leave(run, 3)
     before = run.folder.measurements.read_bytes()
-    with pytest.raises(InputError, match="begin again with --fresh"):
+    with pytest.raises(InputError, match="calibrate ROBOT RUN --fresh"):
         rejoint.calibrate(ROBOT, run=run, **({"gauge": Hand(0).gauge(), "count": COUNT} | other))
     assert run.folder.measurements.read_bytes() == before
     calibrate(run, hand := Hand(), calibration="none")
@@ -118,5 +118,5 @@ def test_a_damaged_session_is_one_line_and_no_guess(run):
     run.folder.measurements.write_bytes(whole[: at + 12] + b"5" + whole[at + 13 :])
     with pytest.raises(FileError, match="digest is another") as refused:
         calibrate(run, Hand())
-    assert "--fresh" in refused.value.__notes__[-1]
+    assert "calibrate ROBOT RUN --fresh" in refused.value.__notes__[-1]
     calibrate(run, Hand(), calibration="none")

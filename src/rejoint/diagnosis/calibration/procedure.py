@@ -422,7 +422,8 @@ def log_resumed(file: Path, done: str) -> None:
     """Log that a session resumes, and how to restart it."""
     written = datetime.fromtimestamp(file.stat().st_mtime)
     LOGGER.warning(
-        "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
+        "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, "
+        "begin again: rejoint calibrate ROBOT RUN --fresh.",
         f"{written:%Y-%m-%d %H:%M}",
         done,
         file,

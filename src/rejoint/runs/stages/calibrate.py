@@ -62,7 +62,7 @@ def _measured(
         try:
             found, session = read_interrupted(file, robot.arm) or (None, session)
         except FileError as error:
-            error.add_note("To measure again in spite of it: --fresh")
+            error.add_note("To measure again in spite of it: rejoint calibrate ROBOT RUN --fresh")
             raise
     prior = None if session.fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
@@ -72,7 +72,8 @@ def _measured(
         elif (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
             raise InputError(
                 f"{file}: an interrupted session with another number of postures or sides, by something "
-                "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
+                "else, or with another --noise or --frame; give the same again, or begin again: "
+                "rejoint calibrate ROBOT RUN --fresh"
             )
         else:
             log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
@@ -231,7 +232,7 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
             found, measured = filmed.calibration, filmed.measurements
     except InputError as error:
         if taken:
-            points = "What was measured is kept; --fresh measures again."
+            points = "What was measured is kept; this measures again: rejoint calibrate ROBOT RUN --fresh"
             pictures = "The pictures are kept: give their folder to fit them again; the same command takes new ones."
             error.add_note(points if isinstance(measured, Measurements) else pictures)
         raise
