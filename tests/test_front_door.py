@@ -51,7 +51,7 @@ def test_every_stage_works_on_data_in_memory(motion, tmp_path, monkeypatch):
     assert found.diagnosis.condition in ("worn", "bad")
     assert seen == sorted(seen)
     assert seen[0] == 0.0
-    twin = rejoint.identify([motion], quick=True)
+    twin = rejoint.identify([motion])
     predicted = rejoint.replay(twin, motion).positions[0]
     assert predicted.shape == motion.position.shape
     lag = np.sqrt(np.mean((motion.command - motion.position) ** 2))

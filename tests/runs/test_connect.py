@@ -412,7 +412,7 @@ def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path
     run = Run.create(tmp_path, "emulated:worn", ARM).path
     with rejoint.connect("emulated:worn", run=run) as arm:
         assert "joint" in arm.diagnose(quick=True).verdict
-        assert arm.identify(quick=True).arm == ARM.name
+        assert arm.identify().arm == ARM.name
         compared = arm.compare(["default", "predictive"], ARM.targets.sample(np.random.default_rng(0), (2,)))
         assert compared.recommendation.controller == "predictive"
         assert arm.controller == "predictive"

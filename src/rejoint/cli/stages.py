@@ -191,7 +191,6 @@ def identify(
     gain: list[str] | None = None,
     torque_off: list[str] | None = None,
     seed: int | None = None,
-    quick: bool = False,
 ) -> object:
     """Fit a digital twin to the logs of a run or others; then write the report."""
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
@@ -207,7 +206,7 @@ def identify(
         gain=offline.by_motion(gain),
         torque_off=offline.by_motion(torque_off),
     )
-    twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed, quick=quick)
+    twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
     if logs is None:
         call.next(command("train", run))

@@ -211,7 +211,7 @@ def repair(
     works: dict[StageName, Callable[..., object]] = {
         "diagnose": partial(diagnose, robot, run=found, quick=quick, settings=chosen),
         "calibrate": partial(calibrate, robot, run=found, gauge=what.gauge, count=points, settings=chosen),
-        "identify": partial(identify, run=found, quick=quick),
+        "identify": partial(identify, run=found),
         "gains": partial(gains, robot, found, settings=chosen),
         "train": partial(train, run=found, preset=what.preset, quick=quick),
         "compare": compared,
@@ -332,9 +332,9 @@ class Session(ArmSession):
         """Find out where the tool really is; as `rejoint.calibrate`."""
         return self.lend(calibrate, self.robot, gauge=gauge, count=count, settings=self.settings)
 
-    def identify(self, *, quick: bool = False) -> Twin:
+    def identify(self) -> Twin:
         """Fit a twin to what the diagnosis recorded; as `rejoint.identify`."""
-        return self.lend(identify, quick=quick)
+        return self.lend(identify)
 
     def train(self, *, quick: bool = False) -> TrainedPolicy:
         """Train a policy on copies of the twin; as `rejoint.train`."""

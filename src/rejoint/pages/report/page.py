@@ -210,7 +210,7 @@ class Contents:
         seen = self.calibration is not None and self.calibration.source == "camera"
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
-        identify: tuple[object, ...] = (run, *quick)
+        identify: tuple[object, ...] = (run,)
         if robot.startswith(LOGS):
             diagnose = identify = ("--logs", robot.removeprefix(LOGS), *self.described(), "--run", run)
             robot = "ROBOT"

@@ -70,7 +70,6 @@ def identify(
     run: RunLike | None = None,
     plan: LogPlan | None = None,
     seed: int | None = None,
-    quick: bool = False,
     observer: Observer | None = None,
 ) -> Twin:
     """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset, delay.
@@ -89,8 +88,6 @@ def identify(
         other twins, held-out motions, gains and pauses
     seed
         default: that of the run, else 0
-    quick
-        search less in other logs than a diagnosis: the fit is worse
     observer
         receives progress
 
@@ -116,7 +113,7 @@ def identify(
     from rejoint.twin.identify import identify as fit
     from rejoint.twin.judge import predict_logs
 
-    what, size = as_options(plan, LogPlan), dict[str, Any]()
+    what = as_options(plan, LogPlan)
     with pacing(observer) as update, ExitStack() as stack:
         if logs is not None:
             about, chosen = run_of_logs(run, logs, arm)
@@ -135,15 +132,12 @@ def identify(
         if logs is None or (about is None and of_diagnosis(motions)):
             twin = fit(chosen, motions, update)
         else:
-            if quick:
-                size = {"coarse_seconds": 20.0, "fit_seconds": 20.0, "far_seconds": 5.0, "contact_seconds": 20.0}
             hold_out = None if what.hold_out is None else tuple(what.hold_out)
-            how = LogSettings(hold_out=hold_out, seed=drawn, **size)
+            how = LogSettings(hold_out=hold_out, seed=drawn)
             twin = identify_logs(chosen, motions, how, update, what.beside)
             twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
         if about is not None:
-            mark_quick(about.begin(), quick=quick)
-            about.folder.judgement.unlink(missing_ok=True)
+            about.begin().folder.judgement.unlink(missing_ok=True)
             twin.save(about.folder.twin)
             if twin.judgement is not None:
                 write_json(about.folder.judgement, twin.judgement)
