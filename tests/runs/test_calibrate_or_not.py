@@ -21,14 +21,13 @@ from rejoint.system.stopping import Interrupted, noted
 def test_words_stand_for_what_measures(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     file = tmp_path / "track.csv"
-    file.write_text("time,x,y,z\n" + "".join(f"{i},1,2,3\n" for i in range(5)))
-    terminal = Terminal()
-    assert gauge_by_word(terminal, "emulated:worn", None, 0) is None
-    assert gauge_by_word(terminal, "emulated:worn", "none", 0) == "none"
-    assert isinstance(gauge_by_word(terminal, "emulated:worn", "touch", 0), TouchGauge)
-    tracker = gauge_by_word(terminal, "emulated:worn", f"tracker={file}", 0)
-    assert isinstance(tracker, TrackerGauge)
-    assert tracker.path == file
+    file.write_text("time,x,y,z\n" + 4 * "1,1,2,3\n")
+    words = None, "none", "touch", f"tracker={file}"
+    found = [gauge_by_word(Terminal(), "emulated:worn", word, 0) for word in words]
+    assert found[:2] == [None, "none"]
+    assert isinstance(found[2], TouchGauge)
+    assert isinstance(found[3], TrackerGauge)
+    assert found[3].path == file
 
 
 def test_a_signal_ends_the_wait_for_a_line(monkeypatch):
