@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
+from test_ledger import stop_after
 
 import rejoint
 from rejoint.arms import Box
@@ -236,19 +237,10 @@ def test_a_worse_one_leaves_after_a_block_and_the_comparison_ends():
 
 def test_equal_ones_are_driven_to_all_targets_and_the_simpler_is_recommended():
     found, order = in_blocks(dict.fromkeys(("integrator", "policy"), IntegratorController), TWENTY[:1])
-    assert not any(row.out for row in found.rows)
-    assert [row.held for row in found.rows] == [10, 10]
+    assert [(row.out, row.held) for row in found.rows] == [("", 10)] * 2
     assert sorted(order) == sorted((name, "hold", 0, k) for name in ("integrator", "policy") for k in (0, 5))
     advice = recommend(found)
     assert (advice.controller, advice.tied) == ("integrator", ("policy",))
-
-
-def test_holds_tell_when_targets_are_crossed():
-    blocks, _ = in_blocks(factories("integrator"), TWENTY[:1], protocol=SETTLING)
-    whole = compared(SaggingRobot, factories("integrator"), TWENTY[:1], protocol=SETTLING)
-    row, other = blocks.row("integrator"), whole.row("integrator")
-    assert row.success.value == other.success.value == 1.0
-    assert row.cycle_time.mean.value == pytest.approx(other.cycle_time.mean.value, rel=0.2)
 
 
 def open_loop():
@@ -299,14 +291,8 @@ def test_trials_with_another_load_or_other_boxes_are_not_gone_on_from(tmp_path):
 def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):
     controllers, targets = dict.fromkeys(("integrator", "policy"), IntegratorController), TWENTY[:1]
     whole, order = in_blocks(controllers, targets)
-
-    def fail(_trial, seen=[]):  # noqa: B006 - counts over the calls
-        seen.append(1)
-        if len(seen) > 2:
-            raise NoReplyError("gone")
-
     with pytest.raises(NoReplyError):
-        in_blocks(controllers, targets, ledger=Ledger(tmp_path / "trials", "one"), on_trial=fail)
+        in_blocks(controllers, targets, ledger=Ledger(tmp_path / "trials", "one"), on_trial=stop_after(2))
     again, rest = in_blocks(controllers, targets, ledger=Ledger(tmp_path / "trials", "one"))
     assert rest == order[2:], "the same trials in the same order"
     assert [row.held for row in again.rows] == [row.held for row in whole.rows]
