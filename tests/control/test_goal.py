@@ -57,20 +57,16 @@ def test_a_servo_follows_a_way_by_the_lead_of_its_own_inverse():
     np.testing.assert_allclose(q, way.goal, atol=np.radians(0.05))
 
 
-def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():
+def test_the_time_of_a_target_begins_at_the_end_of_its_way():
     robot = open_robot("emulated:worn")
     ways = with_ways(ARM, POSTURES, ARM.rest)
     targets = tcp_position(ARM, POSTURES)[None]
     recording = run(robot, FeedforwardController(ARM), TargetSequence(ARM, targets, ways=[ways]), Schedule(dwell=3.0))
-    error = np.linalg.norm(tcp_position(ARM, recording.position[:, 0]) - recording.target[:, 0], axis=-1)
     for k, way in enumerate(ways):
         rows = np.flatnonzero(recording.target_index[:, 0] == k)
         since, time = recording.since_target[rows, 0], recording.time[rows, 0] - recording.time[rows[0], 0]
         assert (since[time < way.duration - 0.05] == 0.0).all()
         assert time[-1] - way.duration - 0.5 < since[-1] < time[-1] - way.duration + 0.05  # worn joints lag
-        assert error[rows[-1]] < 3e-3
-    steps = np.abs(np.diff(recording.command[:, 0], axis=0)) / np.diff(recording.time[:, 0])[:, None]
-    assert (steps <= ARM.max_speed * 1.01).all()
 
 
 def test_an_arm_with_a_slow_joint_stays_on_its_way():

@@ -88,6 +88,8 @@ class Schedule:
     """[s] stationary after which a dwell ends; None: never"""
     give_up: Callable[[ControlInput], bool] | None = None
     """called once per cycle: whether the arms are done, and hold"""
+    ways: float | None = None
+    """[s] of the dwell for a planned way, from whose start times count; None: from its end"""
     watch_falls: bool = False
     """a joint that moves away from its command trips; a diagnosis says it of a weak one"""
 
@@ -208,7 +210,7 @@ class RunState:
         self.unbelieved = self.following.falling  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
         self.index, self.doubted = np.zeros((2, count), dtype=np.intp)  # the latter: times that a joint broke loose
-        # [s] of the target, shifted by gaps; the same with gaps and waits
+        # [s] of the target, shifted by gaps and waits; the same with waits
         self.set_at = self.begun = state.time
         self.active: Mask = np.full(count, True)
         self.gap: Mask = np.full(count, False)  # whether the state came after a gap
@@ -238,14 +240,25 @@ class RunState:
         self.place = tcp_position(self.limits.arm, now.goal) if now.place is None else now.place
         self.aim = self.place if now.aim is None else now.aim
 
+    def _since(self) -> Array:
+        """(B,) [s] since the target."""
+        return self.inputs.since_target if self.schedule.ways is None else self.state.time - self.begun
+
+    def _dwelt(self) -> Array:
+        """(B,) [s] of the dwell: at the end of a way at least what is not for ways."""
+        return np.minimum(self._since(), self.inputs.since_target + (self.schedule.ways or 0.0))
+
     def _leave_out(self, longest: float) -> None:
         """End the dwell of arrived arms stationary for ``longest`` [s]; call in every cycle, or in none."""
         stood = self.stillness.look(self.state.time, np.hstack([self.state.position, self.sent]))
         enough = (stood.min(axis=-1) >= longest) & self.inputs.arrived  # one on its way would leave the clear way
         if np.count_nonzero(enough):
-            over = self.inputs.since_target - self.schedule.dwell - _ROUNDING  # below zero by what is left
-            self.set_at = np.where(enough & (over < 0.0), self.set_at + over, self.set_at)
+            over = self._dwelt() - self.schedule.dwell - _ROUNDING  # below zero by what is left
+            self._shift(enough & (over < 0.0), over)
             self._ask()
+
+    def _shift(self, where: Mask, by: Array) -> None:
+        self.set_at, self.begun = (np.where(where, old + by, old) for old in (self.set_at, self.begun))
 
     def _advance(self, finished: Mask) -> Mask:
         last = self.index == self.reference.legs - 1
@@ -279,7 +292,7 @@ class RunState:
     def _wait(self, where: Mask, elapsed: Array) -> None:
         """Leave a gap of ``elapsed`` (B,) [s] out of the time of what waits."""
         usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
-        self.set_at = np.where(where & self.reference.waits, self.set_at + (elapsed - usual), self.set_at)
+        self._shift(where & self.reference.waits, elapsed - usual)
 
     def _begin_again(self, where: Mask, moved: Mask) -> None:
         self.period = np.where(where, FIRST_PERIOD, self.period)
@@ -299,7 +312,7 @@ class RunState:
         if self.schedule.stands_for is not None:
             self._leave_out(self.schedule.stands_for)
         before, state, target, aim = self.inputs, self.state, self.place, self.aim
-        fresh, index, turned = self.active, self.index, turned_off(self.robot.arm, before)
+        fresh, index, since, turned = self.active, self.index, self._since(), turned_off(self.robot.arm, before)
         if self.schedule.give_up is not None and self.schedule.give_up(before):
             self.active = fresh & (servo_trips(state) != 0)  # the guard says it
         command, reasons, speed = self._decide(self._advance(self.active & self._finished(turned)))
@@ -310,7 +323,7 @@ class RunState:
             target=target,
             aim=aim,
             target_index=index,
-            since_target=before.since_target,
+            since_target=since,
             true_tcp=self.robot.true_tcp().copy(),
             active=fresh,
             reasons=reasons,
@@ -329,7 +342,7 @@ class RunState:
     def _finished(self, turned: Array) -> Mask:
         """Arms (B,) whose target has ended; ``turned`` (B,) [rad]: their orientation errors."""
         dwell, below = self.schedule.dwell, self.schedule.stop_below
-        finished: Mask = self.inputs.since_target >= dwell
+        finished: Mask = self._dwelt() >= dwell
         finished = finished | (self.state.time - self.begun >= dwell + self.reference.patience)
         if below is not None:
             near = tool_error(self.robot.arm, self.state.position, self.aim) < below

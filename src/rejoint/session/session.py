@@ -176,15 +176,20 @@ class ArmSession(ArmDriver):
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
-    def ways(self, targets: Array, turns: Orientation | None = None) -> tuple[JointTrajectory, ...]:
-        """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways; InputError if impossible."""
-        start = self.arm.rest if not self._rested else self.state.joints_rad
-        found = choose_postures(self.arm, targets, start, turn=turns, motors=self.motors, chained=True)
+    def ways(
+        self, targets: Array, turns: Orientation | None = None, motors: Motors | None = None
+    ) -> tuple[JointTrajectory, ...]:
+        """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways; InputError if impossible.
+
+        ``motors`` are by default those of now, for which the robot is opened.
+        """
+        motors, start = motors or self.motors, self.arm.rest if not self._rested else self.state.joints_rad
+        found = choose_postures(self.arm, targets, start, turn=turns, motors=motors, chained=True)
         for k, why in enumerate(found.refusals):
             if why:
                 number = f" {k + 1}" if len(targets) > 1 else ""
                 raise InputError(f"target{number} {in_mm(targets[k])}: {why}")
-        return with_ways(self.arm, found.q, start, motors=self.motors)
+        return with_ways(self.arm, found.q, start, motors=motors)
 
     def move_joints(
         self, joints_rad: ArrayLike, *, within_rad: float = WITHIN_JOINT, timeout_s: float = 10.0, wait: bool = True

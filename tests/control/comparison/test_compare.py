@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+import rejoint
 from comparisons import refilled
-from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.arms import clearances, gravity_torque, mycobot280, tcp_position
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.recommend import difference, recommend
 from rejoint.control.comparison.result import Protocol
@@ -154,6 +155,18 @@ def test_one_arm_interleaves_and_returns_to_the_start():
     assert found.row("one").crossing_true is None
 
 
+def test_own_targets_are_driven_on_clear_ways_whose_time_counts():
+    around = [[0.017, -0.268, 0.138], [0.022, 0.195, 0.220], [0.272, -0.003, 0.205]]
+    plan = rejoint.TrialPlan(repetitions=1, protocol=Protocol(hold=3.0, crossings=False))
+    found = rejoint.compare("emulated:worn", ["feedforward"], around, plan=plan)
+    (log,), results = found.logs.values(), found.comparison.results
+    assert clearances(ARM, log.position).min() > 0.0
+    near = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=1) < PROTOCOL.threshold
+    times = [log.time[rows[near[rows]][0]] - log.time[max(rows[0] - 1, 0)] for rows in log.visits()]
+    np.testing.assert_allclose(results["crossing_time"], times, atol=1e-6)
+    assert max(results["settled"]) < 3e-3
+
+
 def test_a_trip_on_one_arm_ends_the_comparison():
     robot = SaggingRobot(hot=6.0)
     with pytest.raises(GuardTripError):
@@ -217,14 +230,10 @@ def test_of_those_that_tie_at_the_narrowest_distance_who_is_near_much_sooner_is_
     assert sooner_by(0.1).controller == "integrator", "nobody sees a tenth of a second"
 
 
-def test_reaching_the_targets_counts_before_settling():
+def test_reaching_the_targets_and_whole_holds_count_before_settling():
     found = alike({"integrator": 0.0001, "policy": 0.001})
     verdict = recommend(refilled(found, "integrator", crossed=[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
     assert verdict.controller == "policy"
     assert any("integrator: 67 % of the targets missed, against 0 % of policy" in line for line in verdict.why)
-
-
-def test_holds_cut_short_by_the_guard_lose():
-    found = alike({"integrator": 0.0001, "policy": 0.001})
-    cut = [None] + [0.0001] * 5
+    cut = [None] + [0.0001] * 5  # by the guard
     assert recommend(refilled(found, "integrator", settled=cut)).controller == "policy"

@@ -8,7 +8,7 @@ controllers leave after three misses in a row, or by a paired t-test on logarith
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
@@ -16,14 +16,13 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.protocols import measure, metrics_of, schedule
+from rejoint.control.comparison.protocols import measure, schedule
 from rejoint.control.comparison.result import (
     WAS_WORSE,
     Columns,
     Comparison,
     Driven,
     Key,
-    Kind,
     Protocol,
     TargetErrors,
     collect,
@@ -35,7 +34,7 @@ from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import run
-from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
+from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.reference import TargetSequence, Ways
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import OverloadedError, limits_under, require_gains, under_gains
@@ -116,6 +115,8 @@ class Settings:
     """a policy of another period"""
     block: int = 0
     """targets between eliminations on one arm; 0: only failing controllers leave"""
+    ways: float | None = None
+    """[s] of holds and dwells for planned ways, see `Schedule`"""
 
     def __post_init__(self) -> None:
         as_whole("repetitions", self.repetitions, 1)
@@ -142,7 +143,7 @@ class TrialRunner:
     model: ToolModel | None = None
     """estimates unknown tool errors"""
     ways: Ways | None = None
-    """to the targets; None: the nearest postures at once"""
+    """of the sets; None: to the nearest postures at once"""
     ledger: Ledger = field(default_factory=Ledger)
     measured: Driven | None = None
     """trials of one arm, driven before"""
@@ -190,8 +191,7 @@ class TrialRunner:
     # --- side by side -------------------------------------------------------------------------
 
     def _side_by_side(self) -> None:
-        places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        asked = [Key(name, kind, places) for name, kind in product(self.controllers, self.settings.protocol.kinds)]
+        asked = self.asked()
         left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
         beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
         for key in asked:
@@ -208,6 +208,11 @@ class TrialRunner:
             else:  # what the helper lost
                 driven, _ = self.drive_batch(key)
             self._take(driven)
+
+    def asked(self) -> list[Key]:
+        """Trials of each controller and protocol side by side."""
+        places = tuple(product(range(self.shape[0]), range(self.shape[1])))
+        return [Key(name, kind, places) for name, kind in product(self.controllers, self.settings.protocol.kinds)]
 
     def drive_batch(self, key: Key) -> Result:
         """Drive a controller's trials side by side, each on an arm."""
@@ -312,14 +317,31 @@ class TrialRunner:
     def _drive(self, robot: Robot, key: Key) -> Result:
         name, kind, places, first = key
         sets, part = [s for s, _ in places], slice(first, first + self._step)
-        targets, turns = self.targets[sets, part], self.turns and self.turns[sets][:, part]
-        self._text, settings = f"{name}: {kind} protocol", self.settings
+        targets, settings, self._text = self.targets[sets, part], self.settings, f"{name}: {kind} protocol"
 
         def see(cycle: Cycle) -> None:
             self.on_progress((self._done + int(cycle.target_index.sum())) / self._total, self._text)
 
+        controller = self.controllers[name](robot.arm)
+        reference = TargetSequence(
+            robot.arm,
+            targets,
+            ways=self.ways and [self.ways[s][part] for s in sets],
+            turns=self.turns and self.turns[sets][:, part],
+            correction=self.correction,
+        )
+        limits = limits_under(self.limits, robot, controller)
+        plan = schedule(
+            kind,
+            settings.protocol,
+            wait=settings.wait,
+            keep_going=settings.batched,
+            sent=self._sent,
+            ways=settings.ways,
+        )
         try:
-            recording = self._run(robot, name, targets, kind, turns=turns, on_cycle=see)
+            with under_gains(robot, controller):
+                recording = run(robot, controller, reference, plan, limits=limits, on_cycle=see)
         except GuardTripError as error:
             stopped = recording_of(error)
             if stopped is None or not bad_command(stopped):
@@ -331,36 +353,16 @@ class TrialRunner:
         self.on_trial(driven, recording)
         return driven, recording
 
-    def _run(
-        self,
-        robot: Robot,
-        name: str,
-        targets: Array,
-        kind: Kind,
-        *,
-        corrected: bool = True,
-        turns: Orientation | None = None,
-        on_cycle: OnCycle | None = None,
-    ) -> Recording:
-        controller = self.controllers[name](robot.arm)
-        correction = self.correction if corrected else None
-        reference = TargetSequence(robot.arm, targets, ways=self.ways, turns=turns, correction=correction)
-        settings, limits = self.settings, limits_under(self.limits, robot, controller)
-        plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)
-        with under_gains(robot, controller):
-            return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
-
     # --- beside the trials --------------------------------------------------------------------
 
     def as_found(self) -> TargetErrors:
         """Errors of the default controller at the first target set, not corrected; raises as `run`."""
-        targets, settings = self.targets[:1], self.settings
+        settings = replace(self.settings, block=0)
+        plain = replace(self, settings=settings, correction=None, on_progress=no_progress, on_trial=lambda *_: None)
         with closing(self.open_robot(1, settings.seed)) as robot:
-            self._sent = None if settings.batched else begin(robot, self.limits, self.stance).command[-1]
-            recording = self._run(robot, DefaultController.name, targets, "hold", corrected=False)
-            self._sent = None  # of a robot that is closed now
-            models = [self.model] if self.model else ()
-            return TargetErrors.of(metrics_of(robot.arm, recording, targets, settings.protocol, models=models))
+            if not settings.batched:
+                plain._to_rest(robot)
+            return TargetErrors.of(plain._drive(robot, Key(DefaultController.name, "hold", ((0, 0),)))[0].columns)
 
 
 def bad_command(recording: Recording) -> bool:

@@ -6,6 +6,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.linalg import norm
@@ -33,19 +34,12 @@ STANDS_FOR = 3.0
 """[s] stationary before a dwell ends (chosen)"""
 
 
-def schedule(
-    kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
-) -> Schedule:
-    """Schedule after the last commands ``sent`` (B, n) [rad]."""
+def schedule(kind: Kind, protocol: Protocol, *, wait: bool = True, **options: Any) -> Schedule:  # noqa: ANN401 - its fields
+    """Schedule of a protocol, with further ``options``."""
     if kind == "hold":
-        return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
-    return Schedule(
-        dwell=protocol.dwell,
-        stop_below=protocol.threshold,
-        stands_for=None if wait else STANDS_FOR,
-        keep_going=keep_going,
-        sent=sent,
-    )
+        return Schedule(dwell=protocol.hold, **options)
+    options["stands_for"] = None if wait else STANDS_FOR
+    return Schedule(dwell=protocol.dwell, stop_below=protocol.threshold, **options)
 
 
 def metrics_of(

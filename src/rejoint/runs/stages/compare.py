@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from itertools import product
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result,
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Driven, Key, Places, Protocol, TargetErrors
+from rejoint.control.comparison.result import Comparison, Driven, Key, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
@@ -35,6 +34,7 @@ from rejoint.session.context import (
     ControllerMaker,
     Controllers,
     Factory,
+    believed_motors,
     correction_of,
     guard_limits,
     is_name,
@@ -148,11 +148,6 @@ class ComparisonJob:
         about = {"limits": limits, **self.trials, **hooks}
         return TrialRunner(opened or self._open, factories, self.targets, self.settings, **about)
 
-    @property
-    def places(self) -> Places:
-        """Target sets and repetitions of all trials."""
-        return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
-
     def runner_of(self, name: str) -> TrialRunner:
         """Runner of a named controller's trials, in another process."""
         posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
@@ -206,12 +201,16 @@ class ComparisonJob:
                 measured=None if before is None else before.driven,
                 helper=helper,
             )
-            result = self._beside(runner, before)
+            found = None  # of the uncorrected arm, where it is to be corrected, beside the helper's work
+            if runner.correction is not None and runner.turns is None and DEFAULT in self.factories:
+                found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
+            result = runner.compare()
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
         model = self.trials.get("model")
         result = replace(
             result,
+            as_found=found,
             robot=address_of(self.robot),
             arm=self.arm.name,
             period=self.period,
@@ -219,23 +218,16 @@ class ComparisonJob:
         )
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
-    def _beside(self, runner: TrialRunner, before: OpenLoopTrials | None) -> Comparison:
-        """Compare; first, see what the uncorrected arm does where it is to be corrected, beside the helper's work."""
-        found = None
-        if runner.correction is not None and runner.turns is None and DEFAULT in self.factories:
-            found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
-        return replace(runner.compare(), as_found=found)
-
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
-            for name, kind in product(self.factories, self.settings.protocol.kinds):
-                helper(Key(name, kind, self.places))
+            for key in self.runner(self.factories).asked():
+                helper(key)
         return helper
 
     def _help(self) -> HelperProcess | None:
-        size = len(self.places) * self.targets.shape[1] * len(self.factories)
+        size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
         spare = os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
         if not (plain and self.settings.batched and size >= LEAST and spare):
@@ -282,8 +274,8 @@ class TrialPlan:
     repetitions: int | None = None
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s]; default: Park et al. 2024, and holds of 8 s; in a repair holds alone, on one
-    arm of 4 s"""
+    """thresholds [m] and times [s], to which the longest planned way is added; default: Park et al. 2024, and holds of
+    8 s; in a repair holds alone, on one arm of 4 s"""
     full: bool = False
     """on a real arm, eliminate only after three targets missed in a row; in a repair, drive crossings too"""
 
@@ -316,7 +308,7 @@ def compare(
         ``servo-gains``
     targets
         (K, 3) or (S, K, 3) [m], `Pose` objects, or a CSV file in mm (``x,y,z``, and orientations for baselines);
-        default: ten drawn, on one arm first those of the diagnosis
+        on planned ways, whose time counts; default: ten drawn, on one arm first those of the diagnosis
     run
         run, or its folder, for policy, twin and results; default: nothing is written
     arm
@@ -366,21 +358,30 @@ def comparison_job(
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
     session.say_heavy(points, turns)
-    protocol = as_options(plan.protocol or (ONE_ARM_PROTOCOL if block else None), Protocol)
+    protocol, ways, longest = as_options(plan.protocol or (ONE_ARM_PROTOCOL if block else None), Protocol), None, 0.0
+    if targets is not None:
+        motors = None if twin is None else believed_motors(arm, twin)
+        ways = [session.ways(one, turns and turns[k], motors) for k, one in enumerate(points)]
+        longest = round(0.05 + max(way.duration for row in ways for way in row), 1)
     trials = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,
         batched=not real,
-        protocol=replace(protocol, crossings=protocol.crossings and not block),
+        protocol=replace(
+            protocol,
+            crossings=protocol.crossings and not block,
+            dwell=protocol.dwell + longest,
+            hold=protocol.hold + longest,
+        ),
+        ways=longest,
         leave_out=not controllers,
         block=block,
     )
     model, before = session.calibration, None
-    if block and run is not None and not isinstance(arm, LoadedArm) and turns is None and session.address == run.robot:
+    if block and run and targets is None and not isinstance(arm, LoadedArm) and session.address == run.robot:
         path = run.folder.log("targets")  # of the diagnosis
         before = open_loop_trials(run.arm, RunLog.load(path), trials.protocol, model) if path.exists() else None
-    if before is not None and targets is None:
-        points[0] = before.targets
+        points[0] = points[0] if before is None else before.targets
     posed = turns is not None
     return ComparisonJob(
         robot=robot,
@@ -393,13 +394,14 @@ def comparison_job(
         twin=twin,
         trials={
             "turns": turns,
+            "ways": ways,
             "stance": stance_of(twin, run),
             "correction": correction_of(model, arm, points),
             "model": model,
         },
         observer=session.observer,
         by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
-        before=before if before is not None and np.array_equal(points[0], before.targets) else None,
+        before=before,
     )
 
 
