@@ -83,10 +83,17 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         np.testing.assert_allclose(one.position, other.position, atol=1e-12)  # means of more or fewer readings
         np.testing.assert_allclose(one.seen.pixel, other.seen.pixel, atol=1e-6)
     assert len(list(runs[1].folder.pictures.glob("*.png"))) == len(found)
+    film(robot := Still(), camera, runs[1])  # no fit has followed
+    assert camera.taken == [filming.SCOUTS + 2]
+    write_bytes(runs[1].folder.camera, b"of a fit")
+    anew = Cut(robot := Still(), last=1)
+    with pytest.raises(InputError, match="check its cable") as stopped:
+        film(robot, anew, runs[1])
+    assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
     anew = Cut(robot := Still(), last=1)
     with pytest.raises(InputError, match="check its cable") as stopped:
         film(robot, anew, runs[1], fresh=True)
-    assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
+    assert anew.taken == [1]
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     assert list(runs[1].path.glob("pictures-*"))
 
@@ -108,7 +115,7 @@ def test_pictures_that_do_not_fit_are_kept_for_another_fit(tmp_path, monkeypatch
     gauge = CameraGauge(camera=lambda _: nullcontext(), board=ON_TOOL)
     with pytest.raises(InputError) as refused:
         rejoint.calibrate("emulated:worn", run=Run.create(tmp_path, "emulated:worn", ARM), gauge=gauge)
-    assert "give their folder to fit them again" in refused.value.__notes__[0]
+    assert "--fresh" in refused.value.__notes__[0]
 
 
 def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monkeypatch):

@@ -8,10 +8,12 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
+from rejoint.diagnosis.calibration import fit
 from rejoint.diagnosis.calibration.measurements import read_interrupted
 from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError, UnsavedError
+from rejoint.system.stopping import Interrupted
 
 ARM = mycobot280()
 ROBOT = "emulated:worn?seed=5"
@@ -71,14 +73,28 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
     assert len(list(run.path.glob("measurements-*.json"))) == 1
 
 
-def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typed(run, monkeypatch):
-    def full(path, _):
-        raise FileError(path, "cannot be written (No space left on device)", "free some space")
+def full(path, _):
+    raise FileError(path, "cannot be written (No space left on device)", "free some space")
 
-    with monkeypatch.context() as disk:
-        disk.setattr("rejoint.runs.stages.calibrate.write_calibration", full)
-        with pytest.raises(UnsavedError):
+
+def stopped(*given, found=fit.leave_out):
+    rejoint.interrupt("the button")
+    return found(*given)
+
+
+@pytest.mark.parametrize(
+    ("place", "what", "error"),
+    [
+        ("runs.stages.calibrate.write_calibration", full, UnsavedError),
+        ("diagnosis.calibration.fit.leave_out", stopped, Interrupted),
+    ],
+)
+def test_a_calibration_that_was_not_written_is_made_again_from_what_was_typed(run, monkeypatch, place, what, error):
+    with monkeypatch.context() as broken:
+        broken.setattr(f"rejoint.{place}", what)
+        with pytest.raises(error):
             calibrate(run, Hand())
+    assert not run.folder.calibration.exists()
     assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
     assert hand.asked == []
     assert run.folder.calibration.exists()

@@ -157,12 +157,10 @@ class CameraGauge:
         """
         pictures, total = None if folder is None else folder.pictures, SCOUTS + count * visits
         film = Film(board=self.board, carried=self.carried)
-        if pictures is not None and (pictures / POSTURES).exists() and any(pictures.glob("view-*.png")) and not fresh:
-            begun = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
-            if len(begun) < total:
-                log_resumed(pictures / POSTURES, f"{len(begun.usable)} pictures are there")
-                film = begun
-        if pictures is not None and not film.shots:
+        if folder is not None and pictures is not None and not fresh and _unfitted(folder):
+            film = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
+            log_resumed(pictures / POSTURES, f"{len(film.usable)} pictures are there")
+        elif pictures is not None:
             set_aside(pictures)
         arm, detector = drive.robot.arm, Detector(self.board)
         with kept(pictures, fresh=fresh), self.camera(drive.robot) as camera:
@@ -201,6 +199,13 @@ class CameraGauge:
                     set_aside(pictures)
                 raise
         return film
+
+
+def _unfitted(folder: RunFolder) -> bool:
+    """Whether there are pictures that came after the last fit."""
+    postures, fitted = folder.pictures / POSTURES, folder.camera
+    begun = postures.exists() and any(folder.pictures.glob("view-*.png"))
+    return begun and not (fitted.exists() and fitted.stat().st_mtime > postures.stat().st_mtime)
 
 
 def camera_gauge(number: int | None, board: Board, *, carried: str = "board", seed: int = 0) -> CameraGauge:

@@ -34,6 +34,7 @@ from rejoint.diagnosis.calibration.calibration import (
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.system.errors import InputError
 from rejoint.system.records import entity
+from rejoint.system.stopping import check
 
 SLIP, MOST_SLIPS = 30.0, 0.25
 """Residual [sigma] of an outlier, and their largest share; chosen"""
@@ -177,6 +178,7 @@ def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> F
         whitener = whitener * np.sqrt(weight)[:, None, None]
 
         def residual(x: Array, whitener: Array = whitener) -> Array:
+            check()
             white = whitener @ problem.misfit(whole(x))[..., None]
             return np.concatenate([white.ravel(), root @ (whole(x) - belief.mean)])
 

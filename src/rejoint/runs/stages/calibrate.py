@@ -39,7 +39,7 @@ from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import command
-from rejoint.system.stopping import noted
+from rejoint.system.stopping import check, noted
 
 if TYPE_CHECKING:
     from rejoint.camera.film import Film, Filmed
@@ -208,6 +208,7 @@ def calibrate(
                     measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
         result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
+        check()  # what is interrupted changes nothing
         if about is not None:
             with saving(result):
                 about.begin()
@@ -232,9 +233,7 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
             found, measured = filmed.calibration, filmed.measurements
     except InputError as error:
         if taken:
-            points = "What was measured is kept; this measures again: rejoint calibrate ROBOT RUN --fresh"
-            pictures = "The pictures are kept: give their folder to fit them again; the same command takes new ones."
-            error.add_note(points if isinstance(measured, Measurements) else pictures)
+            error.add_note("What was measured is kept; this measures again: rejoint calibrate ROBOT RUN --fresh")
         raise
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
