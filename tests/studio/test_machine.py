@@ -162,6 +162,8 @@ def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio,
     status = do(studio, GO)
     assert status.error == "the arm is off"
     monkeypatch.undo()
+    assert "tcp:" in take(studio, "tcp://127.0.0.1:9").error
+    assert do(studio, lambda machine: jobs.carry(machine, 5000.0)).error
     assert not do(studio, GO).error
     assert studio.session() is not session
 

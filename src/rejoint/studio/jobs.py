@@ -83,12 +83,12 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
     named = named_arm(address)
     place = place_of(address if named is None else named.address)
     arm = arm_of(place.text, name) if named is None or name else named.built
-    known = runs(studio.home).get(place.text)
+    known, before = runs(studio.home).get(place.text), studio.status
     studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
     try:
         see(studio)
     except BaseException:
-        studio.change(address="", arm=None, run=None)
+        studio.change(address=before.address, arm=before.arm, run=before.run, found=before.found)
         raise
     run = studio.run
     if run is not None:
@@ -285,9 +285,9 @@ def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
 
 def carry(studio: Studio, grams: float) -> None:
     """Tell the arm that its hand carries so many ``grams``."""
-    studio.release()
-    studio.settings = replace(studio.settings, payload=1e-3 * grams if grams > 0.0 else None)
-    studio.session()
+    told = replace(studio.settings, payload=1e-3 * grams if grams > 0.0 else None)
+    studio.call(rejoint.connect, run=studio.run, settings=told).close()
+    studio.settings = told
     studio.change(done=f"The hand carries {max(grams, 0.0):.0f} g from now on.")
 
 
