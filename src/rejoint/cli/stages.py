@@ -32,7 +32,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command, host_and_port, is_loopback
-from rejoint.system.stopping import noted
+from rejoint.system.stopping import noted, pause
 
 
 @takes
@@ -410,8 +410,11 @@ def serve_lines(robot: str, run: Path, call: Call) -> None:
 
 
 def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
-    if time.monotonic() - arm.heard > LOST:
-        return {"refused": f"the arm has not answered for {LOST:g} s"}
+    until = time.monotonic() + LOST
+    while time.monotonic() - arm.heard > LOST:  # or this computer was busy, and the answer comes
+        if time.monotonic() > until:
+            return {"refused": f"the arm has not answered for {LOST:g} s"}
+        pause(0.01)
     try:
         order = msgspec.json.decode(line, type=Order)
         taken = None if order.goal is None else arm.send_joints(order.goal).tolist()
