@@ -210,10 +210,8 @@ def code_of(check: HistoryRow | Outlook) -> int:
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
     """Group rows, the oldest first, by arm; urgent arms first."""
     owner = owners(rows)
-    whose: dict[str, list[HistoryRow]] = {}
-    for row in sorted((row for row in rows if not row.joint), key=lambda row: (owner(row), row.time)):
-        whose.setdefault(owner(row), []).append(row)
-    return sorted((ArmHistory(name=name, rows=tuple(mine)) for name, mine in whose.items()), key=_urgency)
+    whole = sorted((row for row in rows if not row.joint), key=lambda row: (owner(row), row.time))
+    return sorted((ArmHistory(name=name, rows=tuple(mine)) for name, mine in groupby(whole, owner)), key=_urgency)
 
 
 def cells(arm: ArmHistory) -> list[str]:

@@ -170,10 +170,8 @@ def correction_of(calibration: Calibration | None, arm: Arm, targets: Array | No
     """
     if calibration is None:
         return None
-    places = (tcp_position(arm, arm.rest) if targets is None else targets).reshape(-1, 3)
-    correct = Modelled(arm, calibration.displacement)
-    correct.aim(places, np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool))
-    return correct
+    calibration.aim(tcp_position(arm, arm.rest) if targets is None else targets, arm.rest)
+    return Modelled(arm, calibration.displacement)
 
 
 def quick_note(run: Run | None) -> str:

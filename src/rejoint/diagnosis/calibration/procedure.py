@@ -55,7 +55,6 @@ from rejoint.diagnosis.calibration.calibration import (
 from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
 from rejoint.logs.joints import TIME_UNITS
-from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, digest, reading, require_file
 from rejoint.system.progress import Progress, no_progress
@@ -251,17 +250,9 @@ class FilmingGauge(Protocol):
     def postures(self) -> int:
         """Default number of postures."""
 
-    def film(
-        self,
-        drive: StandingDrive,
-        folder: RunFolder | None,
-        count: int,
-        visits: int,
-        on_progress: Progress,
-        *,
-        fresh: bool = False,
-    ) -> Any:  # noqa: ANN401 - what that room alone can fit
-        """Take pictures in ``count`` postures from ``visits`` sides each; a run ``folder`` keeps them."""
+    @property
+    def film(self) -> Callable[..., Any]:
+        """Takes the pictures, as `rejoint.camera.filming.CameraGauge.film`."""
 
 
 @dataclass(kw_only=True)
