@@ -11,7 +11,6 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import difference, pose_of, turned
 from rejoint.diagnosis.calibration.calibration import (
     DisplacementLayout,
-    link_loads,
     read_calibration,
     write_calibration,
 )
@@ -77,12 +76,6 @@ def test_derivatives_are_finite_differences(tilt):
         step = 1e-6 * np.eye(layout.body)[k]
         ends = [layout.displacement(vector + sign * step).tool_pose(ARM, q) for sign in (1.0, -1.0)]
         assert np.allclose(difference(*ends) / 2e-6, slope[..., k], atol=1e-4), layout.names()[k]
-
-
-def test_links_weigh_what_the_kinematics_say():
-    q, down = postures(6), np.array([0.5, -1.0, -9.7])
-    tilted = replace(Displacement.none(ARM), gravity=down)
-    assert np.allclose((link_loads(ARM, q) @ down).sum(axis=-1), tilted.torque(ARM, q), atol=1e-12)
 
 
 def test_a_single_joint_by_hand():

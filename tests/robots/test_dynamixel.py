@@ -13,8 +13,8 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.robots import open_robot, place_of
-from rejoint.robots.dynamixel.bus import DynamixelBus, DynamixelWire
+from rejoint.robots import open_robot
+from rejoint.robots.dynamixel.bus import DynamixelWire
 from rejoint.robots.family import wire_address
 from rejoint.robots.servobus import Gripper
 from rejoint.robots.wireserver import TerminalServer
@@ -255,17 +255,6 @@ def test_a_frozen_encoder_ends_in_a_hold_and_is_named():
     assert isinstance(error, GuardTripError | RobotError)
     assert "elbow_flex" in str(error)
     assert np.isfinite(recording.position).all()
-
-
-def test_gains_of_a_connection_hold_on_the_next_one():
-    with serving() as server, closing(DynamixelBus(place_of(server.address).detail, KOCH)) as bus:
-        bus.open()
-        bus.prepare()
-        bus.tune({"p": (700,) * 5})
-        bus.close()
-        bus.open()
-        bus.prepare()
-        assert bus.servo_gains()["p"] == (700,) * 5
 
 
 def test_limits_of_the_current_are_gains_where_servos_obey_them_and_profiles_everywhere():

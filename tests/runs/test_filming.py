@@ -86,14 +86,12 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     film(robot := Still(), camera, runs[1])  # no fit has followed
     assert camera.taken == [filming.SCOUTS + 2]
     write_bytes(runs[1].folder.camera, b"of a fit")
-    anew = Cut(robot := Still(), last=1)
-    with pytest.raises(InputError, match="check its cable") as stopped:
-        film(robot, anew, runs[1])
+    for fresh in (False, True):
+        anew = Cut(robot := Still(), last=1)
+        with pytest.raises(InputError, match="check its cable") as stopped:
+            film(robot, anew, runs[1], fresh=fresh)
+        assert anew.taken == [1]
     assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
-    anew = Cut(robot := Still(), last=1)
-    with pytest.raises(InputError, match="check its cable") as stopped:
-        film(robot, anew, runs[1], fresh=True)
-    assert anew.taken == [1]
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     assert list(runs[1].path.glob("pictures-*"))
 
