@@ -260,7 +260,9 @@ def sag_doubt(data: ExcitationLog) -> str:
     if best.sum() < CLEARER * right.sum() or np.sort(best - right)[:-1].sum() < DOUBTED:
         masses = data.arm.mass.sum() * LOADS
         most, mass = max((_explained(pulls, np.append(GRAVITY, one)).sum(), one) for one in masses)
-        words = f"the tip carried {1e3 * mass:.0f} g more: if it did, diagnose with --payload; else check the zeros"
+        words = (
+            f"the tip carried more: if it did, diagnose with --payload {mass:.2f}; else check the zeros of the joints"
+        )
         words *= bool(most >= right.sum() + DOUBTED)
     return words and f"joints sag as if {words}"
 
