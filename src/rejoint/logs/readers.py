@@ -120,12 +120,15 @@ def _records(file: Path) -> tuple[dict[str, Array], str]:
         try:
             data = json.loads(text)
         except ValueError:
-            data = json.loads(b"[%b]" % text.strip().replace(b"\n", b","))
+            *whole, last = [line for line in text.splitlines() if line.strip()]
+            data = [json.loads(line) for line in whole or [last]]
+            with suppress(ValueError):  # a recorder that was killed left a part of it
+                data.append(json.loads(last))
         held = dict(_flat(data))
-        tables = [one for one in held.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
+        tables = [key for key, one in held.items() if isinstance(one, list) and one and isinstance(one[0], dict)]
         if not tables:
             return _columns(held), "JSON with columns"
-        (rows,) = tables
+        (rows,) = map(held.pop, tables)
         rows = [held | dict(_flat(row, dict | list)) for row in rows]
         names = dict.fromkeys(name for row in rows for name in row)
         return _columns({name: [row.get(name) for row in rows] for name in names}), "JSON with records"
