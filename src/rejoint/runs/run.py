@@ -84,7 +84,8 @@ class Run(Readable):
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
             seed = run.seed if seed is None else seed
-            if (run.robot, run.arm.name, run.seed) != (robot, arm.name, seed):
+            own, given = (Path(name.removeprefix(LOGS)).absolute() for name in (run.robot, robot))  # as logs are named
+            if (own, run.arm.name, run.seed) != (given, arm.name, seed):
                 raise InputError(
                     f"{run.path} is a run of {run.robot} ({run.arm.name}, seed {run.seed}), and this would be "
                     f"{robot} ({arm.name}, seed {seed}); give another --run"

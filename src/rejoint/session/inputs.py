@@ -126,12 +126,9 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     return [RunLog.load(file) for file in files]
 
 
-def source_of(logs: LogsLike | None) -> str:
-    """Name the source of a run made from logs, below the working directory as seen from there."""
-    if not isinstance(logs, Path | str):
-        return f"{LOGS}memory"
-    whole, here = Path(logs).resolve(), Path.cwd().resolve()
-    return f"{LOGS}{whole.relative_to(here) if whole.is_relative_to(here) else whole}"
+def source_of(logs: LogsLike) -> str:
+    """Name the source of a run made from logs."""
+    return f"{LOGS}{logs}" if isinstance(logs, Path | str) else f"{LOGS}memory"
 
 
 def as_twin(given: TwinLike, arm: Arm | None = None) -> Twin:
