@@ -230,7 +230,7 @@ class ServoAddress:
     driven: ClassVar[Gains] = {}
     """gains while the arm is driven, unless the owner says others"""
     options: ClassVar[dict[str, Callable[[str], Any]]] = {
-        "calibration": lambda text: Path(text).expanduser(),
+        "calibration": lambda text: Path(text).expanduser().absolute(),
         "zero": _degrees,
     }
     """how further fields are read"""

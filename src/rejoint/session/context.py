@@ -132,12 +132,13 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
 
 def is_own(run: Run, robot: str) -> bool:
-    """Whether ``robot`` is at the address of a run's own robot."""
+    """Whether ``robot`` is at the address of a run's own robot, with the same zeros."""
     try:
         own, here = place_of(run.robot), place_of(robot)
     except AddressError:  # a robot that was opened by other means
         return robot == run.robot
-    return own.unloaded == here.unloaded or not (own.virtual or here.virtual)
+    zeros = [[getattr(place.detail, name, None) for name in ("calibration", "zero")] for place in (own, here)]
+    return own.unloaded == here.unloaded or not (own.virtual or here.virtual or zeros[0] != zeros[1])
 
 
 def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
