@@ -95,38 +95,6 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     assert "Not followed" in cli(*words, code=5).out
 
 
-BAD = """
-follow emulated:worn {run} oval | no standard path; standard are circle-8s
-follow emulated:worn {run} circle-0.5s | give the path more time there
-diagnose tcp://nowhere | tcp://nowhere
-diagnose carrier-pigeon:1 | emulated:PROFILE
-identify {empty} | no run folder
-compare emulated:worn {run} --controllers magic | known controllers
-deploy emulated:worn {run} --targets {bad_csv} | line 2
-deploy emulated:worn {run} --controller policy | truncated or damaged
-gains emulated:worn {run} | no servo gains that could be set
-import {empty} {run}/logs | empty
-repair emulated:worn --arm robot.urdf | robot.urdf
-replay {run}/none.toml --logs {empty} | none.toml
-repair emulated:healthy --run {run} | is a run of emulated:worn
-follow emulated:worn {run} circle-8s --payload 150 | 150 kg, expected 0 to the 0.71 kg
-deploy emulated:worn {run} --tool 0,0,0.06 | 0,0,0.06 are no millimetres (metres?); give such as 0,0,50
-repiar | 'repair', 'report', 'replay'? See
-"""
-
-
-@pytest.mark.parametrize("line", BAD.strip().splitlines())
-def test_bad_input_is_one_line_and_exit_code_2(line, tmp_path, cli, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280()).folder
-    folder.policy.write_bytes(b"half a policy")
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "bad_csv").write_text("x,y,z\n1,2\n")
-    places = {name: tmp_path / name for name in ("run", "empty", "bad_csv")}
-    call, says = line.split(" | ")
-    assert says in cli(*(word.format(**places) for word in call.split()), code=2).error
-
-
 def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     step, steps = EmulatedRobot.step, []
 

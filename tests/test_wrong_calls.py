@@ -14,6 +14,7 @@ FILES = {
     "far.csv": "x,y,z\n900,0,180\n",
     "short.csv": "x,y\n200,0\n",
     "hole.csv": "x,y,z\n200,,180\n",
+    "ragged.csv": "x,y,z\n1,2\n",
     "titles.csv": "x,y,z\n",
     "empty.csv": "",
     "letter.csv": "hello\nworld\n",
@@ -31,6 +32,7 @@ deploy emulated:worn --targets metres.csv | metres
 deploy emulated:worn --targets far.csv | out of reach
 deploy emulated:worn --targets short.csv | missing: z
 deploy emulated:worn --targets hole.csv | line 2
+deploy emulated:worn --targets ragged.csv | line 2
 deploy emulated:worn --targets titles.csv | no targets
 deploy emulated:worn --targets empty.csv | empty
 deploy emulated:worn --targets letter.csv | hello
@@ -41,7 +43,9 @@ deploy emulated:worn --targets nothing.csv | no such file
 deploy emulated:worn nothing | no run folder
 deploy emulated:worn bad | run.json
 deploy emulated:worn folder | no run folder
-deploy emulated:worn run --controller policy | policy file
+deploy emulated:worn --controller policy | policy file
+deploy emulated:worn run --controller policy | truncated or damaged
+deploy emulated:worn --tool 0,0,0.06 | 0,0,0.06 are no millimetres (metres?); give such as 0,0,50
 deploy emulated:worn --controller feedforwad | feedforward
 deploy emulated:worn --controller file.onnx | no such file
 deploy emulated:worn --dwell -1 | found '-1'
@@ -70,14 +74,18 @@ goto emulated:worn 200 0 | 'Z'
 goto emulated:worn 200 zero 150 | 'Y'
 goto emulated:worn 900 0 150 | nearest place
 goto emulated:worn 200 0 -50 | floor
-follow emulated:worn run circle-8 | circle-8s
+follow emulated:worn run circle-8 | no standard path; standard are circle-8s
+follow emulated:worn run circle-0.5s | give the path more time there
+follow emulated:worn run circle-8s --payload 150 | 150 kg, expected 0 to the 0.71 kg
 follow emulated:worn run twice.csv | point 2
 follow emulated:worn run | 'PATH'
 identify | --logs FOLDER
 identify run | rejoint diagnose
+identify folder | no run folder
 train run | rejoint identify run
 train run --learner td3 | ppo
 compare emulated:worn run --controllers integrator,shelff | 'shelff'
+compare emulated:worn run --controllers magic | known controllers
 compare emulated:worn run --sets 0 | --sets
 report nothing | no run folder
 open nothing | no run folder
@@ -90,6 +98,7 @@ import one-joint.csv logs | --arm
 import abc.csv logs | position.JOINT
 import book.xlsx logs | CSV
 import nothing logs | no such file
+import folder logs | a folder with none
 replay run/twin.toml --logs folder | twin.toml
 history nothing | no such folder
 check emulated:worn --tolerance three | 'three'
@@ -102,8 +111,9 @@ emulate --port 70000 | 65535
 emulate --arm ur5 | known arms
 emulate --fault drop=5 --port 0 | drop=P
 repair emulated:worn --arm broken.urdf | broken.urdf
+repair emulated:worn --arm robot.urdf | robot.urdf
 repair emulated:worn --arm ur5e | known arms
-repair emulated:healthy --run run | emulated:worn
+repair emulated:healthy --run run | is a run of emulated:worn
 repair emulated:worn --measure ruler | touch
 repair emulated:worn --measure camera=front | camera=NUMBER
 repair emulated:wear.toml | wear.toml
@@ -112,16 +122,19 @@ calibrate emulated:worn run --frame table | touch
 calibrate emulated:worn new --measure points=book.xlsx | CSV
 calibrate emulated:worn new --measure points=nothing.csv | no such file
 serve emulated:worn nothing | no run folder
-gains emulated:worn run | SO-101
+gains emulated:worn run | no servo gains that could be set; an SO-101
 arms add | NAME ADDRESS
 arms add bench emulated:wron | wron
 arms add 'bench 3' emulated:worn | bench-3
 arms add bench tcp://10.0.0.1:9000 --calibration a.json | leave it out
 arms remove bench | there is no arm 'bench'
+diagnose tcp://nowhere | tcp://nowhere
+diagnose carrier-pigeon:1 | emulated:PROFILE
 diagnose emulated:worn --logs folder | either
 diagnose --logs nothing | rejoint import
 diagnose emulated:worn --quik | --quick
 rapair | 'repair'
+repiar | 'repair', 'report', 'replay'? See
 """
 
 
@@ -135,7 +148,7 @@ def place(tmp_path_factory):
     (folder / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
     with zipfile.ZipFile(folder / "book.xlsx", "w") as book:
         book.writestr("xl/workbook.xml", "<workbook/>")
-    Run.create(folder / "run", "emulated:worn", mycobot280())
+    Run.create(folder / "run", "emulated:worn", mycobot280()).folder.policy.write_bytes(b"half a policy")
     return folder
 
 
