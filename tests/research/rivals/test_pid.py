@@ -3,21 +3,9 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, solve_position
-from rejoint.arms.postures import find_postures
+from control.test_classical import ALL, ARM, REST, TARGETS, inputs
+from rejoint.arms import solve_position
 from rejoint_lab.research.rivals import PidController
-from standin import inputs_of, state_of
-
-ARM = mycobot280()
-TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
-ALL = np.ones(3, dtype=bool)
-REST = np.tile(ARM.rest, (3, 1))
-
-
-def inputs(position):
-    return inputs_of(
-        state_of(position, 0.0), TARGETS[:, 0], find_postures(ARM, TARGETS[:, 0], REST, None), position, 0.0
-    )
 
 
 @pytest.mark.parametrize("literal", [False, True])
