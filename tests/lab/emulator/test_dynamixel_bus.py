@@ -375,13 +375,13 @@ def test_robotis_client_finds_all_that_it_can_ask_for():
         assert packets.action(port, BROADCAST) == sdk.COMM_SUCCESS
         assert [packets.read1ByteTxRx(port, servo, 65)[0] for servo in (3, 4)] == [1, 1]
         bulk, writes = sdk.GroupBulkRead(port, packets), sdk.GroupBulkWrite(port, packets)
-        assert all(bulk.addParam(servo, *((132, 4) if servo % 2 else (144, 2))) for servo in on)
+        asked = (144, 2), (132, 4)
+        assert all(bulk.addParam(servo, *asked[servo % 2]) for servo in on)
         assert all(writes.addParam(servo, *((65, 1, [1]) if servo % 2 else (98, 1, [0]))) for servo in on)
         assert writes.txPacket() == bulk.txRxPacket() == sdk.COMM_SUCCESS
-        seen = [bulk.getData(servo, 132, 4) if servo % 2 else bulk.getData(servo, 144, 2) for servo in on]
+        seen = [bulk.getData(servo, *asked[servo % 2]) for servo in on]
         assert bulk.fastBulkRead() == sdk.COMM_SUCCESS
-        again = [bulk.getData(servo, 132, 4) if servo % 2 else bulk.getData(servo, 144, 2) for servo in on]
-        assert again == pytest.approx(seen, abs=3)
+        assert [bulk.getData(servo, *asked[servo % 2]) for servo in on] == pytest.approx(seen, abs=3)
         assert seen[1::2] == [120, 50, 50]
         assert packets.write1ByteTxRx(port, 3, 64, 0) == packets.write4ByteTxRx(port, 3, 20, 0) == done
         assert packets.write1ByteTxRx(port, 3, 11, 4) == packets.clearMultiTurn(port, 3) == done

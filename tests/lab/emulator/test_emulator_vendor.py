@@ -14,6 +14,7 @@ from rejoint_lab.emulator.firmware import Firmware
 ARM = mycobot280()
 QUICK = {"state": 0.002, "acknowledgement": 0.001, "pace": 4.0}
 REST = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
+GOAL = [50.0, 10.0, -95.0, 0.0, 5.0, 10.0]
 pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")]
 
 
@@ -121,18 +122,18 @@ def test_measured_quantities_are_plausible(arm):
 
 
 @pytest.mark.parametrize(
-    ("method", "arguments"),
+    ("method", "goal"),
     [
-        ("send_angles", ([50.0, 10.0, -95.0, 0.0, 5.0, 10.0], 100)),
-        ("send_radians", ([float(np.radians(v)) for v in (50.0, 10.0, -95.0, 0.0, 5.0, 10.0)], 100)),
-        ("set_encoders", ([2048 + round(v / 360 * 4096) for v in (50.0, 10.0, -95.0, 0.0, 5.0, 10.0)], 100)),
+        ("send_angles", GOAL),
+        ("send_radians", [float(np.radians(v)) for v in GOAL]),
+        ("set_encoders", [2048 + round(v / 360 * 4096) for v in GOAL]),
     ],
 )
-def test_joint_moves(arm, method, arguments):
-    assert getattr(arm, method)(*arguments) == 1
+def test_joint_moves(arm, method, goal):
+    assert getattr(arm, method)(goal, 100) == 1
     settle(arm)
-    np.testing.assert_allclose(arm.get_angles_plan(), [50.0, 10.0, -95.0, 0.0, 5.0, 10.0], atol=0.1)
-    assert near(arm.get_angles(), [50.0, 10.0, -95.0, 0.0, 5.0, 10.0])
+    np.testing.assert_allclose(arm.get_angles_plan(), GOAL, atol=0.1)
+    assert near(arm.get_angles(), GOAL)
 
 
 @pytest.mark.parametrize(
