@@ -147,8 +147,12 @@ ALWAYS = range(1, 10_000)
 
 
 def test_a_good_arm(start):
+    before = logging.getLogger().handlers[:]
     robot, fake = start()
+    assert logging.getLogger().handlers == before, "the client's side effects are undone"
     assert isinstance(robot, Robot)
+    assert fake.fresh
+    assert not {SEND, POWER_ON} & set(fake.seen), "opening it moves nothing"
     state = robot.read()
     np.testing.assert_allclose(state.position, np.radians([fake.degrees]))
     np.testing.assert_array_equal(state.temperature, [[33.0] * 6])
@@ -166,22 +170,9 @@ def test_a_good_arm(start):
     assert 0x11 not in fake.seen  # never powered off
 
 
-def test_opening_sends_no_motion_and_sets_fresh_mode(start):
-    _, fake = start()
-    assert fake.fresh
-    assert SEND not in fake.seen
-    assert POWER_ON not in fake.seen
-
-
 def test_an_arm_without_power_is_switched_on(start):
     _, fake = start(powered=False)
     assert fake.powered
-
-
-def test_the_clients_side_effects_are_undone(start):
-    before = logging.getLogger().handlers[:]
-    start()
-    assert logging.getLogger().handlers == before
 
 
 @pytest.mark.parametrize(
@@ -300,18 +291,22 @@ def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     np.testing.assert_allclose(held.position[0], log.position[-1], atol=np.radians(2))
 
 
-class SilentBus(MyCobotBus):
-    """Connections that can be made, at the cost of the client's own sleep, and answer nothing, all in virtual time."""
+class DeafFirst(MyCobotBus):
+    """The first new connection is let in and never answered, as by a server that is not ready yet; the next one is.
+
+    All in virtual time, at the cost of the client's own sleep.
+    """
 
     def __init__(self):
         super().__init__(Wire(text="tcp://nowhere:9000", host="nowhere", port=9000), ARM)
-        self.clock, self.silent = SimulatedClock(), False
+        self.clock, self.opened = SimulatedClock(), 0
 
     def open(self):
         self.clock.wait(1.5)
+        self.opened += 1
 
     def ask(self, method, *_arguments):
-        if not self.silent:
+        if self.opened != 2:
             return 1
         self.clock.wait(0.9)
         raise NoReplyError(method)
@@ -319,17 +314,6 @@ class SilentBus(MyCobotBus):
     def _drain(self, quiet):
         self.clock.wait(quiet)
         return False
-
-
-class DeafFirst(SilentBus):
-    """The first new connection is let in and never answered, as by a server that is not ready yet; the next one is."""
-
-    opened = 0
-
-    def open(self):
-        super().open()
-        self.opened += 1
-        self.silent = self.opened == 2
 
 
 def test_a_new_connection_that_nobody_serves_is_given_up_for_another_one():
