@@ -1,6 +1,14 @@
-"""The distance of two segments, worked out in another way than the product does."""
+"""Where links end, and the distance of two segments, worked out in another way than the product does."""
 
 import numpy as np
+
+from rejoint.arms import Arm, frames
+
+
+def link_ends(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """The base, the origins of all joint frames, and the TCP: (B, n + 2, 3) [m]."""
+    f = frames(arm, q)
+    return np.concatenate([np.zeros((len(q), 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
 
 
 def segments_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import Box, clearances, collides, frames, mycobot280, so101, solve_position
 from rejoint.arms.collision import collision_shape
-from segments import segments_apart
+from segments import link_ends, segments_apart
 
 ARM = mycobot280()
 POINT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
@@ -63,8 +63,7 @@ def test_an_arm_is_free_at_rest_and_at_its_targets(arm):
 @each_arm
 def test_clearances_are_distances_and_contacts_are_those_below_zero(arm):
     postures = np.random.default_rng(2).uniform(arm.lower, arm.upper, (300, arm.joints))
-    shape, f = collision_shape(arm), frames(arm, postures)
-    ends = np.concatenate([np.zeros((300, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+    shape, ends = collision_shape(arm), link_ends(arm, postures)
     i, j = shape.pairs.T
     apart = segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2 * shape.radius
     floors = 0.01 * np.arange(arm.joints)
@@ -102,8 +101,7 @@ def test_links_keep_out_of_boxes(arm):
     boxes = tuple(Box(lower=low, upper=low + rng.uniform(0.02, 0.2, 3)) for low in rng.uniform(-0.3, 0.3, (2, 3)))
     boxed = dataclasses.replace(arm, keep_out=boxes)
     postures = rng.uniform(arm.lower, arm.upper, (40, arm.joints))
-    shape, f = collision_shape(boxed), frames(arm, postures)
-    ends = np.concatenate([np.zeros((40, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+    shape, ends = collision_shape(boxed), link_ends(arm, postures)
     links = shape.moving
     points = ends[:, links, None] + np.linspace(0, 1, 401)[:, None] * (ends[:, links + 1] - ends[:, links])[:, :, None]
     apart = [np.linalg.norm(np.maximum(points - b.upper, 0) + np.maximum(b.lower - points, 0), axis=-1) for b in boxes]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from test_collision import each_arm
 
 from rejoint.arms import (
     Arm,
@@ -15,7 +16,6 @@ from rejoint.arms import (
     link_inertia,
     mycobot280,
     position_kinematics,
-    so101,
     tcp_pose,
     tcp_position,
 )
@@ -76,7 +76,7 @@ def test_zero_posture_is_upright_at_the_vendors_height() -> None:
     np.testing.assert_allclose(tcp_position(ARM, np.zeros(6)), [0.0456, -0.0634, 0.41267], atol=1e-9)
 
 
-@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+@each_arm
 def test_heights_are_those_of_the_frames(arm: Arm) -> None:
     q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (4, 5, arm.joints))
     f = frames(arm, q)

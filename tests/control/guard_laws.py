@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Box, frames, tcp_position
+from rejoint.arms import Arm, Box, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.control.guard import MAX_LEAD, RAMP, TRIPS, Guarded, GuardLimits, Reason, guard
 from rejoint.control.robot import JointState
-from segments import segments_apart
+from segments import link_ends, segments_apart
 
 STEP_ROUNDING = 1e-12  # [rad]
 HEIGHT_ROUNDING = 3e-9  # [m] what the guard tolerates where the arm is too low or in contact already, and rounding
@@ -180,12 +180,6 @@ def clearances(limits: GuardLimits, q: np.ndarray) -> np.ndarray:
     gap = segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2.0 * shape.radius
     ground = ends[:, shape.places, 2] - min(0.0, arm.floor) - shape.radius
     return np.concatenate([height, gap, ground], axis=-1)
-
-
-def link_ends(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """The base, the origins of all joint frames, and the TCP: (B, n + 2, 3) [m]."""
-    f = frames(arm, q)
-    return np.concatenate([np.zeros((len(q), 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
 
 
 def _check_holds(limits: GuardLimits, case: Case, out: Guarded, tripped: np.ndarray) -> None:

@@ -16,6 +16,7 @@ from guard_laws import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arms.test_collision import each_arm
 from rejoint.arms import mycobot280, so101
 from rejoint.control.guard import TRIPS, GuardLimits, Reason, guard
 from rejoint.diagnosis.excitation import plan_excitation
@@ -111,7 +112,7 @@ def test_an_arm_outside_its_limits_comes_back_and_never_goes_farther(kind, seed)
     assert (sent == goal)[~stopped].all()
 
 
-@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+@each_arm
 @pytest.mark.parametrize("period", [0.018, 0.03, 0.05])
 def test_a_motion_inside_the_limits_passes_bit_for_bit(arm, period):
     limits, plan = GuardLimits.of(arm), plan_excitation(arm, seed=0)
