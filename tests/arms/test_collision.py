@@ -75,13 +75,6 @@ def test_clearances_are_distances_and_contacts_are_those_below_zero(arm):
     np.testing.assert_array_equal(again, found.reshape(20, 15, -1))
 
 
-def test_the_plane_under_an_arm_is_its_floor_where_that_is_lower():
-    pedestal = dataclasses.replace(ARM, floor=-0.4)
-    down = np.radians([0.0, -135, 0, 0, 0, 0])
-    assert collides(ARM, down)
-    assert not collides(pedestal, down)
-
-
 @given(POINT, POINT, POINT, POINT)
 @example(np.array([0.0, 0.0, 1e-10]), np.zeros(3), np.zeros(3), np.zeros(3))
 @settings(max_examples=60)
