@@ -18,12 +18,16 @@ PLAIN = dataclasses.replace(ARM, servos=())
 HEALTHY = load_wear("healthy", ARM)
 
 
-def with_joint(joint, **values):
+def with_joint(joint, healthy=HEALTHY, **values):
     """A healthy arm with one joint changed."""
-    changed = {name: np.array(getattr(HEALTHY, name)) for name in values}
+    changed = {name: np.array(getattr(healthy, name)) for name in values}
     for name, value in values.items():
         changed[name][joint] = value
-    return dataclasses.replace(HEALTHY, **changed)
+    return dataclasses.replace(healthy, **changed)
+
+
+def kinds(diagnosis):
+    return {(finding.joint, finding.kind) for finding in diagnosis.findings}
 
 
 @cache

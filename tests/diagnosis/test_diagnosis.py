@@ -1,9 +1,12 @@
 """The diagnosis names the wear that was put into an emulated arm, and nothing else."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
+import plant_logs
 import pytest
+from plant_logs import kinds
 
 from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, judge
@@ -20,26 +23,19 @@ HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)
 OFFSET = np.radians([2.0, -3.0, 0.0, 0.0, 4.0, 0.0])
 
 
-def with_joint(joint, *, play_in_loop=False, **values):
-    """A healthy arm with one joint changed."""
-    changed = {name: np.array(getattr(HEALTHY, name)) for name in values}
-    for name, value in values.items():
-        changed[name][joint - 1] = value
-    return dataclasses.replace(HEALTHY, play_in_loop=play_in_loop, **changed)
-
-
+with_joint = partial(plant_logs.with_joint, healthy=HEALTHY)
 WEARS = {
     "healthy 1": HEALTHY,
     "healthy 2": HEALTHY,
     "healthy 3": HEALTHY,
-    "soft joint 2": with_joint(2, position_gain=9.0),
-    "stiff joint 3": with_joint(3, coulomb=0.25, stiction=0.35),
-    "stiff joint 1": with_joint(1, coulomb=0.30, stiction=0.40),
-    "loose joint 1": with_joint(1, play=np.radians(2.0), play_in_loop=True),
-    "weak joint 2": with_joint(2, torque_limit=0.72),
-    "failing joint 2": with_joint(2, torque_limit=0.45),
-    "ringing joint 1": with_joint(1, damping_gain=0.05),
-    "late joint 3": with_joint(3, damping_gain=4.0),
+    "soft joint 2": with_joint(1, position_gain=9.0),
+    "stiff joint 3": with_joint(2, coulomb=0.25, stiction=0.35),
+    "stiff joint 1": with_joint(0, coulomb=0.30, stiction=0.40),
+    "loose joint 1": dataclasses.replace(with_joint(0, play=np.radians(2.0)), play_in_loop=True),
+    "weak joint 2": with_joint(1, torque_limit=0.72),
+    "failing joint 2": with_joint(1, torque_limit=0.45),
+    "ringing joint 1": with_joint(0, damping_gain=0.05),
+    "late joint 3": with_joint(2, damping_gain=4.0),
     "worn": WORN,
     "offset joints": dataclasses.replace(HEALTHY, offset=OFFSET),
 }
@@ -55,10 +51,6 @@ def logs():
 def found(logs):
     healthy = load_healthy(ARM)
     return {name: judge(ARM, entry, healthy) for name, entry in logs.items()}
-
-
-def kinds(diagnosis):
-    return {(finding.joint, finding.kind) for finding in diagnosis.findings}
 
 
 @pytest.mark.parametrize("name", ["healthy 1", "healthy 2", "healthy 3"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from motion_logs import TRUTH, as_log, centre_of, pressing, record
 from motion_logs import wandering as twin_wandering
-from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
+from plant_logs import ARM, HEALTHY, kinds, plain_reference, record_motions, with_joint
 
 from rejoint.arms import tcp_position
 from rejoint.diagnosis import diagnosis as diagnosing
@@ -42,10 +42,6 @@ def logs():
 @pytest.fixture(scope="module")
 def found(logs):
     return {name: diagnose_logs(ARM, entry, plain_reference()) for name, entry in logs.items()}
-
-
-def kinds(diagnosis):
-    return {(finding.joint, finding.kind) for finding in diagnosis.findings}
 
 
 @pytest.mark.parametrize(
