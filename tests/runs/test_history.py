@@ -143,11 +143,7 @@ def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path):
 
 
 def history_of(hysteresis, tolerance=None):
-    past = [
-        PastCheck(time=BEGIN + timedelta(days=30 * i), measures=measures(3.0 + value - 2.0, value))
-        for i, value in enumerate(hysteresis)
-    ]
-    return outlook(past, tolerance)
+    return judged(*(measures(1.0 + value, value) for value in hysteresis), tolerance=tolerance, days=30)
 
 
 def test_the_line_says_cause_millimetres_date_and_what_to_do():
@@ -161,8 +157,8 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do():
     assert say(history_of([2.0] * 3, 2.5), "R").endswith("reached. Do: R")
 
 
-def judged(*checks, tolerance=None, left=None):
-    past = [PastCheck(time=BEGIN + timedelta(days=182 * i), measures=one) for i, one in enumerate(checks)]
+def judged(*checks, tolerance=None, left=None, days=182):
+    past = [PastCheck(time=BEGIN + timedelta(days=days * i), measures=one) for i, one in enumerate(checks)]
     return outlook(past, tolerance, left_mm=left)
 
 
