@@ -91,19 +91,6 @@ def patched(what, name, value):
 dark = patched(cv2, "VideoCapture", MagicMock(**{"return_value.read.return_value": (False, None)}))
 
 
-def environment(name, value):
-    def plant(bench):
-        bench.patch.setenv(name, value)
-        return []
-
-    return plant
-
-
-def extra(bench):
-    bench.patch.setitem(extras.EXTRAS, "train", ("no_such_module",))
-    return []
-
-
 PLANTED = {
     "port missing": (lambda _: ["feetech:///dev/ttyACM77"], "robot", "there is no port", "ports of this computer"),
     "no address": (lambda _: ["foo://x"], "robot", "unknown robot address", "tcp://"),
@@ -126,7 +113,12 @@ PLANTED = {
     "low voltage": (lambda bench: [bench.so101("voltage@0")], "servos", "voltage", "power supply"),
     "hot servo": (lambda bench: [bench.so101("overheat=2@0")], "servos", "shoulder_lift 85", "cool"),
     "hot servo of a myCobot": (lambda bench: [bench.mycobot("overheat=2@0")], "servos", "joint2 85", "cool"),
-    "extra missing": (extra, "extras", "train", "pip install"),
+    "extra missing": (
+        lambda bench: bench.patch.setitem(extras.EXTRAS, "train", ("no_such_module",)) or [],
+        "extras",
+        "train",
+        "pip install",
+    ),
     "full disk": (
         patched(shutil, "disk_usage", lambda _: SimpleNamespace(free=2e7)),
         "disk",
@@ -157,7 +149,12 @@ PLANTED = {
         "give another RUN",
     ),
     "damaged run": (damaged, "run", "twin.toml", "identify"),
-    "no compiler": (environment("NUMBA_DISABLE_JIT", "1"), "compiler", "NUMBA_DISABLE_JIT is set", "unset it"),
+    "no compiler": (
+        lambda bench: bench.patch.setenv("NUMBA_DISABLE_JIT", "1") or [],
+        "compiler",
+        "NUMBA_DISABLE_JIT is set",
+        "unset it",
+    ),
 }
 
 
