@@ -49,11 +49,6 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == kept
 
 
-def example():
-    time, still = np.arange(0.0, 2.0, 0.025), np.tile(ARM.rest, (80, 1))
-    return RunLog.of(time, still, still, arm=ARM)
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -68,7 +63,8 @@ def example():
 )
 def test_every_command_that_writes_in_a_run_waits_for_nobody(words, tmp_path, cli):
     logs, path = tmp_path / "logs", tmp_path / "run"
-    example().save(logs / "one.parquet")
+    time, still = np.arange(0.0, 2.0, 0.025), np.tile(ARM.rest, (80, 1))
+    RunLog.of(time, still, still, arm=ARM).save(logs / "one.parquet")
     folder = folder_of(path, robot=f"{LOGS}{logs}" if "--logs" in words else "emulated:worn")
     with locked(folder):
         before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
@@ -97,16 +93,9 @@ def test_a_folder_is_free_at_the_end_also_where_a_process_was_forked_meanwhile(t
 
 
 def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path):
-    run = Run.plan(tmp_path / "new", "logs:x", ARM, 0)
-
-    def stage(run):
-        with exclusive(run):
+    new, begun = Run.plan(tmp_path / "new", "logs:x", ARM, 0), Run.create(tmp_path / "begun", "logs:x", ARM)
+    for run in (new, begun):
+        with pytest.raises(FileError, match="nothing to work on"), exclusive(run):
             raise FileError(run.folder.path, "nothing to work on", "do something")
-
-    with pytest.raises(FileError, match="nothing to work on"):
-        stage(run)
-    assert not run.folder.path.exists()
-    begun = Run.create(tmp_path / "begun", "logs:x", ARM)
-    with pytest.raises(FileError, match="nothing to work on"):
-        stage(begun)
+    assert not new.folder.path.exists()
     assert begun.folder.info.exists()
