@@ -187,14 +187,16 @@ def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stif
 
 def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch)
-    names = context.ControllerMaker(ARM, (0.02, 0.02), run, run.twin).contenders(real=True, posed=False)
-    assert {"servo-gains+policy", "servo-gains+predictive"} <= set(names)
-    without = context.ControllerMaker(ARM, (0.02, 0.02), run, None).contenders(real=True, posed=False)
-    assert "servo-gains+predictive" not in without, "without a twin"
-    assert not {"policy", "predictive", "shelf"} & set(names), "on a real arm the own policy takes the shelf's place"
+
+    def names(twin):
+        return set(context.ControllerMaker(ARM, (0.02, 0.02), run, twin).contenders(real=True, posed=False))
+
+    assert {"servo-gains+policy", "servo-gains+predictive"} <= names(run.twin)
+    assert "servo-gains+predictive" not in names(None), "without a twin"
+    assert not {"policy", "predictive", "shelf"} & names(run.twin), "on a real arm the own policy takes its place"
     assert context.ControllerMaker(ARM, run=run).choice()[0] == "servo-gains+policy"
     run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
-    assert "policy" in context.ControllerMaker(ARM, (0.02, 0.02), run, run.twin).contenders(real=True, posed=False)
+    assert "policy" in names(run.twin)
     assert context.ControllerMaker(ARM, run=run).choice()[0] == "policy"
     with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
         context.ControllerMaker(ARM, (0.02, 0.02), run=run).factories(["servo-gains+policy"])
