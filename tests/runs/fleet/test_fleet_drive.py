@@ -232,17 +232,15 @@ def test_only_those_are_repaired_that_need_it(tmp_path):
 
 
 def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path):
-    fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=(arm("a"),))
-
     def second():
         with pytest.raises(FileError, match="this program is working"):
-            call(tmp_path, fleet.arms, PlayedExecutor())
+            call(tmp_path, [arm("a")], PlayedExecutor())
         return DONE
 
     executor = PlayedExecutor({("a", "check"): [second]})
-    assert call(tmp_path, fleet.arms, executor).rows[0].end == "done"
+    assert call(tmp_path, [arm("a")], executor).rows[0].end == "done"
     with pytest.raises(InputError, match="has no arm x; it has: a"):
-        call(tmp_path, fleet.arms, PlayedExecutor(), only=("x",))
+        call(tmp_path, [arm("a")], PlayedExecutor(), only=("x",))
 
 
 def test_a_dry_run_of_a_fleet_moves_nothing_and_writes_nothing(tmp_path, cli):
