@@ -8,12 +8,11 @@ import numpy as np
 import rejoint
 
 options = argparse.ArgumentParser(description=__doc__)
-options.add_argument("--quick", action="store_true", help="record and search less; the fit is worse")
 options.add_argument("--out", default="twin.png", help="figure to write")
 chosen = options.parse_args()
 
-found = rejoint.diagnose("emulated:worn", quick=chosen.quick)  # drives the arm; nothing is written
-twin = rejoint.identify([found.excitation, found.targets], quick=chosen.quick)
+found = rejoint.diagnose("emulated:worn")  # drives the arm; nothing is written
+twin = rejoint.identify([found.excitation, found.targets])
 low, high = twin.interval
 for name, value, least, most in zip(
     twin.joint_names, twin.parameters.stiffness, low.stiffness, high.stiffness, strict=True

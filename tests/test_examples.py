@@ -60,7 +60,7 @@ def test_wear_is_found_in_arrays(run):
 
 
 def test_a_twin_predicts_targets_that_it_has_not_seen(run):
-    said = run("fit_a_twin.py", "--quick")
+    said = run("fit_a_twin.py")
     assert said.count("N m/rad") == 6
     assert is_figure("twin.png")
 
