@@ -17,7 +17,7 @@ from functools import partial
 from types import FrameType
 from typing import ClassVar, TypeAlias
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a program"""
 
 # [s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)
@@ -228,7 +228,7 @@ def _hosts(handler: Callable[[int, FrameType | None], object], signum: int, fram
 def _set_handlers() -> dict[int, Handler]:
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = {}
+    before = dict[int, Handler]()
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
         inner = getattr(handler, "func", handler)
