@@ -67,18 +67,16 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a file, and move it whole to ``path``; FileError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
-        temporary = Path(name)
-        try:
+        name, folder = f".{path.name}.", path.parent
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=name, suffix=UNFINISHED, delete=False) as file:
+            temporary = Path(file.name)
             try:
                 write(temporary)
                 temporary.chmod(0o644)
-                os.fsync(handle)
+                os.fsync(file.fileno())
+                temporary.replace(path)
             finally:
-                os.close(handle)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
 
 
 def as_path(what: str, given: object) -> Path:
@@ -246,7 +244,7 @@ def toml_of(table: Mapping[str, Any]) -> str:
     return tomlkit.dumps(known(msgspec.to_builtins(table, enc_hook=methodcaller("tolist"))))
 
 
-def write_sealed(path: Path, toml: str, about: str = "") -> None:
+def write_sealed(path: Path, toml: str, about: str) -> None:
     """Write TOML below comments ``about`` it, whole or not at all."""
     text = "".join(f"# {line}\n" for line in about.splitlines()) + toml
     write_text(path, f"# digest of the text below: {digest(text.encode())}\n{text}")
