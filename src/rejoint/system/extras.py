@@ -60,12 +60,9 @@ def _line(what: str, missing: dict[str, str]) -> str:
 
 def install_line(extras: Iterable[str]) -> str:
     """Return the command that installs ``extras``."""
-    return f"pip install '{_source()}[{','.join(dict.fromkeys(extras))}]'"
-
-
-def _source() -> str:
     url = json.loads(distribution("rejoint").read_text("direct_url.json") or "{}").get("url", "")
-    return url2pathname(urlsplit(url).path) if url.startswith("file:") else f"rejoint @ {url}" if url else "rejoint"
+    source = url2pathname(urlsplit(url).path) if url.startswith("file:") else f"rejoint @ {url}" if url else "rejoint"
+    return f"pip install '{source}[{','.join(dict.fromkeys(extras))}]'"
 
 
 _OFF, _PLACE = "NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR"
