@@ -34,9 +34,9 @@ class Estimate:
     high: float | None
 
     def __post_init__(self) -> None:
-        for name in ("value", "low", "high"):  # NumPy scalars are not plain data
-            number = getattr(self, name)
-            object.__setattr__(self, name, None if number is None else float(number))
+        for name, number in dict(vars(self)).items():
+            if number is not None:
+                object.__setattr__(self, name, float(number))  # NumPy scalars are not plain data
 
 
 @value_type
