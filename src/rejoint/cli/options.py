@@ -1,7 +1,5 @@
 """The options that commands share, each declared once, and the call of a command that receives them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -76,7 +74,7 @@ class Call(Terminal, Observer):
         if found is None:
             return robot
         self.named = found
-        if found.description is not None and not any(self.pick):
+        if found.description is not None and not self.picked:
             self.pick = self.pick._replace(arm=found.description)
         return found.address
 
@@ -222,14 +220,13 @@ def payload_of(text: str) -> LoadedWith:
     """Read ``0.15`` [kg] or ``0.15@0,0,30`` [kg, mm]; InputError for anything else."""
     mass, _, place = text.partition("@")
     expected = "kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30"
-    kilograms, x, y, z = _numbers(f"{mass},{place or '0,0,0'}", 4, f"--payload {text!r}: expected {expected}")
-    return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
+    kilograms, *com = _numbers(f"{mass},{place or '0,0,0'}", 4, f"--payload {text!r}: expected {expected}")
+    return LoadedWith(mass=kilograms, com=point_of("--payload", *com))
 
 
 def tool_of(text: str) -> tuple[float, float, float]:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
-    x, y, z = _numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
-    return point_of(x, y, z, "--tool")
+    return point_of("--tool", *_numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50"))
 
 
 def _numbers(text: str, count: int, refusal: str) -> list[float]:
@@ -242,7 +239,7 @@ def _numbers(text: str, count: int, refusal: str) -> list[float]:
     return found
 
 
-def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:
+def point_of(option: str, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a place in mm as metres; InputError for what is no number, or of the size of metres."""
     largest = np.max(np.abs((x, y, z)))
     if not (largest == 0.0 or 1.0 <= largest < np.inf):
@@ -261,9 +258,9 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
 def box_of(text: str) -> Box:
     """Read ``x,y,z,x,y,z`` of two opposite corners in mm; InputError for anything else."""
     expected = "two opposite corners x,y,z,x,y,z in mm, such as 150,-200,0,300,200,120"
-    x, y, z, *far = _numbers(text, 6, f"--keep-out {text!r}: expected {expected}")
-    first, second = point_of(x, y, z, "--keep-out"), point_of(far[0], far[1], far[2], "--keep-out")
-    return Box(lower=np.minimum(first, second), upper=np.maximum(first, second))
+    numbers = _numbers(text, 6, f"--keep-out {text!r}: expected {expected}")
+    corners = [point_of("--keep-out", *numbers[k : k + 3]) for k in (0, 3)]
+    return Box(lower=np.min(corners, axis=0), upper=np.max(corners, axis=0))
 
 
 KINDS = {
@@ -297,7 +294,7 @@ def takes(command: Callable[..., object]) -> Callable[..., None]:
     """
     known, ours, hints = texts("rejoint.cli"), texts(command.__module__.rpartition(".")[0]), get_type_hints(command)
     mine = ours[command.__name__.rstrip("_")]
-    entries, fills, shown = known["all"] | ours["all"] | mine, mine.get("fills", {}), list[Parameter]()
+    entries, fills, shown = known["all"] | ours["all"] | mine, mine.get("fills", {}), []
     for one in [*signature(command).parameters.values()][1:]:
         kind = hints[one.name]
         if one.name in fills:

@@ -296,7 +296,7 @@ def goto(
     call: Call, robot: str, x: float, y: float, z: float, run: Path | None = None, timeout: float = 10.0
 ) -> object:
     """Move the tool to one point, and hold it there."""
-    target, arm = opt.point_of(x, y, z), _arm(call, robot, run)
+    target, arm = opt.point_of("goto", x, y, z), _arm(call, robot, run)
     with (
         call.watched("goto") as observer,
         rejoint.connect(robot, run=run, arm=arm, settings=call.settings, observer=observer) as session,
