@@ -19,7 +19,7 @@ from rejoint.logs.runfolder import RunFolder, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
-from rejoint.runs.fleet.file import name_arm, names_file, read_fleet, remove_name
+from rejoint.runs.fleet.file import known_arms, name_arm, names_file, remove_name
 from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import arm_of_twin
 from rejoint.system.errors import FileError, InputError
@@ -169,8 +169,7 @@ def arms(
 ) -> object:
     """Give arms names, which every command takes for their addresses."""
     if verb == "list":
-        path = names_file()
-        known = read_fleet(path).arms if path.exists() else ()
+        path, known = names_file(), known_arms()
         rows = [[one.name, one.address, one.description or "", f"{one.tolerance_mm or ''}"] for one in known]
         if rows:
             call.table(f"Arms of {path}", ["name", "address", "arm", "tolerance mm"], rows)
