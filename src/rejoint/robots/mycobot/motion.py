@@ -91,7 +91,7 @@ def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | 
     )
     if not found.converged.any():
         return None
-    good: Array = found.q[found.converged]
+    good = found.q[found.converged]
     return good[np.argmin(np.abs(good - (starts[0] if near is None else near)).max(axis=1))]
 
 
@@ -172,21 +172,18 @@ class Motion:
             reach = self.ramp_speed * duration
             self.reference = self.reference + np.clip(self.goal - self.reference, -reach, reach)
         else:
-            self._advance_path(self._path, duration)
+            left = self._path.duration - self._done
+            half = 0.5 * _RISE * duration  # the braking distance of a speed that falls in steps
+            braking = np.sqrt(half**2 + 2.0 * _RISE * max(left, 0.0)) - half
+            self._rate = min(self._rate + _RISE * duration, self._wanted_rate, braking)
+            self._done += self._rate * duration
+            if left <= 1e-9 or self._path.duration - self._done <= 1e-4:
+                self.reference, self._path = self.goal.copy(), None
+            else:
+                self.reference = self._path.at(self._done)
         if self._path is None and self.queue and np.array_equal(self.reference, self.goal):
             self._begin(*self.queue.popleft())
 
     def _begin(self, path: TimedPath, rate: float) -> None:
         self._path, self._done, self._rate, self._wanted_rate = path, 0.0, 0.0, rate
         self.goal = path.points[-1].copy()
-
-    def _advance_path(self, path: TimedPath, duration: float) -> None:
-        left = path.duration - self._done
-        half = 0.5 * _RISE * duration  # the braking distance of a speed that falls in steps
-        braking = np.sqrt(half**2 + 2.0 * _RISE * max(left, 0.0)) - half
-        self._rate = min(self._rate + _RISE * duration, self._wanted_rate, braking)
-        self._done += self._rate * duration
-        if left <= 1e-9 or path.duration - self._done <= 1e-4:
-            self.reference, self._path = self.goal.copy(), None
-        else:
-            self.reference = path.at(self._done)
