@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import count, islice
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
@@ -42,6 +43,8 @@ class ServoBus(TunedServos, Bus):
     """whether motors of a calibration may be reversed"""
     wire_type: ClassVar[Any]
     """`ServoWire` of an address"""
+    supply: tuple[float, ...] = ()
+    """(m,) [V] at the start"""
 
     def __init__(self, address: ServoAddress, arm: Arm) -> None:
         """Read the calibration, and find the servos' IDs; InputError."""
@@ -294,12 +297,8 @@ FIRST = {"omx": 11}
 
 def counted(arm: Arm) -> list[tuple[int, ...]]:
     """IDs of each joint's servos, without gaps; a description calls two of them ``2 XM430-W350``."""
-    found, servo = [], FIRST.get(arm.name, 1)
-    for kind in arm.servos or ("",) * arm.joints:
-        count = 2 if kind.startswith("2 ") else 1
-        found.append(tuple(range(servo, servo + count)))
-        servo += count
-    return found
+    servos = count(FIRST.get(arm.name, 1))
+    return [tuple(islice(servos, 2 if kind.startswith("2 ") else 1)) for kind in arm.servos or ("",) * arm.joints]
 
 
 def listed(names: Iterable[object]) -> str:

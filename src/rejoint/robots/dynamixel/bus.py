@@ -79,8 +79,7 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         return packet, result
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        found: int = self._client.syncReadTx(self, address, size, list(servos), len(servos), self.fast)
-        return found
+        return self._client.syncReadTx(self, address, size, list(servos), len(servos), self.fast)
 
     def _answers(self, count: int, size: int) -> Iterable[tuple[int, int, bytes]]:
         if not self.fast:
@@ -142,7 +141,6 @@ class DynamixelBus(ServoBus):
             raise InputError(f"reverse= of the address: {arm.name} has no {listed(sorted(strange))}")
         self._sign = np.array([-1.0 if name in address.reverse else 1.0 for name in arm.joint_names])
         self._volts: Array
-        self._first_volts: Array | None = None
         self._words = [""] * len(self.ids)
         self._currents: dict[int, tuple[int, int]] = {}  # limits of servos that obey them: found, and largest
         self._before: Values = {}
@@ -286,9 +284,8 @@ class DynamixelBus(ServoBus):
         """Ask for supply and temperature."""
         volts, heats = self.ask_all("voltage", "heat")
         self._volts = VOLT * volts
-        if self._first_volts is None:
-            self._first_volts = self._volts
-        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, self._first_volts, strict=True)]
+        self.supply = self.supply or tuple(self._volts)
+        self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, self.supply, strict=True)]
         return Vitals(temperature=np.maximum.reduceat(heats, self.leads))
 
     def _named(self, words: list[str]) -> list[str]:

@@ -39,7 +39,7 @@ class FeetechWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's 
         return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        result: int = self._client.syncReadTx(address, size, list(servos), len(servos))
+        result = self._client.syncReadTx(address, size, list(servos), len(servos))
         self.setPacketTimeout((size + FRAME) * len(servos))
         return result
 
@@ -65,8 +65,6 @@ class FeetechBus(ServoBus):
     name = "SO-101"
     advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
     wire_type = FeetechWire
-    supply: tuple[float, ...] = ()
-    """(n,) [V] at the start"""
 
     def check(self, servo: int) -> None:
         """Require position mode."""
