@@ -13,7 +13,7 @@ from rejoint.arms import Array, Index, Mask
 from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import JointState, Robot
 from rejoint.logs.runlog import RunLog
-from rejoint.system.progress import Progress, RateLimit
+from rejoint.system.progress import Progress, RateLimit, part
 from rejoint.system.records import as_options, entity
 
 GAP = 0.8
@@ -266,11 +266,11 @@ class StageObserver(Observers):
 
     def __init__(self, observer: Observer, start: float, end: float) -> None:
         super().__init__(observer)
-        self._start, self._end = start, end
+        self._part = part(observer.progress, start, end)
 
     def progress(self, share: float, what: str) -> None:
         """See `Observer`."""
-        super().progress(self._start + (self._end - self._start) * share, what)
+        self._part(share, what)
 
 
 @contextmanager
