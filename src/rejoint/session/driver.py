@@ -37,7 +37,7 @@ from rejoint.control.robot import (
     part_of,
     turned_off,
 )
-from rejoint.control.servogains import Rung, ServoGains, Tunable, gains_in_force, limits_under, under_gains
+from rejoint.control.servogains import ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
@@ -219,7 +219,7 @@ class RehearsedRobot(WatchedRobot):
         super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))
         self._calibration, self._positions = calibration, [start.copy()]
         servos = part_of(robot, Tunable)
-        self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
+        self._gains, self.rungs = (None, tuple) if servos is None else (servos.servo_gains(), servos.rungs)
 
     def true_tcp(self) -> Array:
         """(1, 3) [m] by the calibration, if there is one."""
@@ -234,10 +234,6 @@ class RehearsedRobot(WatchedRobot):
         self._gains = dict(gains)
 
     keep = tune
-
-    def rungs(self) -> tuple[Rung, ...]:
-        """Return the arm's search order."""
-        return self._rungs
 
     def summary(self) -> str:
         """Say how far, how long and how close to limits it moved."""
@@ -480,9 +476,8 @@ class ArmDriver:
 
     def maker(self, given: ControllerLike, twin: Twin | None, *, posed: bool = False) -> tuple[str, Factory]:
         """Return the name of a controller, and what makes it; refuses what does not fit."""
-        own = ControllerMaker(self.arm, self.period, self.run, twin)
-        ((name, make),) = own.factories([given], posed=posed).items()
-        return name, make
+        (made,) = ControllerMaker(self.arm, self.period, self.run, twin).factories([given], posed=posed).items()
+        return made
 
     def announce(self, name: str, why: str) -> None:
         """Report once that the controller ``name`` drives, and why."""
@@ -498,7 +493,7 @@ class ArmDriver:
             self._gains.enter_context(under_gains(robot, controller))
             self.limits, self._in_charge = limits_under(self._base, robot, controller), controller
 
-    def say_heavy(self, targets: Array, turns: Orientation | None = None) -> None:
+    def say_heavy(self, targets: Array, turns: Orientation | None) -> None:
         """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
         arm, twin = self.arm, self.twin
         if twin is None or not isinstance(arm, LoadedArm):
@@ -606,7 +601,7 @@ class ArmDriver:
                 f"{lags}. Give it more time or room, or look whether something is in its way"
             )
 
-    def go(self, posture: Array, give_up: Callable[[ControlInput], bool] | None = None) -> None:
+    def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
         self._seen_through(
             lambda see: move(
