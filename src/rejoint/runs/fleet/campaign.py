@@ -87,8 +87,14 @@ def do_work(work: Work) -> WorkOutcome:
         if work.step == "check":
             from rejoint.runs.stages.check import CheckNotes, check
 
-            about: dict[str, Any] = {"history": work.folder, "name": arm.name, "tolerance_mm": arm.tolerance_mm}
-            check(arm.address, arm=arm.description, notes=CheckNotes(**work.options), **about)
+            check(
+                arm.address,
+                history=work.folder,
+                name=arm.name,
+                arm=arm.description,
+                tolerance_mm=arm.tolerance_mm,
+                notes=CheckNotes(**work.options),
+            )
         else:
             repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
     except Interrupted as error:
@@ -261,7 +267,7 @@ class Campaign:
             return
         arm, step, rules = one.arm, one.left[0], self.rules
         folder = self.fleet.folder if step == "check" else self.run_folder(arm).path
-        options: dict[str, Any] = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
+        options = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
         if step == "check":
             options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name)}
         work = Work(arm=arm, step=step, folder=folder, options=options)
