@@ -188,9 +188,8 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     com = as_place("payload: the centre of mass", load.com, places, most=LONGEST_TOOL)
     tip = arm.tip.copy()
     tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, places, most=LONGEST_TOOL)
-    fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
-    return LoadedArm(**fields | {"tip": tip} | heavier(arm, load.mass, place), bare=bare(arm))
+    return LoadedArm(**vars(arm) | {"bare": bare(arm), "tip": tip} | heavier(arm, load.mass, place))
 
 
 def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
