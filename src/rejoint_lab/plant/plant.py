@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, tcp_pose
 from rejoint.arms.compiled import inner
-from rejoint.arms.inertia import heavier
+from rejoint.arms.inertia import heavier, inertia_values
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
 from rejoint_lab.plant import servo, sts3215, xseries
@@ -42,14 +42,13 @@ def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
     for i, name in enumerate(arm.joint_names):
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, arm.offset[i, :3, :3].flatten())
-        inertia = arm.inertia[i]
         body = body.add_body(
             name=name,
             pos=arm.offset[i, :3, 3],
             quat=quaternion,
             mass=arm.mass[i],
             ipos=arm.com[i],
-            fullinertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+            fullinertia=inertia_values(arm.inertia[i]),
             explicitinertial=True,
         )
         for part, armature in _ARMATURE.items():
@@ -189,7 +188,7 @@ class Plant:
         for name, value in fresh.items():
             self.servos[name] = value
         self._history[:] = self.servos["measured"][:, None]
-        self._hold(self._held(position, torque))
+        self._hold(position + self._lead(torque))
 
     def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
@@ -239,9 +238,9 @@ class Plant:
         self._due[:] = servo.NEVER
         self.servos["goal"] = self.servos["reference"] = position
 
-    def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
-        return position + torque / self.joints["position_gain"] - self.joints["offset"]
+    def _lead(self, torque: Array) -> Array:
+        """Command minus position (B, n) [rad] that gives ``torque`` (B, n) [N m]."""
+        return torque / self.joints["position_gain"] - self.joints["offset"]
 
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
@@ -361,13 +360,13 @@ class StsPlant(ServoPlant):
         self._rings = np.zeros((*shape, 2, sts3215.WINDOW), np.int64)
         self._sts = self.settings[..., None], self.status[..., None], self._rings
 
-    def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+    def _lead(self, torque: Array) -> Array:
+        """Command minus position (B, n) [rad] that gives ``torque`` (B, n) [N m]."""
         setting = self.settings
         output = sts3215.PWM_FULL * (torque - setting["bias"]) / setting["stall"]
         size = np.maximum(np.abs(output) - setting["startup"], 0.0) * 4 / np.maximum(setting["p"], 1)
         lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
-        return position + np.rint(lead) * self.arm.encoder_step
+        return np.rint(lead) * self.arm.encoder_step
 
     def _begin(self, goal: Ids, here: Ids) -> dict[str, Ids]:
         raw = goal - here
@@ -403,12 +402,12 @@ class XPlant(ServoPlant):
         self.settings["torque_on"] = 1
         super().reset(position)
 
-    def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+    def _lead(self, torque: Array) -> Array:
+        """Command minus position (B, n) [rad] that gives ``torque`` (B, n) [N m]."""
         first = self.settings[..., 0]
         share = (torque - first["bias"]) / self.settings["stall"].sum(axis=-1)
         lead = share * xseries.FULL * first["divisor"] / np.maximum(first["p"], 1)
-        return position + np.rint(lead) * self.arm.encoder_step
+        return np.rint(lead) * self.arm.encoder_step
 
     def _begin(self, goal: Ids, here: Ids) -> dict[str, Ids]:
         return {"aimed": goal, "error": goal - here}
