@@ -156,11 +156,9 @@ def left(studio: Studio) -> str:
         share, usual = stage.total * share - (stage.number - 1), EXPECTED.get(stage.name, 0.0)
         later = (0.2 if is_virtual(status.address) else 1.0) * sum(EXPECTED[name] for name in coming)
     now = elapsed * (1.0 - share) / share if share > EARLY else max(usual - elapsed, 0.0)
-    return f"about {_minutes(now + later)} left" if now + later else ""
-
-
-def _minutes(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    seconds = now + later
+    about = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    return f"about {about} left" if seconds else ""
 
 
 def repair(studio: Studio, quick: bool) -> None:
@@ -235,7 +233,7 @@ def prove(studio: Studio, points: Sequence[Array]) -> None:
     if not points:
         raise InputError("there are no points yet; add some, or click on the table")
     studio.keep(proof=None)
-    run, proof = studio.run, list[rejoint.Deployed]()
+    run, proof = studio.run, []
     plain = replace(studio.settings, controller=DefaultController.name, calibration="none")
     for number, settings in enumerate((plain, studio.settings)):
         part = StageObserver(studio.observer, 0.5 * number, 0.5 * number + 0.5)
