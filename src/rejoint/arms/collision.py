@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Mask, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.kinematics import all_poses, chain_of, heights
+from rejoint.arms.kinematics import all_poses, chain_of, heights, rows_of
 from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
@@ -75,8 +75,7 @@ def collides(arm: Arm, q: Array) -> Mask:
 
 def clearances_of(arm: Arm, shape: CollisionShape, q: Array) -> Array:
     """`clearances` of a ``shape``."""
-    postures = np.ascontiguousarray(q.reshape(-1, arm.joints), dtype=float)
-    found: Array = compiled.clearances(chain_of(arm), shape, postures)
+    found = compiled.clearances(chain_of(arm), shape, rows_of(arm, q))
     return found.reshape(*q.shape[:-1], found.shape[1])
 
 

@@ -69,7 +69,7 @@ def chain_of(arm: Arm) -> Chain:
 def joint_terms(arm: Arm) -> Array:
     """Constants (n, 3, 4, 4) A, B, C: a frame in its parent is A + B sin q + C cos q."""
     along = arm.axis[:, :, None] * arm.axis[:, None, :]
-    cross = np.swapaxes(np.cross(arm.axis[:, None], np.eye(3)), 1, 2)
+    cross = np.cross(arm.axis[:, None], np.eye(3)).mT
     terms = np.zeros((arm.joints, 3, 4, 4))
     for i, rotation in enumerate((along, cross, np.eye(3) - along)):  # Rodrigues
         terms[:, i, :3, :3] = arm.offset[:, :3, :3] @ rotation
@@ -77,14 +77,14 @@ def joint_terms(arm: Arm) -> Array:
     return terms
 
 
-def _rows(arm: Arm, q: Array) -> Array:
+def rows_of(arm: Arm, q: Array) -> Array:
     """Postures (B, n) [rad] for compiled loops."""
     return np.ascontiguousarray(q.reshape(-1, arm.joints), dtype=float)
 
 
 def all_poses(arm: Arm, q: Array) -> Array:
     """Poses (..., n + 1, 4, 4) of joints and TCP at ``q`` (..., n)."""
-    return compiled.place_all(chain_of(arm), _rows(arm, q)).reshape(*q.shape[:-1], arm.joints + 1, 4, 4)
+    return compiled.place_all(chain_of(arm), rows_of(arm, q)).reshape(*q.shape[:-1], arm.joints + 1, 4, 4)
 
 
 def frames(arm: Arm, q: Array) -> Frames:
@@ -117,7 +117,7 @@ def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[A
     k is 3 for ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
     """
     shape, rows = np.broadcast_shapes(q.shape[:-1], target.shape[:-1]), 3 if turn is None else 6
-    postures = _rows(arm, np.broadcast_to(q, (*shape, arm.joints)))
+    postures = rows_of(arm, np.broadcast_to(q, (*shape, arm.joints)))
     goals = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17)
     errors, jacobians = np.zeros((len(goals), rows)), np.zeros((len(goals), rows, arm.joints))
     compiled.fill_tasks(chain_of(arm), goals, postures, errors, jacobians)
@@ -137,19 +137,19 @@ def levers(arm: Arm, q: Array) -> Array:
 
 def jacobian(arm: Arm, q: Array) -> Array:
     """Geometric Jacobian (..., 6, n) in the base frame: linear above angular velocity."""
-    return np.concatenate([position_kinematics(arm, q)[1], np.swapaxes(frames(arm, q).axis, -1, -2)], axis=-2)
+    return np.concatenate([position_kinematics(arm, q)[1], frames(arm, q).axis.mT], axis=-2)
 
 
 def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
     """Return holding torques (..., n) [N m] against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
-    return compiled.torques_all(chain_of(arm), _rows(arm, q), np.array(gravity, dtype=float)).reshape(q.shape)
+    return compiled.torques_all(chain_of(arm), rows_of(arm, q), np.array(gravity, dtype=float)).reshape(q.shape)
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
     """Inertias (..., n) [kg m^2] about each joint axis, of all that it moves, at ``q`` (..., n) [rad]."""
     f = frames(arm, q)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
-    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    inertia = f.rotation @ arm.inertia @ f.rotation.mT
     own = np.einsum("...ji,...kil,...jl->...jk", f.axis, inertia, f.axis)
     lever = np.cross(f.axis[..., :, None, :], com[..., None, :, :] - f.position[..., :, None, :])
     about = own + arm.mass * (lever**2).sum(axis=-1)
@@ -171,7 +171,7 @@ def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Arra
 
     ``jacobian`` (..., k, n), ``error`` (..., k), ``damping`` a number or (...).
     """
-    transpose = np.swapaxes(jacobian, -1, -2)
+    transpose = jacobian.mT
     ridge = np.asarray(damping)[..., None, None] ** 2 * np.eye(jacobian.shape[-2])
     gram = jacobian @ transpose + ridge
     return (transpose @ np.linalg.solve(gram, error[..., None]))[..., 0]

@@ -34,7 +34,7 @@ def rotation_vector(rotation: Array) -> Array:
 
 def rotation_error(current: Array, wanted: Array) -> Array:
     """Rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` (..., 3, 3)."""
-    return rotation_vector(wanted @ np.swapaxes(current, -1, -2))
+    return rotation_vector(wanted @ current.mT)
 
 
 def between_directions(current: Array, wanted: Array) -> Array:

@@ -133,7 +133,7 @@ def _survey(arm: Arm) -> _Survey:
 
 def _manipulability(arm: Arm, q: Array) -> Array:
     j = position_kinematics(arm, q)[1]
-    return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
+    return np.sqrt(np.maximum(np.linalg.det(j @ j.mT), 0.0))
 
 
 def _score(survey: _Survey, q: Array, apart: float, margin: float) -> Array:
@@ -350,8 +350,8 @@ def _dangers(arm: Arm, q: Array) -> tuple[Mask, ...]:
         # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
         rising_frames(arm, floor) & (f.position[..., 2] < floor),
         np.abs(gravity_torque(arm, q)) > heaviest_load(arm) + LOAD_MARGIN * torque_size(arm),
-        np.asarray(f.tcp_position[..., 2] < floor),
-        np.asarray(np.linalg.norm(f.tcp_position[..., :2], axis=-1) < COLUMN * rest_reach),
+        f.tcp_position[..., 2] < floor,
+        np.linalg.norm(f.tcp_position[..., :2], axis=-1) < COLUMN * rest_reach,
     )
 
 
@@ -370,9 +370,7 @@ def room(arm: Arm) -> tuple[float, float]:
     return excursion, float(next(held, 0.0))
 
 
-def postures_to_hold(
-    arm: Arm, rng: np.random.Generator, *, spread: float = HOLD_SPREAD, offset: float = HOLD_OFFSET
-) -> Array:
+def postures_to_hold(arm: Arm, rng: np.random.Generator, *, spread: float, offset: float = HOLD_OFFSET) -> Array:
     """Draw postures (k, n) [rad] around rest with safe approaches."""
     q = arm.rest + spread * rng.uniform(-1.0, 1.0, (POSTURES, arm.joints))
     for side in (-offset, offset):
@@ -382,7 +380,7 @@ def postures_to_hold(
 
 def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
-    survey, why, found = _survey(arm), "", list[tuple[float, Array, Box]]()
+    survey, why, found = _survey(arm), "", []
     for apart, margin in _SEARCHES:
         for rest in _rest_candidates(survey, apart, margin):
             box = _largest_box(survey, rest)

@@ -92,7 +92,7 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     position, own = log.position[rows], twin.parameters
     torque = own.stiffness * (log.command[rows] + own.offset - position)
     missing = torque - gravity_torque(arm, position)
-    lever = -position_kinematics(arm, position)[1].swapaxes(-1, -2) @ GRAVITY  # [m^2/s^2]: torque per mass
+    lever = -position_kinematics(arm, position)[1].mT @ GRAVITY  # [m^2/s^2]: torque per mass
     free = np.abs(torque) < 0.9 * own.torque_limit  # at its limit a motor gives less than its stiffness says
     # Friction holds anything between plus and minus its size, all equally likely.
     least = 0.02 * np.abs(gravity_torque(arm, position)).max(initial=0.0)
