@@ -170,7 +170,7 @@ def tune(
     arm = call.arm()
     ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    tuned = dict[str, dict[str, float]]()
+    tuned = {}
     with call.bar("tune") as update:
         for k, (name, rival) in enumerate(chosen.items()):
             ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")

@@ -87,7 +87,7 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
 
     FileError; InputError for a joint that cannot be held.
     """
-    root, notes = parse(path), list[str]()
+    root, notes = parse(path), []
     require("reading a URDF or MJCF file (a TOML file would do without)", "mujoco")
     urdf, name = root.tag == "robot", root.get("name") or root.get("model") or path.stem
     root.set("name", name)
@@ -107,7 +107,7 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
         raise FileError(path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file") from error
     finally:
         mujoco.set_mju_user_warning(before)
-    data, joints = mujoco.MjData(model), list[Joint]()
+    data, joints = mujoco.MjData(model), []
     for j, at in enumerate(model.jnt_qposadr):
         joint, kind = model.joint(j).name, _KINDS[model.jnt_type[j]]
         if model.jnt_limited[j] and kind in ("hinge", "slide"):

@@ -249,8 +249,7 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
     """Largest share (W,) of what ``motors`` give on ways (W, k, n): less for lifting than for holding."""
     torque, lifted = _torques(arm, ways, _PARTS)
     given = np.where(lifted, motors.usable, motors.limit)
-    found: Array = (np.abs(torque) / given).max(axis=(0, 2, 3))
-    return found
+    return (np.abs(torque) / given).max(axis=(0, 2, 3))
 
 
 def _limits(arm: Arm, way: Array, motors: Motors | None) -> Array:

@@ -188,7 +188,7 @@ def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Arr
         return None
     cost, stayed = redundancy.stay(body_of(arm), goal, start, load, near)
     if cost == 0.0 or (near and cost < SWITCH):
-        return np.asarray(stayed)
+        return stayed
     other, found = _search(arm, load, goal, start, EFFORT)
     if min(cost, other) >= redundancy.FAR:
         return None
@@ -198,8 +198,7 @@ def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Arr
 def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) -> tuple[float, Array]:
     """Cost and best posture (n,) of a goal."""
     drawn = pool_of(arm).posture[_promising(arm, load, goal, start, effort[0])]
-    found: tuple[float, Array] = redundancy.search(body_of(arm), drawn, goal, start, load, *effort[1:])
-    return found
+    return redundancy.search(body_of(arm), drawn, goal, start, load, *effort[1:])
 
 
 def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> Index:

@@ -3,8 +3,6 @@
 Results on standard output, the rest on standard error.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re

@@ -65,7 +65,7 @@ def calibrate(
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0)
     settings = replace(call.settings, calibration="none" if fresh else None)
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
-    about: dict[str, Any] = {"run": job, "settings": settings}
+    about = {"run": job, "settings": settings}
     if kind == "points":
         about["gauge"] = read_measurements(Path(what), job.arm, frame=frame)
     elif kind == "camera" and what and not (what.isdecimal() or what == EMULATED):

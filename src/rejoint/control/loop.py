@@ -212,9 +212,9 @@ class RunState:
         self.index, self.doubted = np.zeros((2, count), dtype=np.intp)  # the latter: times that a joint broke loose
         # [s] of the target, shifted by gaps and waits; the same with waits
         self.set_at = self.begun = state.time
-        self.active: Mask = np.full(count, True)
-        self.gap: Mask = np.full(count, False)  # whether the state came after a gap
-        self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
+        self.active = np.full(count, True)
+        self.gap = np.full(count, False)  # whether the state came after a gap
+        self.tripped = np.zeros(count, dtype=np.uint16)
         self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
         self.eased_until = np.full(count, -np.inf)
         self.reference.begin(self.active, self.index, self.sent, state.position)
@@ -342,7 +342,7 @@ class RunState:
     def _finished(self, turned: Array) -> Mask:
         """Arms (B,) whose target has ended; ``turned`` (B,) [rad]: their orientation errors."""
         dwell, below = self.schedule.dwell, self.schedule.stop_below
-        finished: Mask = self._dwelt() >= dwell
+        finished = self._dwelt() >= dwell
         finished = finished | (self.state.time - self.begun >= dwell + self.reference.patience)
         if below is not None:
             near = tool_error(self.robot.arm, self.state.position, self.aim) < below

@@ -84,7 +84,7 @@ class Following:
         self._verdict = np.zeros((count, joints), dtype=np.int64)
         self._excused_since, self._excused_last = np.full((2, count), -np.inf)
         self._anchor = state.position  # (B, n) [rad] where the joints came nearer their goals
-        self.falling: Mask = np.full((count, joints), False)
+        self.falling = np.full((count, joints), False)
         """(B, n) joints that move away against their commands"""
         self._restart(np.full(count, True), state, sent)
 
@@ -117,10 +117,10 @@ class Following:
         self._last = state.time.copy()
         if goal is not None:
             self._fall(state.position, sent, goal)
-        bad: Mask = (self._verdict == compiled.OVERDUE) | self.falling
+        bad = (self._verdict == compiled.OVERDUE) | self.falling
         travelled, more = self._travelled(state.position, sent)
         bad = bad | (travelled & aimed[:, None])
-        late: Mask = (self._tracks["late"] > 0) | more
+        late = (self._tracks["late"] > 0) | more
         return bad & ~self._excused(bad, late)[:, None]
 
     def _fall(self, position: Array, sent: Array, goal: Array) -> None:
@@ -138,7 +138,7 @@ class Following:
     @property
     def moved(self) -> Mask:
         """Joints (B, n) that have moved by `MOVED`."""
-        return np.asarray(self._tracks["moved"] >= MOVED)
+        return self._tracks["moved"] >= MOVED
 
     def _excused(self, bad: Mask, late: Mask) -> Mask:
         """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""

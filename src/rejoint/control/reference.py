@@ -55,7 +55,7 @@ def with_ways(arm: Arm, posture: Array, start: Array, *, motors: Motors | None =
 
     The ``motors`` lift the arm. Where no way is clear, a joint goes a turn farther or less, else InputError.
     """
-    ways: list[JointTrajectory] = []
+    ways = []
     for number, goal in enumerate(posture, start=1):
         try:
             ways.append(_clear_way(arm, start, goal, motors))
@@ -267,7 +267,7 @@ class TargetSequence(Reference):
         fresh = None if self._correction is None else self._correction.again(inputs.state)
         if fresh is None:
             return None
-        changed: Mask = (fresh != self._aim).any(axis=-1)
+        changed = (fresh != self._aim).any(axis=-1)
         self._aim_at(fresh, self._goal, changed)
         return changed
 

@@ -294,7 +294,7 @@ class Finishing:
         self._cycles += 1
         odd = np.arange(self._arm.joints) % 2  # neighbours swing one after the other
         side = 1.0 - 2.0 * ((self._cycles + (1 - odd) * (swing // 2)) // swing % 2)
-        wanted: Array = self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving
+        wanted = self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving
         return wanted[None]
 
     def _watch(self, now: float, swing: int) -> None:
@@ -327,7 +327,7 @@ class Finishing:
         n = self._arm.joints
         least = LEAST_LEVER * norm(jacobian, axis=0).max()
         for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it
-            mask: Mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
+            mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
             if mask.sum() < 3 or (mask & self._alone).any():
                 continue
             if np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1] >= least:

@@ -324,7 +324,7 @@ class _Climb:
         total = sum(len(one.values) for one in self.servos.rungs()) + 2
         for value in rung.values:
             old = self.gains
-            trying: Mask = ~done & (sign * np.array(old[rung.names[0]]) < sign * value)
+            trying = ~done & (sign * np.array(old[rung.names[0]]) < sign * value)
             if not trying.any():
                 continue
             self.on_progress(min(self.rounds / total, 1.0), f"{rung.names[0]} {value}")
@@ -370,7 +370,7 @@ class _Climb:
 
 class _RoundWatch:
     def __init__(self, arm: Arm) -> None:
-        self.joints: Mask = np.full(arm.joints, False)
+        self.joints = np.full(arm.joints, False)
         self._labours = np.zeros(arm.joints)
         self._seen: list[tuple[float, Array]] = []
         self._last = np.inf

@@ -8,7 +8,7 @@ Another unit stands in a title: ``x_m``, ``rx [rad]``.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -153,7 +153,7 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[lis
     values = np.column_stack([found[name] for name in names])
     poses = []
     for line, row in zip(lines.tolist(), values, strict=True):
-        needed, given = row[:at], dict[str, Any]()
+        needed, given = row[:at], {}
         if own and not np.isnan(row[at:]).all():
             needed, given[kind] = row, row[at:end]
             if end < len(row):

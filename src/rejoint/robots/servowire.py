@@ -59,7 +59,7 @@ class ServoWire(ABC):
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
         self.ser = opened(self._address, self.baudrate, CONNECT)
-        self._descriptor: int = self.ser.fileno()
+        self._descriptor = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
         return True

@@ -269,7 +269,7 @@ class StudioPage(WebPage):
                 PANELS[status.step](self, status)
 
     def _go(self, by_hand: bool) -> None:
-        step: StepName = next(name for name, title in TITLES.items() if title == self._step.value)
+        step = next(name for name, title in TITLES.items() if title == self._step.value)
         if by_hand and step != self.studio.status.step:
             self.studio.change(step=step, done="", lines=())
 

@@ -76,7 +76,7 @@ class Sheet:
 
     def _cells(self) -> Iterator[list[str]]:
         """Trimmed cells, row by row, NaN in a damaged row; FileError."""
-        width, wrong = len(self.titles), dict[str, str]()
+        width, wrong = len(self.titles), {}
         rows = csv.reader(self.rows, delimiter=self.separator, skipinitialspace=True, strict=True)
         try:
             for line, row in zip(self.lines, rows, strict=True):
@@ -109,7 +109,7 @@ class Sheet:
         """
         picked = [[row[column] for column in columns] for row in self._cells()]
         pointed = any("." in cell for row in picked for cell in row)
-        values, wrong = np.full((len(self), len(columns)), np.nan), dict[str, str]()
+        values, wrong = np.full((len(self), len(columns)), np.nan), {}
         for k, row in enumerate(picked):
             for place, cell in enumerate(row):
                 if cell.casefold() in _EMPTY:
@@ -167,7 +167,7 @@ def read_columns(
     units, and empty cells in those ``filled``. Unless ``exact``, a title without a unit has the first, and other
     columns are refused.
     """
-    sheet, found = read_sheet(path, most=most), dict[str, Any]()
+    sheet, found = read_sheet(path, most=most), {}
     names, known = (
         {name.casefold(): name for name in meanings},
         {unit for one in meanings.values() for unit in one or ()},

@@ -3,8 +3,6 @@
 Times in seconds after a client's first byte. Every fault has its own random stream.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from abc import ABC, abstractmethod
@@ -85,7 +83,7 @@ def _read(name: str, text: str, joints: int) -> Fault:
         raise ValueError
     if numbers.get("D", 0.0) >= numbers.get("E", math.inf):
         raise ValueError
-    chosen: tuple[int, ...] = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
+    chosen = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
     if joint is not None:
         chosen = (range(joints).index(int(joint) - 1),)
     return Fault(joints=chosen, **{_LETTERS[letter]: number for letter, number in numbers.items()})
@@ -195,7 +193,7 @@ class EmulatedArm(ABC):
     def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0, **truth: Any) -> None:  # noqa: ANN401
         """Put the arm at rest; ``truth`` as of `Plant`."""
         self.plant, self.arm = self.kind(arm, [wear], seed=seed, **truth), arm
-        self.faults: Faults = NONE
+        self.faults = NONE
         self._elapsed = -1.0
 
     @classmethod
@@ -212,14 +210,14 @@ class EmulatedArm(ABC):
         high = true >= 0.5 * (arm.lower + arm.upper)
         outwards, end = np.where(high, 1.0, -1.0), np.where(high, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
         run = np.minimum(RUN_AWAY * self._since("limit"), np.maximum(outwards * (end - true), 0.0))
-        return np.asarray(true + outwards * (np.maximum(run, 0.0) - JUMP * self._begun("jump")))
+        return true + outwards * (np.maximum(run, 0.0) - JUMP * self._begun("jump"))
 
     @property
     def temperature(self) -> Array:
         """(n,) [deg C]."""
         true = self.plant.temperature[0]
         more = np.minimum(HEATING * self._since("overheat"), HOT - true)
-        return np.asarray(true + np.maximum(more, 0.0))
+        return true + np.maximum(more, 0.0)
 
     @property
     def voltage(self) -> Array:

@@ -1,7 +1,5 @@
 """The robot's computer: limits, moves, servo power and answers."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -150,8 +150,7 @@ def severity(young: Wear, arm: Arm) -> Array:
     posture = posture_grid(arm, 4).q
     travel = np.abs(posture[:, None] - posture[None]).mean(axis=(0, 1))
     load = (np.abs(gravity_torque(arm, posture)).mean(axis=0) + young.coulomb) / young.torque_limit
-    rubbed: Array = travel * load / (travel * load).mean()
-    return rubbed
+    return travel * load / (travel * load).mean()
 
 
 NEW = "new"

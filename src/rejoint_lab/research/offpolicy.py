@@ -72,7 +72,7 @@ class SquashedActor(Model):  # type: ignore[misc]
         self.spread = float(sigma.detach().mean())
         squashed = TransformedDistribution(Normal(self.net[-1](hidden), sigma), TanhTransform(cache_size=1))
         action = squashed.rsample()
-        density: Tensor = squashed.log_prob(action)  # type: ignore[no-untyped-call]
+        density = squashed.log_prob(action)  # type: ignore[no-untyped-call]
         return action, {"log_prob": density.sum(dim=-1, keepdim=True)}
 
     compute = act

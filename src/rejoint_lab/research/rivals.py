@@ -253,4 +253,4 @@ def candidate_costs(arm: Arm, ranges: Ranges, rival: Rival, gains: Gains, draw: 
     holds = metrics_of(arm, recording, targets, PROTOCOL)
     late = np.nan_to_num(holds["stay_2mm"], nan=PROTOCOL.hold)
     error = np.minimum(np.nan_to_num(holds["settled"], nan=np.inf), FARTHEST)
-    return np.asarray((late + WEIGHT * 1e3 * error).reshape(count, -1).mean(axis=1))
+    return (late + WEIGHT * 1e3 * error).reshape(count, -1).mean(axis=1)

@@ -192,7 +192,7 @@ class TrialRunner:
 
     def _side_by_side(self) -> None:
         asked = self.asked()
-        left, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
+        left, waiting = [key for key in asked if key not in self.ledger.done], []
         beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
         for key in asked:
             if key in beside and not beside[key].cancel():

@@ -309,7 +309,7 @@ def row_of(
         share = clustered_share(stayed.astype(float), labels[held])
         stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
     names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
-    spreads: dict[str, Any] = {name: spread(found[name].ravel(), labels) for name in names}
+    spreads = {name: spread(found[name].ravel(), labels) for name in names}
     for whose in ("", "_true") if alone else ():
         away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
         places = away.swapaxes(1, 2)  # (S, K, R, 3)

@@ -74,7 +74,7 @@ class Pace:
     """Measures the periods of B arms."""
 
     def __init__(self) -> None:
-        self.last: Array = np.zeros(0)
+        self.last = np.zeros(0)
         """(B,) [s]"""
 
     def tick(self, time: Array) -> Array:
@@ -109,7 +109,7 @@ class IntegratorController:
 
     def __init__(self, arm: Arm) -> None:
         self._arm, self._pace = arm, Pace()
-        self._goal: Array = np.zeros((0, arm.joints))
+        self._goal = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Store the goals of ``where`` (B,)."""

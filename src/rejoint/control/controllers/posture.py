@@ -94,7 +94,7 @@ class PostureController(FeedforwardController):
             self.reset_learned(inputs, everyone)
             self._take(inputs, everyone)
             self.take_over(inputs, everyone)
-            self._weak: Mask = np.full(position.shape, False)
+            self._weak = np.full(position.shape, False)
         moved, goal = position - self._position, self._goals_of(inputs)
         error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
         rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived

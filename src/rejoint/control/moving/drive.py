@@ -277,7 +277,7 @@ def judge_targets(
     ended: bool = False,
 ) -> Deployed:
     """Judge each target; ``sightings`` as `rejoint.control.seeing.Seen.visits`; ``ended``: by an error."""
-    rows, gap, visits = recording.driven(), recording.gaps(), list[Visit]()
+    rows, gap, visits = recording.driven(), recording.gaps(), []
     errors = tool_error(arm, rows.position, rows.aim)
     for k, target in enumerate(job.targets):
         words = "" if job.turns is None else in_words(job.turns[k])

@@ -144,7 +144,7 @@ class Computer(ABC):
 
     def __init__(self, arm: Arm, start: Array) -> None:
         self.arm = arm
-        self.enabled: Mask = np.ones(arm.joints, dtype=bool)
+        self.enabled = np.ones(arm.joints, dtype=bool)
         """(n,)"""
         self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
         self.fresh = False
@@ -373,7 +373,7 @@ class Computer(ABC):
         """Send a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s] to the servos."""
 
     def _reach(self, path: TimedPath) -> int:
-        inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
+        inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
         return int(np.argmin(np.append(inside, False)))
 
 
@@ -465,7 +465,7 @@ def answer(computer: Computer, request: Frame) -> Frame | None:
     for part in row.parts:
         given.append(read_part(computer, part, request.payload[start : start + SIZES[part]]))
         start += SIZES[part]
-    found: Any = attrgetter(row.call)(computer)
+    found = attrgetter(row.call)(computer)
     if row.answer == ORDER:
         return Frame(request.command, flag(all(part is not None for part in given) and found(*given) is not False))
     found = found(*given) if callable(found) else found

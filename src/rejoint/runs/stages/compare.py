@@ -174,7 +174,7 @@ class ComparisonJob:
         return found
 
     def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
-        logs: dict[str, RunLog] = {}
+        logs = {}
         before = self.before if DEFAULT in self.factories else None
 
         def keep(label: str, log: RunLog) -> None:
@@ -438,8 +438,7 @@ class HelperProcess:
 
     def _ask(self, key: Key) -> Result:
         self._line.send(key)
-        found: Result = self._line.recv()
-        return found
+        return self._line.recv()
 
     def close(self) -> None:
         """End the process."""

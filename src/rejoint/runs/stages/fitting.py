@@ -337,7 +337,7 @@ def train(
             from rejoint.training.train import TrainingOptions
             from rejoint.training.train import train as learn
 
-            about: dict[str, Any] = {"seed": seed, "servo_gains": servo_gains} | (QUICK if quick else {})
+            about = {"seed": seed, "servo_gains": servo_gains} | (QUICK if quick else {})
             options = TrainingOptions(preset=preset, **about)
             result = learn(chosen, known, out=folder, options=options, on_progress=update)
         else:

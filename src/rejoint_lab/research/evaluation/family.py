@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, JointTrajectory, Mask, choose_postures, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Mask, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.rotations import Orientation, turned
@@ -131,7 +131,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
     places = tcp_position(arm, comfortable_postures(arm))
     low, high, nearby = places.min(axis=0), places.max(axis=0), NEARBY * length_size(arm)
     low[2] = arm.floor
-    targets, ways = np.empty((family.arms, family.targets, 3)), list[Sequence[JointTrajectory]]()
+    targets, ways = np.empty((family.arms, family.targets, 3)), []
     for i, (seed, twin) in enumerate(zip(family.wear_seeds, twins, strict=True)):
         motors, most = believed_motors(arm, twin), HELD * twin.parameters.torque_limit
         rng, start = np.random.default_rng([seed, 2]), arm.rest

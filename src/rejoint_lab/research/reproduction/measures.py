@@ -272,7 +272,7 @@ def measure_paths(bench: Bench) -> Found:
 
 def measure_course(bench: Bench) -> Found:
     """Judge the policies of all trainings on the same arms."""
-    found = dict[str, Columns]()
+    found = {}
     for done, (label, (names, arms, _)) in enumerate(CONDITIONS.items()):
         bench.on_progress(done / len(CONDITIONS), f"policies {label}")
         each = [course(bench, name, arms) for name in names]
@@ -375,7 +375,7 @@ def _ten(row: ControllerRow) -> str:
 
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
-    protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), list[Series](), list[Array]()
+    protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), [], []
     for profile, look, paper in (("healthy", LOOKS["blue"], 3.09), ("worn", LOOKS["red"], 22.7)):
         compared = trials(bench, profile, ["default"], protocol, repetitions=1).compare()
         (row,), sets = compared.rows, 1e3 * compared.array("settled", "default")[:, 0]
@@ -398,7 +398,7 @@ def measure_wear(bench: Bench) -> Found:
 
 def measure_trainings(bench: Bench) -> Found:
     """Compare trainings over the paper's open points, and their policies on the worn arm."""
-    rows, success = [], dict[str, float]()
+    rows, success = [], {}
     compared = trials(bench, "worn", (*WORN, *LITERALLY), bench.protocol, bench.repetitions).compare()
     for row in compared.rows:
         name, (preset, offset) = row.controller, recipe(row.controller)
@@ -444,7 +444,7 @@ def _seconds(bench: Bench) -> float:
 
 def measure_control(bench: Bench) -> Found:
     """Compare by the paper's protocol, and by holds."""
-    found, panels = Found(), dict[str, list[Stroke]]()
+    found, panels = Found(), {}
     policies = {name: WORN if name == "policy" else (name,) for name in NAMES}
     runner = trials(
         bench, "worn", [one for names in policies.values() for one in names], bench.protocol, bench.repetitions
