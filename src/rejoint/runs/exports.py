@@ -114,7 +114,7 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
             raise InputError(f"{path} is the file that is read; name another one to write")
         write_homing(path, motors)
         counts = ", ".join(f"{name} {change:+d}" for name, change in changes.items())
-        told = f"Homing offsets changed by {counts} counts (present position = raw - homing_offset). Then calibrate again. "
+        told = f"Homing offsets changed by {counts} counts (position = raw - homing_offset). Then calibrate again. "
     if kept is not None:
         beside = path if source is None else path.with_stem(f"{path.stem}-gains")
         # one register of two bytes: the limit of the I part is the upper one
