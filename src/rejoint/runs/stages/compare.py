@@ -222,7 +222,7 @@ class ComparisonJob:
         """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
-            for key in self.runner(self.factories).asked():
+            for key in self.runner(self.factories).asked()[::-1]:  # the slowest first
                 helper(key)
         return helper
 
