@@ -341,7 +341,7 @@ ANYWHERE = 0.5
 
 WARM = PpoSettings(
     agents=512,
-    iterations=36,
+    iterations=30,
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
