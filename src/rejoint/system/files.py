@@ -67,16 +67,18 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a file, and move it whole to ``path``; FileError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        name, folder = f".{path.name}.", path.parent
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=name, suffix=UNFINISHED, delete=False) as file:
-            temporary = Path(file.name)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
+        temporary = Path(name)
+        try:
             try:
                 write(temporary)
                 temporary.chmod(0o644)
-                os.fsync(file.fileno())
-                temporary.replace(path)
+                os.fsync(handle)
             finally:
-                temporary.unlink(missing_ok=True)
+                os.close(handle)  # Windows moves no open file
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def as_path(what: str, given: object) -> Path:
@@ -124,12 +126,12 @@ def require_file(path: Path, most: int, remedy: str) -> None:
 
 
 def begins_with(path: Path, first: bytes) -> bool:
-    """Whether ``path`` is a file with these first bytes: at most 16."""
+    """Whether ``path`` is a file with these first bytes."""
     try:
         if not path.is_file():  # a pipe is not opened: it might never answer
             return False
         with path.open("rb") as file:
-            return file.read(16).startswith(first)
+            return file.read(len(first)) == first
     except OSError:
         return False
 
