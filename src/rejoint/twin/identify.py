@@ -184,9 +184,9 @@ def fitted_twin(
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
-    place = at("torque_limit")
-    found.vector[place][unreached] = belief.upper[place][unreached]
-    parameters = unpack(found.vector, problem.joints)
+    place, vector = at("torque_limit"), found.vector.copy()
+    vector[place] = np.where(unreached, belief.upper[place], vector[place])
+    parameters = unpack(vector, problem.joints)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
     identified[at("stiffness")] &= not doubted
@@ -199,7 +199,7 @@ def fitted_twin(
     identified[at("damping")] &= ~found.at_bound[at("delay")]
     lower = unpack(belief.lower, problem.joints)
     # a limit that no motion reaches is anything above what was shown
-    raised = np.maximum(held, unreached * drive_torque(problem, found.vector, OFTEN))
+    raised = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
     raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
     covariance[place, place] += np.diag((unreached | problem.frozen[place]) * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(
