@@ -257,14 +257,14 @@ def sag_doubt(data: ExcitationLog) -> str:
         )
         tried.append((_explained(pulls, along), base))
     best, words = max(tried, key=lambda one: one[0].sum())
-    if best.sum() < CLEARER * right.sum() or np.sort(best - right)[:-1].sum() < DOUBTED:
-        masses = data.arm.mass.sum() * LOADS
-        most, mass = max((_explained(pulls, np.append(GRAVITY, one)).sum(), one) for one in masses)
-        words = (
-            f"the tip carried more: if it did, diagnose with --payload {mass:.2f}; else check the zeros of the joints"
-        )
-        words *= bool(most >= right.sum() + DOUBTED)
-    return words and f"joints sag as if {words}"
+    if best.sum() >= CLEARER * right.sum() and np.sort(best - right)[:-1].sum() >= DOUBTED:
+        return f"joints sag as if {words}"
+    masses = data.arm.mass.sum() * LOADS
+    most, mass = max((_explained(pulls, np.append(GRAVITY, one)).sum(), one) for one in masses)
+    if most < right.sum() + DOUBTED:
+        return ""
+    told = f"if it did, diagnose with --payload {mass:.2f}; else check the zeros of the joints"
+    return f"joints sag as if the tip carried more: {told}"
 
 
 def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
