@@ -15,13 +15,14 @@ from madetwin import made_twin
 from rejoint.arms import gravity_torque, mycobot280, so101
 from rejoint.diagnosis.excitation import record
 from rejoint.logs.exclusions import velocity
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.twin.identify import EXCITATION_WINDOW, HOLD_OUT, identify
-from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.replay import VELOCITY, Replay, cut
+from rejoint.twin.parameters import TwinParameters, nominal_parameters, prior
+from rejoint.twin.replay import VELOCITY, Replay, Window, cut
 
 LEAD = 40
 """Rows before a window, for references and commands on their way"""
@@ -69,15 +70,33 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
     assert rms(alone, measured[:, starts]) < 1.1 * ours
 
 
+def unreached(arm):
+    """The torque limits of a fit to motion that does not reach them."""
+    return np.exp(prior(arm).upper[prior(arm).layout.at("torque_limit")])
+
+
+@pytest.mark.parametrize("share", [0.9, -0.5])
+def test_mujoco_gets_the_gravity_that_does_not_show_and_no_limit_that_no_motion_reached(share, tmp_path):
+    arm, time = mycobot280(), np.arange(0.0, 8.0, 0.02)
+    parameters = replace(nominal_parameters(arm), coulomb=0.01, compensation=share, torque_limit=unreached(arm))
+    run = Run.create(tmp_path, "emulated:worn", arm)
+    made_twin(arm, parameters).save(run.folder.twin)
+    path, _ = export_run(run, "mjcf")
+    command = arm.rest + 0.4 * np.sin(np.multiply.outer(time, np.linspace(0.5, 1.5, arm.joints)))
+    replay = Replay(arm, [RunLog.of(time, command, command, arm=arm.name)], [Window(log=0, first=0, last=len(time))])
+    ours, without = replay.predict(TwinParameters.stacked([parameters, replace(parameters, compensation=0.0)]))
+    assert rms([predicted(path, replay.logs[0], replay.windows[0])], ours) < 0.2 * rms([without], ours)
+    assert not mujoco.MjModel.from_xml_path(str(path)).actuator_forcelimited.any()
+
+
 def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     arm = so101()
-    parameters = replace(
-        nominal_parameters(arm), stiction=np.full(5, 1.5), delay=np.array(0.021), offset=np.full(arm.joints, 0.01)
-    )
+    parameters = replace(nominal_parameters(arm), stiction=1.5, delay=0.021, offset=0.01)
+    limits = parameters.torque_limit * [1.0, 1.0, 1.0, 1.0, np.inf]
     run = Run.create(tmp_path, "emulated:so101", arm)
     with pytest.raises(FileError, match="rejoint identify"):
         export_run(run, "isaaclab")
-    made_twin(arm, parameters).save(run.folder.twin)
+    made_twin(arm, replace(parameters, torque_limit=np.minimum(limits, unreached(arm)))).save(run.folder.twin)
     stub = types.ModuleType("isaaclab.actuators")
     stub.DelayedPDActuatorCfg = SimpleNamespace
     monkeypatch.setitem(sys.modules, "isaaclab.actuators", stub)
@@ -87,9 +106,10 @@ def test_isaac_lab_gets_the_servos_of_the_twin(tmp_path, monkeypatch):
     assert servos.joint_names_expr == list(arm.joint_names)
     assert servos.min_delay == servos.max_delay == round(0.021 / found["PHYSICS_STEP"])
     same = {"stiffness": "stiffness", "damping": "damping", "armature": "armature"}
-    for theirs, ours in (same | {"effort_limit": "torque_limit", "dynamic_friction": "coulomb"}).items():
+    for theirs, ours in (same | {"dynamic_friction": "coulomb"}).items():
         values = dict(zip(arm.joint_names, getattr(parameters, ours), strict=True))
         assert getattr(servos, theirs) == pytest.approx(values, rel=1e-4)
+    assert list(servos.effort_limit.values()) == pytest.approx(limits, rel=1e-4)
     assert servos.friction == pytest.approx(
         {name: 1.5 * one for name, one in servos.dynamic_friction.items()}, rel=1e-4
     )

@@ -80,7 +80,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    plain = ("cycles", "day_and_time", "listed", "number", "parameter_name", "plural", "sentence")
+    plain = ("cycles", "day_and_time", "grouped", "listed", "number", "parameter_name", "plural", "sentence")
     found.filters |= {name: getattr(words, name) for name in plain}
     found.filters |= {
         "cell": words.measured,

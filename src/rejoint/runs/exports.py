@@ -1,14 +1,13 @@
 """Results about an arm for other programs: models, joint zeros, servo gains, data sheet, controller."""
 
 import hashlib
-import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Displacement
+from rejoint.arms import Arm, Displacement, gravity_torque
 from rejoint.arms.loading import unit_arm, write_urdf
 from rejoint.arms.workspace import posture_grid
 from rejoint.control.comparison.recommend import achieves
@@ -19,7 +18,6 @@ from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
-from rejoint.pages.words import grouped
 from rejoint.runs.run import Run
 from rejoint.runs.stages.fitting import gains_to_keep
 from rejoint.session.context import ControllerMaker, quick_note
@@ -28,7 +26,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
 from rejoint.system.shell import __version__
-from rejoint.twin.parameters import LEAST_FED, STRIBECK_SPEED, back_emf
+from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
 
 KINDS = ("urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2")
@@ -59,9 +57,9 @@ def export_run(
         require(f"rejoint export --format {kind}", "train", "jinja2")
         if (twin := about.twin) is None:
             raise FileError(about.folder.twin, "no such file", f"make it with: rejoint identify {about.path}")
-        make, name = _SIMULATORS[kind]
+        template, name = _SIMULATORS[kind]
         path = out or about.path / name.format(about.arm.name)
-        write_text(path, make(_unit(about), twin))
+        write_text(path, f"{model_text(template, _unit(about), twin)}\n")
         told = "The servos are those of the twin; a comment says what the simulator lacks."
     elif kind == "urdf":
         found, rigid = _rigid(about)
@@ -270,52 +268,29 @@ BRISTLES = 1000.0
 """[rad/s] natural frequency of a joint on its bristles; chosen: half a radian in a step"""
 
 
-def mjcf_text(arm: Arm, twin: Twin) -> str:
-    """MuJoCo model of ``arm`` with the servos of its twin; its comment names what is missing."""
+def model_text(template: str, arm: Arm, twin: Twin) -> str:
+    """Fill in a simulator's model of ``arm`` with the servos of its twin; a comment names what is missing."""
     from rejoint.twin.table import twin_spec
 
-    spec, p, missing = twin_spec(arm), twin.parameters, _missing(arm, twin)
+    spec, p = twin_spec(arm), twin.parameters
+    bound = np.exp(twin.upper[twin.layout.at("torque_limit")])  # that of joints which no motion brought to their limit
+    sag = gravity_torque(arm, posture_grid(arm, 3).q) / p.stiffness
     for joint, armature in zip(spec.joints, p.armature, strict=True):
         joint.armature = armature
-    if twin.acceleration < math.inf:
-        missing.append(f"The references of the servos also accelerate by at most {twin.acceleration:.4g} rad/s^2.")
     return render(
-        "export/mjcf.xml.txt",
+        f"export/{template}",
         arm=arm,
+        twin=twin,
         p=p,
+        limit=np.where(p.torque_limit < 0.99 * bound, p.torque_limit, np.inf),
+        fed=np.average(np.broadcast_to(p.compensation, sag.shape), weights=sag**2),
         beside=back_emf(arm, p),
         inertia=1.0 / spec.compile().dof_invweight0,
-        delay=max(float(p.delay), 0.0),
         step=STEP,
         bristles=BRISTLES,
         stribeck=STRIBECK_SPEED,
-        missing=missing,
     )
 
 
-def isaaclab_text(arm: Arm, twin: Twin) -> str:
-    """Python text with the ``actuators`` of Isaac Lab's ``ArticulationCfg``, versions 2.3 and 3."""
-    missing = _missing(arm, twin)
-    return render("export/isaaclab.py.txt", by_joint=_by_joint, arm=arm, p=twin.parameters, missing=missing) + "\n"
-
-
-_SIMULATORS = {"mjcf": (mjcf_text, "{}.xml"), "isaaclab": (isaaclab_text, "isaaclab_actuators.py")}
-"""What writes the text of a model, and the name of its file"""
-
-
-def _by_joint(arm: Arm, values: Any) -> dict[str, float]:  # noqa: ANN401
-    return {name: float(f"{value:.5g}") for name, value in zip(arm.joint_names, values, strict=True)}
-
-
-def _missing(arm: Arm, twin: Twin) -> list[str]:
-    """Say what neither simulator has, and what no motion has told."""
-    p = twin.parameters
-    lines = ["Backlash inside the servos is not here: motion does not tell it from dry friction."]
-    if (fed := np.where(np.abs(p.compensation) > LEAST_FED, p.compensation / p.stiffness, 0.0)).any():
-        why = "The controller feeds gravity forward, or the model's masses are others"
-        lines.append(f"{why}: add the torques of gravity, times {_by_joint(arm, fed)}, to the commands.")
-    if p.delay < 0:
-        lines.append(f"Positions were read {-1e3 * float(p.delay):.0f} ms after their stamps, which is left out.")
-    if twin.unknown:
-        lines.append(f"As assumed before, for the motion did not tell: {grouped(twin.unknown)}.")
-    return lines
+_SIMULATORS = {"mjcf": ("mjcf.xml.txt", "{}.xml"), "isaaclab": ("isaaclab.py.txt", "isaaclab_actuators.py")}
+"""Template of a model, and the name of its file"""
