@@ -10,8 +10,8 @@ from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
 from rejoint.twin import replay
 from rejoint.twin.fit import Problem
-from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
-from rejoint.twin.parameters import pack, unknown_prior, vector_names
+from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, Motions, identify_logs
+from rejoint.twin.parameters import pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay, cut, part, repeated
 from rejoint.twin.structure import EARLIER, Structure, find_acceleration
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
@@ -110,6 +110,17 @@ def test_threads_do_not_change_what_is_found(logs, monkeypatch):
     one = identify_logs(ARM, chosen, few)
     assert one.digest() == two.digest()
     assert one.table == two.table
+
+
+@pytest.mark.parametrize("early", [0, 1])
+def test_a_delay_below_zero_needs_evidence(early):
+    arm = replace(ARM, name="stranger")
+    stiff = replace(TRUTH, stiffness=10.0 * TRUTH.stiffness, damping=10.0 * TRUTH.damping, delay=0.0)
+    log = record("one", *wandering(0, 30.0), stiff)
+    log = replace(log, arm=arm.name, position=np.roll(log.position, -early, axis=0))
+    start = replace(TRUTH, delay=-0.01)
+    _, found = Motions(arm, [log], LogSettings()).settle(Structure(belief=unknown_prior(arm)), pack(start))
+    assert (unpack(found.vector, arm.joints).delay < 0.0) == bool(early)
 
 
 def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_where_it_was():

@@ -28,6 +28,7 @@ from rejoint.twin.parameters import (
     Prior,
     healthy_parameters,
     is_hobby,
+    number,
     pack,
     prior,
     unknown_prior,
@@ -57,6 +58,7 @@ from rejoint.twin.structure import (
     Structure,
     decide_compensation,
     drive_torque,
+    explains,
     explored,
     find_acceleration,
     find_structure,
@@ -360,10 +362,16 @@ class Motions:
         return find_structure(partial(self.problem, sorted({*slow, *self.far})), simple, x)
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
-        """Fit windows from all logs, from ``start`` (k,)."""
+        """Fit windows from all logs, from ``start`` (k,); the delay is below zero only with evidence."""
         every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.far})
-        problem = self.problem(every, structure, stride=1.0)
-        return problem, fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+        problem, belief = self.problem(every, structure, stride=1.0), structure.belief
+        found = fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
+        if unpack(found.vector, problem.joints).delay >= 0.0:
+            return problem, found
+        lower = np.where(belief.layout.kind == number("delay"), 0.0, belief.lower)
+        rival = self.problem(every, replace(structure, belief=replace(belief, lower=lower)), stride=1.0)
+        other = fit(rival, found.vector, REFINEMENT, SCALES)
+        return (problem, found) if explains(problem, found.vector, other.vector) else (rival, other)
 
     def choose(self, structure: Structure, start: Array) -> tuple[Structure, Problem, Fit]:
         """Settle without and with `TOGETHER`; keep those where windows that neither fit has seen are predicted better.

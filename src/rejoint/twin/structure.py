@@ -236,6 +236,11 @@ def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
     return np.quantile(torque, 1.0 - share, axis=0)
 
 
+def explains(problem: Problem, x: Array, simpler: Array) -> bool:
+    """Whether parameters ``x`` (k,) explain the motion clearly better than ``simpler`` (k,) ones."""
+    return bool(_ratio(_losses(problem, x), _losses(problem, simpler)) < 1.0 - LIMIT_GAIN)
+
+
 def _losses(problem: Problem, x: Array) -> Array:
     return loss(problem.residuals(x[None])[0]).sum(axis=0)
 
