@@ -135,6 +135,7 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
     found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, far_seconds=5.0))
     told = dict(zip(found.names, found.identified, strict=True))
     assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
+    assert {*found.unknown["compensation"]} >= {*ARM.joint_names[:4]}
     low, high = found.interval
     assert ((low.stiffness < TRUTH.stiffness) & (TRUTH.stiffness < high.stiffness))[:4].all()
     assert (found.parameters.compensation[1:3] > 0.0).all()

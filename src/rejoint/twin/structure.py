@@ -96,13 +96,15 @@ def decide_compensation(data: ExcitationLog) -> Prior:
     layout = belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
-    told = np.eye(layout.size)[stiffness] / error[:, None]
-    moved, covariance = fit_believed(told, (value - belief.mean[stiffness]) / error, belief.precision)
+    rows = np.eye(layout.size)[stiffness] / error[:, None]
+    moved, covariance = fit_believed(rows, (value - belief.mean[stiffness]) / error, belief.precision)
     mean, sigma = belief.clip(belief.mean + moved), np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sigma, sigma)
     mean[fed] = np.clip(1.0 - softness * np.exp(mean[stiffness]), np.where(np.isinf(error), LEAST_FED, -1.0), 1.0)
     sigma[fed] = sigma[stiffness]
-    return replace(belief, mean=mean, sigma=sigma, correlation=correlation, told=belief.sigma)
+    told = belief.sigma.copy()
+    told[fed] = told[stiffness]
+    return replace(belief, mean=mean, sigma=sigma, correlation=correlation, told=told)
 
 
 def rough_fit(problem: Problem) -> Array:

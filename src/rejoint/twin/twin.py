@@ -234,9 +234,8 @@ class Twin(Readable):
         """Joints, or the arm, by the parameter that keeps its prior range."""
         layout, sigma = self.layout, np.sqrt(np.diag(self.covariance)) / self.narrowing
         settled = np.maximum(layout.has("difference"), layout.has("beside"))  # by the prior, or no data could
-        free = layout.is_fitted & (sigma > 1.001 * settled)
         found = dict[str, list[str]]()
-        for name in compress(self.names, free & ~self.identified):
+        for name in compress(self.names, (sigma > 1.001 * settled) & ~self.identified):
             parameter, _, joint = name.partition(".")
             found.setdefault(parameter, []).append(joint or "arm")
         return found
