@@ -26,7 +26,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_bytes, write_text
 from rejoint.system.shell import __version__
-from rejoint.twin.parameters import LEAST_FED, STRIBECK_SPEED, back_emf
+from rejoint.twin.parameters import STRIBECK_SPEED, back_emf
 from rejoint.twin.twin import Twin
 
 KINDS = ("urdf", "mjcf", "isaaclab", "lerobot", "datasheet", "onnx", "ros2")
@@ -260,14 +260,6 @@ def metadata(design: Design, notice: str) -> dict[str, str]:
     }
 
 
-# The law of `rejoint.twin.table`: MuJoCo's ``pid`` delays the command and limits the reference's speed, its passive
-# ``dcmotor`` has Stribeck's law by LuGre's bristles (Canudas de Wit et al. 1995).
-STEP = 0.0005
-"""[s] of the model; chosen: at twice as much, bristles are too soft"""
-BRISTLES = 1000.0
-"""[rad/s] natural frequency of a joint on its bristles; chosen: half a radian in a step"""
-
-
 def model_text(template: str, arm: Arm, twin: Twin) -> str:
     """Fill in a simulator's model of ``arm`` with the servos of its twin; a comment names what is missing."""
     from rejoint.twin.table import twin_spec
@@ -275,7 +267,6 @@ def model_text(template: str, arm: Arm, twin: Twin) -> str:
     spec, p = twin_spec(arm), twin.parameters
     bound = np.exp(twin.upper[twin.layout.at("torque_limit")])  # that of joints which no motion brought to their limit
     sag = gravity_torque(arm, posture_grid(arm, 3).q) / p.stiffness
-    fed = np.average(np.broadcast_to(p.compensation, sag.shape), weights=sag**2)
     for joint, armature in zip(spec.joints, p.armature, strict=True):
         joint.armature = armature
     return render(
@@ -284,12 +275,9 @@ def model_text(template: str, arm: Arm, twin: Twin) -> str:
         twin=twin,
         p=p,
         limit=np.where(p.torque_limit < 0.99 * bound, p.torque_limit, np.inf),
-        fed=fed,
-        differ=np.abs((p.compensation - fed) * sag).max() > LEAST_FED * np.abs(sag).max(),
+        sag=sag,
         beside=back_emf(arm, p),
         inertia=1.0 / spec.compile().dof_invweight0,
-        step=STEP,
-        bristles=BRISTLES,
         stribeck=STRIBECK_SPEED,
     )
 
