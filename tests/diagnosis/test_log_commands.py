@@ -9,10 +9,11 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 import rejoint
 from madetwin import made_twin
 from rejoint.arms import load_arm, write_arm_toml
+from rejoint.arms.inertia import loaded
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo
 from rejoint.runs.run import Run
-from rejoint.session.inputs import arm_of_twin, run_of_logs
+from rejoint.session.inputs import arm_of_twin, keep, run_of_logs
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.twin.identify import REFITTED
@@ -73,10 +74,13 @@ def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkey
     write_arm_toml(arm, dataclasses.replace(ARM, name=name))
     for log in motions[:2]:
         dataclasses.replace(log, arm=name).save(tmp_path / "recorded" / f"{log.label}.parquet")
-    Run.create("one", f"{LOGS}recorded", load_arm(arm))
+    run = Run.create("one", f"{LOGS}recorded", load_arm(arm))
     arm.unlink()
     assert run_of_logs("one", "recorded", None)[1].name == name
-    assert arm_of_twin("one/twin.toml").name == name
+    keep(run, rejoint.Settings(payload=0.1))
+    for given in (None, run.arm, loaded(run.arm, 0.1)):
+        carries = arm_of_twin("one/twin.toml", given)
+        assert (carries.name, carries.mass.sum()) == (name, pytest.approx(ARM.mass.sum() + 0.1))
     with pytest.raises(InputError, match="the logs are of an arm 'mine', which is described elsewhere; give its file"):
         rejoint.diagnose("recorded")
     with pytest.raises(InputError, match="the twin is of an arm 'mine', which is described elsewhere; give its file"):

@@ -21,7 +21,7 @@ from rejoint.robots import place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.fleet.file import known_arms, name_arm, names_file, remove_name
 from rejoint.runs.run import RUNS, Run
-from rejoint.session.inputs import arm_of_twin
+from rejoint.session.inputs import arm_of_twin, run_of_twin, settled
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.shell import command
@@ -37,7 +37,9 @@ def replay(
 ) -> object:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart."""
     require("rejoint replay", "train", "report")
-    chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
+    chosen = arm_of_twin(twin, None if call.pick.arm is None else call.arm())
+    if said := settled(None, run_of_twin(twin), None)[1]:
+        call.message(said)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     for remark in forced_remarks(replayed.logs):
         call.message(f"  ! {remark}")

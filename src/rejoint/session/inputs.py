@@ -87,7 +87,7 @@ def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
     if arm is not None:
         return load_arm(arm)
     if robot is None:
-        raise InputError("neither a robot, a run nor an arm is given; give one of them")
+        raise InputError("no arm is given; give one, or what it belongs to: a run, a robot or a twin")
     return load_arm(place_of(robot).default_arm)
 
 
@@ -170,13 +170,23 @@ def arm_named(name: str, whose: str) -> Arm:
     return load_arm(name)
 
 
-def arm_of_twin(twin: TwinLike) -> Arm:
-    """Arm of a twin, from its run or the catalogue."""
-    if isinstance(twin, Path | str):
-        folder = RunFolder(Path(twin).parent)
-        if folder.info.exists() and folder.twin == Path(twin):
-            return Run.open(folder.path).arm
-    return arm_named(as_twin(twin).arm, "the twin is")
+def run_of_twin(twin: TwinLike) -> Run | None:
+    """Return the run that holds a twin's file, if any."""
+    if isinstance(twin, Twin):
+        return None
+    path = as_path("a twin or its file", twin)
+    folder = RunFolder(path.parent)
+    return Run.open(folder.path) if folder.info.exists() and folder.twin == path else None
+
+
+def arm_of_twin(twin: TwinLike, arm: ArmLike | None = None) -> Arm:
+    """Arm of a twin, by default its run's or the catalogue's; one that carries nothing gets the load of the run."""
+    run = run_of_twin(twin)
+    if arm is not None:
+        found = load_arm(arm)
+    else:
+        found = arm_named(as_twin(twin).arm, "the twin is") if run is None else run.arm
+    return found if bare(found) is not found else kept(run).laden(found)
 
 
 def as_targets(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rejoint.arms import Array, load_arm
+from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search
@@ -28,6 +28,7 @@ from rejoint.session.inputs import (
     RunLike,
     Settings,
     TwinLike,
+    arm_of,
     arm_of_twin,
     as_logs,
     as_twin,
@@ -213,7 +214,7 @@ def replay(
     """
     from rejoint.twin.judge import Candidate, judge, predict_logs
 
-    chosen = arm_of_twin(twin) if arm is None else load_arm(arm)
+    chosen = arm_of_twin(twin, arm)
     known = as_twin(twin, chosen)
     motions = list(map(answered, declared(as_logs(logs))))
     require_commands(motions, "replay")
@@ -324,12 +325,7 @@ def train(
                 known = twin_under(known, tuned.found, tuned.under)
             chosen, folder, seed = found.arm, found.path, found.seed
         else:
-            if arm is not None:
-                chosen = load_arm(arm)
-            elif twin is not None:
-                chosen = arm_of_twin(twin)
-            else:
-                raise InputError("training: neither a twin, a run nor an arm is given")
+            chosen = arm_of(None, arm) if twin is None else arm_of_twin(twin, arm)
             known = None if twin is None else as_twin(twin, chosen)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rejoint-training-")))
             seed = as_seed(how.seed)
