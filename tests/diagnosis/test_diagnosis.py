@@ -11,7 +11,7 @@ from plant_logs import kinds
 from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, judge
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
-from rejoint.diagnosis.healthy import load_healthy, reference_from
+from rejoint.diagnosis.healthy import healthy_reference, reference_from
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import NotReadyError
 from rejoint.system.files import read_json, write_json
@@ -49,7 +49,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def found(logs):
-    healthy = load_healthy(ARM)
+    healthy = healthy_reference(ARM)
     return {name: judge(ARM, entry, healthy) for name, entry in logs.items()}
 
 
@@ -137,7 +137,7 @@ def test_written_and_read_and_judged_again(tmp_path, logs, found):
     for name in ("targets", "excitation"):
         getattr(logs["worn"], name).save(tmp_path / f"{name}.parquet")
     again = DiagnosisLogs(**{n: RunLog.load(tmp_path / f"{n}.parquet") for n in ("targets", "excitation")})
-    assert judge(ARM, again, load_healthy(ARM)) == found["worn"]
+    assert judge(ARM, again, healthy_reference(ARM)) == found["worn"]
 
 
 def test_a_reference_from_healthy_logs_contains_them(logs):

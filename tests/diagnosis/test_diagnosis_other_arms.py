@@ -7,10 +7,11 @@ import pytest
 
 from modelfiles import packaged, ur5e
 from rejoint.arms import gravity_torque, load_arm, mycobot280, so101
+from rejoint.arms.inertia import loaded
 from rejoint.arms.workspace import heaviest_load, is_safe, torque_size
 from rejoint.diagnosis.diagnosis import judge
 from rejoint.diagnosis.excitation import plan_excitation, record
-from rejoint.diagnosis.healthy import as_set, healthy_reference, load_healthy
+from rejoint.diagnosis.healthy import healthy_reference
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError
 from rejoint_lab.emulated import EmulatedRobot
@@ -56,9 +57,8 @@ def test_a_slow_arm_is_excited_slowly_and_a_cramped_one_gently():
 
 def test_a_worn_arm_of_another_build_is_found_out_and_a_healthy_one_is_not():
     arm = so101()
-    reference = load_healthy(arm)
+    reference = healthy_reference(arm)
     assert reference is not None
-    assert healthy_reference(arm) == reference
     robot = EmulatedRobot(arm, [load_wear(name, arm) for name in ("healthy", "worn")], seed=7)
     for logs, condition in zip(record(robot, seed=7), ("ok", "bad"), strict=True):
         diagnosis = judge(arm, logs, reference)
@@ -68,15 +68,17 @@ def test_a_worn_arm_of_another_build_is_found_out_and_a_healthy_one_is_not():
     assert "elbow_flex" in {joint for joint, _ in found}
 
 
-def test_a_new_so101_is_healthy_under_whatever_gains_and_supply_it_has():
-    """LeRobot's P = 16 and a supply that sags a little make it soft, and no joint worn."""
-    arm, gains = so101(), {"p": (16,) * 5}
-    robot = open_robot("emulated:so101-new?p=16", arm=arm, seed=7)
-    assert dict(robot.servo_gains())["p"] == gains["p"]
-    logs = record(robot, seed=7)[0]
-    as_sold = load_healthy(arm)
-    assert judge(arm, logs, as_sold).condition == "bad"
-    diagnosis = judge(arm, logs, as_set(arm, as_sold, gains, np.full(5, 12.0)))
+@pytest.mark.parametrize(
+    ("knob", "load", "usual", "setting"),
+    [("p=16", 0.0, 30.0, "P = 16"), ("payload=0.25", 0.25, 45.0, "0.25 kg and P = 32")],
+)
+def test_a_new_so101_is_healthy_under_whatever_gains_supply_and_load_it_has(knob, load, usual, setting):
+    """LeRobot's P = 16, a supply that sags a little and a load bend it, and no joint is worn."""
+    arm = loaded(so101(), load)
+    robot = open_robot(f"emulated:so101-new?{knob}", arm=arm, seed=7)
+    logs, gains = record(robot, seed=7)[0], dict(robot.servo_gains())
+    assert judge(arm, logs, healthy_reference(so101())).condition in ("worn", "bad")
+    diagnosis = judge(arm, logs, healthy_reference(arm, gains=gains, voltage=np.full(5, 12.0)))
     assert diagnosis.condition == "ok", diagnosis.verdict
-    assert 20.0 < diagnosis.healthy.error_mm.value < 40.0
-    assert "a healthy arm of this kind with P = 16 and a supply of 12.0 V: " in diagnosis.verdict
+    assert 0.7 * usual < diagnosis.healthy.error_mm.value < 1.3 * usual
+    assert f"a healthy arm of this kind with {setting} and a supply of 12.0 V: " in diagnosis.verdict

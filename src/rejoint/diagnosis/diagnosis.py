@@ -240,7 +240,8 @@ def _verdict_of(
 def _usual(healthy: HealthyReference | None) -> str:
     if healthy is None or healthy.error_mm is None:
         return ""
-    return f"; a healthy arm of this kind{healthy.setting}: {healthy.error_mm.value:.1f} mm"
+    setting = f" with {healthy.setting}" * bool(healthy.setting)
+    return f"; a healthy arm of this kind{setting}: {healthy.error_mm.value:.1f} mm"
 
 
 def _untold(measurement: Measurement) -> tuple[str, ...]:

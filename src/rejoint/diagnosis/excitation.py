@@ -309,7 +309,8 @@ def record(robot: Robot, *, seed: int, on_progress: Progress = no_progress) -> t
     """
     arm, extra = robot.arm, {"seed": str(seed)}
     excitation = plan_excitation(arm, seed=seed)  # refused, if it is, before anything moves
-    targets = np.tile(draw_set(arm, np.random.default_rng(seed), TARGETS), (robot.count, 1, 1))
+    rng = np.random.default_rng(seed)
+    targets = np.stack([draw_set(arm, rng, TARGETS) for _ in range(robot.count)])
     duration, sent = TARGETS * DWELL, begin(robot).command[-1]
     share = duration / (duration + excitation.duration)
     see = reporting("ten targets", duration, part(on_progress, 0.0, share), robot)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms.inertia import bare
 from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
@@ -76,7 +77,7 @@ class HealthyReference:
     error_mm: Estimate | None
     """of ten targets open loop, or at rest, by encoders"""
     setting: str = ""
-    """P and supply it was computed for"""
+    """load, P and supply it was computed for"""
 
 
 def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
@@ -85,49 +86,39 @@ def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
     return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
 
-def load_healthy(arm: Arm) -> HealthyReference | None:
-    """Return the package's reference for an arm, if any."""
-    return _measured(arm, AS_SOLD) if reference_path(arm).exists() else None
-
-
-def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
-    """Return the package's reference, or measure one for a ``robot`` (address) with hobby servos.
-
-    Other arms have none.
-    """
-    packaged = load_healthy(arm)
-    if packaged is not None or not robot.startswith(HOBBY) or not usable("emulated:healthy"):
-        return packaged
-    return measure_healthy(arm, count=ARMS_ON_DEMAND)
-
-
-def as_set(
-    arm: Arm, reference: HealthyReference | None, gains: ServoGains | None, voltage: Array | None
+def healthy_reference(
+    arm: Arm, robot: str = "", gains: ServoGains | None = None, voltage: Array | None = None
 ) -> HealthyReference | None:
-    """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V]."""
-    if _new(arm) is None or reference is None or gains is None or "p" not in gains:
-        return reference
-    p = np.array(gains["p"], dtype=float)
+    """Return what healthy arms with this load, these ``gains`` and this ``voltage`` (n,) [V] measure, if known.
+
+    Without a load the package holds it for some arms. For others, and for a ``robot`` (address) with hobby servos,
+    emulated ones are measured.
+    """
+    hobby = _packaged(bare(arm)) or robot.startswith(HOBBY)
+    if not _packaged(arm) and not (hobby and usable("emulated:healthy")):
+        return None
+    p = np.array((gains or {}).get("p", [0]), dtype=float)
     share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
-    if not ((p > 0.0) & (share > 0.0)).all():
-        return reference
+    if _new(arm) is None or not ((p > 0.0) & (share > 0.0)).all():
+        return _measured(arm, AS_SOLD)
+    typical = np.exp(np.log(p).mean())
+    nearest = [_nearest(one) for one in (typical, *p)]
+    known = {of: _measured(arm, of) for of in set(nearest)}
     rows = []
-    for joint, of in enumerate(map(_nearest, p)):
-        row, stiffer = _measured(arm, of).joints[joint], p[joint] / of * share[joint]
+    for joint, of in enumerate(nearest[1:]):
+        row, stiffer = known[of].joints[joint], p[joint] / of * share[joint]
         k, width = row.stiffness_nm_per_rad, row.hysteresis_rad
         k, width = k and scaled(k, stiffer), width and scaled(width, 1.0 / stiffer)
         rows.append(replace(row, stiffness_nm_per_rad=k, hysteresis_rad=width))
-    typical = np.exp(np.log(p).mean())
-    of = _nearest(typical)
-    whole = _measured(arm, of)
-    setting = f" with P = {', '.join(map(str, dict.fromkeys(gains['p'])))}"
-    if voltage is not None:
-        setting += f" and a supply of {np.median(voltage):.1f} V"
+    whole, softer = known[nearest[0]], nearest[0] / typical / share.mean()
+    supply = "" if voltage is None else f"a supply of {np.median(voltage):.1f} V"
+    named = f"P = {', '.join(f'{one:g}' for one in dict.fromkeys(p))}"
+    setting = " and ".join(filter(None, (whole.setting, named, supply)))
     return replace(
         whole,
         joints=tuple(rows),
-        error_mm=whole.error_mm and scaled(whole.error_mm, of / typical / share.mean()),
-        source=f"{whole.source},{setting}",
+        error_mm=whole.error_mm and scaled(whole.error_mm, softer),
+        source=f"{whole.source}, with {setting}",
         setting=setting,
     )
 
@@ -140,21 +131,25 @@ def _nearest(p: float) -> int:
     return min(MEASURED, key=lambda one: abs(np.log(p / one)))
 
 
+def _packaged(arm: Arm) -> bool:
+    return bare(arm) is arm and reference_path(arm).exists()
+
+
 def _measured(arm: Arm, p: int) -> HealthyReference:
-    return read_json(reference_path(arm, p), HealthyReference)
+    if _packaged(arm):
+        return read_json(reference_path(arm, p), HealthyReference)
+    return measure_healthy(arm, count=ARMS_ON_DEMAND, p=p)
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose emulated healthy arms; ``p``: gain of an arm in `NEW`."""
-    logs: list[DiagnosisLogs] = []
-    new = _new(arm)
+    """Diagnose emulated healthy arms with the load of an ``arm``; ``p``: gain of one in `NEW`."""
+    new, load = _new(arm), round(arm.mass.sum() - bare(arm).mass.sum(), 6)
     profile = new or ("new" if arm.servos else "healthy")
-    address = f"emulated:{profile}?p={p}" if new else f"emulated:{profile}"
-    for offset in range(2):  # two excitations, each on half of the arms
-        robot = open_robot(address, arm=arm, seed=SEED + offset, count=count // 2)
-        logs += record(robot, seed=SEED + offset)
-    source = f"{len(logs)} emulated arms with wear profile '{profile}'"
-    return reference_from(arm, logs, source=source, motors=new is None)
+    robot = open_robot(f"emulated:{profile}?payload={load}{f'&p={p}' * bool(new)}", arm=arm, seed=SEED, count=count)
+    found = reference_from(
+        arm, record(robot, seed=SEED), source=f"{count} emulated arms with wear profile '{profile}'", motors=new is None
+    )
+    return replace(found, setting=f"{load:g} kg" * bool(load))
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:

@@ -18,7 +18,7 @@ from report_samples import (
 from madetwin import made_twin
 from rejoint.arms import load_arm
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.diagnosis.healthy import load_healthy
+from rejoint.diagnosis.healthy import healthy_reference
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.segments import OpenLoop, TargetError
 from rejoint.diagnosis.verdict import Finding
@@ -37,7 +37,7 @@ def arm():
 @pytest.fixture(scope="session")
 def diagnosis(arm):
     rng = np.random.default_rng(0)
-    healthy = load_healthy(arm)
+    healthy = healthy_reference(arm)
     worn = tuple(joint_metrics(sample, 7.0 + i, 0.1) for i, sample in enumerate(healthy.joints))
     good = tuple(joint_metrics(sample, 38.0, 0.04) for sample in healthy.joints)
     errors = rng.uniform(12, 35, TARGETS)

@@ -11,7 +11,7 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import gains_in_force
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs, judge
 from rejoint.diagnosis.excitation import record
-from rejoint.diagnosis.healthy import HealthyReference, as_set, healthy_reference, reference_by
+from rejoint.diagnosis.healthy import HealthyReference, healthy_reference, reference_by
 from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
@@ -120,7 +120,8 @@ def diagnose(
         chosen = settled(settings, kept, None)[0]
         with pacing(observer) as update, exclusive(kept):
             name, own = source_of(given) if kept is None else kept.robot, to_keep(chosen).laden(known)
-            told = diagnose_logs(own, as_logs(given), _reference(known, healthy), source=name, on_progress=update)
+            reference = _known_good(known, healthy) or healthy_reference(own)
+            told = diagnose_logs(own, as_logs(given), reference, source=name, on_progress=update)
             if kept is not None:
                 write_json(kept.begin().folder.diagnosis, told)
                 keep(kept, chosen)
@@ -134,12 +135,13 @@ def diagnose(
         noted(),
         ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
     ):
-        reference = _reference(built, healthy, address_of(robot))
+        reference = _known_good(built, healthy)
         with session.metered("diagnose") as driven:
             gains = gains_in_force(driven)
-            if healthy is None:
+            if reference is None:
                 voltage = driven.read().voltage
-                reference = as_set(driven.arm, reference, gains, None if voltage is None else voltage[0])
+                volts = None if voltage is None else voltage[0]
+                reference = healthy_reference(driven.arm, address_of(robot), gains, volts)
             (logs,) = record(driven, seed=session.seed, on_progress=update)
             found = replace(judge(driven.arm, logs, reference), servo_gains=None if gains is None else dict(gains))
             result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
@@ -154,9 +156,9 @@ def diagnose(
         return result
 
 
-def _reference(arm: Arm, healthy: RunLike | Diagnosis | None, robot: str = "") -> HealthyReference | None:
+def _known_good(arm: Arm, healthy: RunLike | Diagnosis | None) -> HealthyReference | None:
     if healthy is None:
-        return healthy_reference(arm, robot)
+        return None
     if not isinstance(healthy, Diagnosis):
         folder = healthy.folder if isinstance(healthy, Run) else RunFolder(Path(healthy))
         healthy = read_json(folder.diagnosis, Diagnosis)
