@@ -21,12 +21,13 @@ def identified(logs):
 
 
 @pytest.mark.parametrize(
-    ("mass", "sign", "named"), [(0.0, 1.0, ""), (0.2, 1.0, "payload"), (0.0, -1.0, "shoulder_lift")]
+    ("mass", "sign", "zero", "named"),
+    [(0.0, 1.0, 0, ""), (0.2, 1.0, 0, "payload"), (0.0, -1.0, 0, "shoulder_lift"), (0.0, 1.0, 15, "shoulder_lift")],
 )
-def test_a_load_or_a_sign_that_was_not_told_is_doubted_and_leaves_the_scale_unknown(mass, sign, named):
-    turned = np.array([1.0, sign, 1.0, 1.0, 1.0])
+def test_a_load_a_sign_or_a_zero_that_is_wrong_is_doubted_and_leaves_the_scale_unknown(mass, sign, zero, named):
+    turned, off = np.array([1.0, sign, 1.0, 1.0, 1.0]), np.radians(zero) * np.eye(ARM.joints)[1]
     logs = motions(2.0, 0.5, own=loaded(ARM, Payload(mass=mass), None))
-    logs = [replace(log, position=turned * log.position, command=turned * log.command) for log in logs]
+    logs = [replace(log, position=turned * log.position + off, command=turned * log.command + off) for log in logs]
     twin = identified(logs)
     assert bool(twin.judgement.doubts) == bool(named)
     assert named in "".join(twin.judgement.doubts)

@@ -272,24 +272,30 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
 
 
 def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
-    """Sag (M, n, 5, 5) by gravity along each axis of the base, and by 1 kg at the tip, as `Law.moments`.
+    """Sag (M, n, 5 + 2 n, 5 + 2 n) as `Law.moments`, as if angles (n,) were times ``mirrors`` (M, n, n).
 
-    As if angles (n,) were times ``mirrors`` (M, n, n), which exchange joints or turn their signs. Zeros where no law
-    can be fitted.
+    By gravity along each axis of the base, by 1 kg at the tip, and, for the first mirror, by gravity with each joint
+    turned by 90 and by -90 degrees. Mirrors exchange joints or turn their signs. Zeros where no law can be fitted.
     """
     motions = [_motion(data, joint, np.zeros(1), fast=False) for joint in range(data.arm.joints)]
-    found, log = np.zeros((*mirrors.shape[:2], 5, 5)), data.log
+    quarters = 0.5 * np.pi * np.kron(np.eye(data.arm.joints), [[1.0], [-1.0]])
+    size = 5 + len(quarters)
+    found, log = np.zeros((*mirrors.shape[:2], size, size)), data.log
     for (k, joint), own in np.ndenumerate(np.abs(mirrors).argmax(axis=-1)):
         motion, mirror = motions[int(own)], mirrors[k]
         if motion.enough:
             position = interpolated(motion.time, log.time, log.position) @ mirror
             pulls = [gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)]
             tip = position_kinematics(data.arm, position)[1][:, :, joint] @ -GRAVITY
+            turned = [gravity_torque(data.arm, position + turn)[:, joint] if k == 0 else 0.0 * tip for turn in quarters]
             design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls, tip])
             error = mirror[joint, own] * motion.error[0]
             kept = _usual(error, design)
-            root = np.linalg.qr(np.column_stack([design, error])[kept]).R[-5:, -5:]
-            found[k, joint] = root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(abs(root[-1, -1]), 1e-150)
+            rows = np.column_stack([design, *turned, error])[kept]
+            root = np.linalg.qr(np.pad(rows, ((0, size), (0, 0)))).R[-size:, -size:]
+            found[k, joint] = (
+                root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(np.linalg.norm(root[4:, -1]), 1e-150)
+            )
     return found
 
 
