@@ -39,12 +39,10 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path, sorted by name: in a folder, else in folders there, as of ROS 2's bags."""
+        """Return what it reads: a path, or what is in this folder, sorted by name."""
         if self.fits(source, True):
             return [source]
-        below = sorted(source.iterdir()) if source.is_dir() else []
-        deeper = (path for folder in below if folder.is_dir() for path in sorted(folder.iterdir()))
-        return [path for path in below if self.fits(path, False)] or [path for path in deeper if self.fits(path, False)]
+        return [path for path in sorted(source.iterdir()) if self.fits(path, False)] if source.is_dir() else []
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -249,7 +247,9 @@ def _read_frames(source: Path) -> dict[str, Array]:
 
 
 NANOSECONDS = 1_000_000_000
-REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
+REMEDY = (
+    "name the folder of a ROS 2 bag, record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
+)
 _RECORD_LIMIT = 1 << 28
 """[bytes] (chosen: larger than recorded chunks)"""
 
@@ -286,16 +286,17 @@ def _open_mcap(file: Path) -> Iterator[Opened]:
 
 
 @contextmanager
-def _open_rosbag(file: Path) -> Iterator[Opened]:
+def _open_rosbag(source: Path) -> Iterator[Opened]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    require_file(file, LOG_MOST, "cut it into several bags")
-    unwritten = file.with_name(f"{file.name}-wal")
-    if unwritten.is_file() and unwritten.stat().st_size:
-        raise FileError(file, f"was not closed: part of it is still in {unwritten.name}", "run `ros2 bag reindex`")
+    for file in filter(Path.is_file, source.iterdir()) if source.is_dir() else [source]:
+        require_file(file, LOG_MOST, "cut it into several bags")
+        unwritten = file.with_name(f"{file.name}-wal")
+        if unwritten.is_file() and unwritten.stat().st_size:
+            raise FileError(file, f"was not closed: part of it is still in {unwritten.name}", "run `ros2 bag reindex`")
     # bags that hold no definitions: messages about joints are the same in all distributions
-    with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as bag:
+    with AnyReader([source], default_typestore=get_typestore(Stores.LATEST)) as bag:
 
         def messages(topics: set[str]) -> Iterator[tuple[str, int, Any]]:
             chosen = [connection for connection in bag.connections if connection.topic in topics]
@@ -466,9 +467,13 @@ SAGE = Reader(
     _read_sage,
 )
 TABLE = Reader(_is_table, _read_table)
-LEROBOT = Reader(lambda path, named: named and (path / _INFO).is_file(), _episodes)
+LEROBOT = Reader(lambda path, _: (path / _INFO).is_file(), _episodes)
 MCAP = Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap))
 _ROSBAGS = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}
 ROSBAG = Reader(
-    lambda path, _: path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix]), partial(_read, _open_rosbag)
+    lambda path, _: (
+        begins_with(path / "metadata.yaml", b"rosbag2_bagfile_information")
+        or (path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix]))
+    ),
+    partial(_read, _open_rosbag),
 )
