@@ -25,9 +25,9 @@ def stamps(found: Sample, origin: int = EPOCH_NS) -> list[int]:
 
 
 def streams(found: Sample) -> Iterator[tuple[str, int, list[float]]]:
-    """Topic, stamp and positions of every message, in the order of their times."""
-    rows = zip(stamps(found), rows_of(found.position), rows_of(found.command), strict=True)
-    for stamp, position, command in rows:
+    """Topic, stamp and positions of every message, each second one before the first."""
+    rows = [*zip(stamps(found), rows_of(found.position), rows_of(found.command), strict=True)]
+    for stamp, position, command in [rows[k ^ 1] for k in range(len(rows))]:
         yield "/joint_states", stamp, position
         yield "/joint_commands", stamp, command
 

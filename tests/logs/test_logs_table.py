@@ -30,14 +30,15 @@ def test_a_unit_may_stand_in_each_name_and_other_columns_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "ticks"), {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}.items())
-def test_a_declared_time_unit_is_taken(tmp_path, unit: str, ticks: float):
-    found = sample()
-    scaled = type(found)(time=found.time * ticks, position=found.position, command=found.command)
+def test_a_declared_time_unit_is_taken_and_rows_are_sorted(tmp_path, unit: str, ticks: float):
+    found, rows = sample(), np.arange(60) ^ 1
+    scaled = type(found)(time=found.time[rows] * ticks, position=found.position[rows], command=found.command[rows])
     source = write_table(tmp_path / "wave.csv", scaled, {"time_s": "time"})
     with pytest.raises(FileError, match="column time does not say its unit"):
         import_logs(source, ARM, out=tmp_path / "logs")
     (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(time_unit=unit)).logs
     np.testing.assert_allclose(log.time, found.time, rtol=1e-15)
+    assert log.position.tolist() == found.position.tolist()
     with pytest.raises(InputError, match="exists already"):
         import_logs(source, ARM, out=tmp_path / "logs")
 

@@ -108,8 +108,17 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
 
 FEWEST = 2
 """Rows of a log"""
+LATE = 10
+"""Rows by which one may be late (chosen)"""
 PAUSE = 1.0
 """[s] between motions (chosen: ten times a hobby servo's lag)"""
+
+
+def sort_keys(time: Array) -> Array:
+    """Return keys (T,) that sort rows which are a little late; the keys of a clock that was set back keep its rows."""
+    latest = np.fmax.accumulate(time)
+    moved = np.argsort(np.fmin(latest, time), kind="stable") - np.arange(len(time))
+    return latest if np.abs(moved).max(initial=0) > LATE else np.fmin(latest, time)
 
 
 @entity
@@ -156,9 +165,9 @@ class RawMotion(FileMotion):
             raise FileError(
                 self.path, f"{len(time)} states and {len(times)} commands, expected both", "record it again"
             )
-        late = ~(np.diff(times) >= 0)
-        if late.any():
-            where = f"command, {sent.place} {sent.number[1:][late][0]}"
+        keys = sort_keys(times)
+        if (late := keys != times).any():
+            where = f"command, {sent.place} {sent.number[late][0]}"
             raise FileError(sent.path, f"{where}: the clock goes back, or is no number", "cut the file there")
         common = min(time[-1], times[-1]) - max(time[0], times[0])
         if common < 0.5 * min(np.ptp(time), np.ptp(times)):
@@ -168,8 +177,7 @@ class RawMotion(FileMotion):
                 f"{times[-1]:.6f} s: not one clock",
                 "record both on one clock, or take the times of recording (--stamp log) of a bag",
             )
-        # the order of the states stays, for the checks of their clock
-        order = np.argsort(np.concatenate([times, np.fmax.accumulate(time)]), kind="stable")
+        order = np.argsort(np.concatenate([keys, sort_keys(time)]), kind="stable")
         parts = [one.values([*range(len(one.titles))]) for one in (sent, self)]
         table = np.full((len(order), sum(part.shape[1] for part in parts)), np.nan)
         table[: len(times), : len(sent.titles)], table[len(times) :, len(sent.titles) :] = parts
@@ -289,7 +297,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         robot=f"{kind}:{source.stem}",
         extra={"source": source.name, "format": kind, **motion.extra},
     )
-    return _held(replace(found, notes=table.notes))
+    return _held(replace(found.take(np.argsort(sort_keys(found.time), kind="stable")), notes=table.notes))
 
 
 def _held(motion: RecordedMotion) -> RecordedMotion:
