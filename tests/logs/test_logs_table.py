@@ -79,14 +79,14 @@ def test_each_command_holds_until_the_next_of_its_joint(tmp_path, way: str):
     np.testing.assert_array_equal(log.command, held[kept])
 
 
-@pytest.mark.parametrize("kind", ["records", "columns", "arrays"])
-def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str):
+@pytest.mark.parametrize(("kind", "sent"), [("records", "command"), ("columns", "q_d"), ("arrays", "q_target")])
+def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, sent: str):
     found, source = worn_sample(seconds=8), tmp_path / "log.json"
-    held = {"time_s": found.time, "position_deg": np.rad2deg(found.position), "command_rad": found.command}
+    held = {"time_s": found.time, "position_deg": np.rad2deg(found.position), f"{sent}_rad": found.command}
     lists = {name: one.tolist() for name, one in held.items()} | {"names": ARM.joint_names}
     if kind == "records":
         parts = [dict(zip(ARM.joint_names, row, strict=True)) for row in lists["position_deg"]]
-        rows = zip(found.time, parts, lists["command_rad"], strict=True)
+        rows = zip(found.time, parts, lists[f"{sent}_rad"], strict=True)
         lists = {"about": {"names": ARM.joint_names, "rows": [dict(zip(held, row, strict=True)) for row in rows]}}
     source.write_text(json.dumps(lists))
     if kind == "arrays":
