@@ -15,6 +15,7 @@ from rejoint.diagnosis.diagnosis import diagnose_logs
 from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
 from rejoint.diagnosis.segments import FREE, join_logs, log_of
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
@@ -36,7 +37,11 @@ TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, fricti
 def logs():
     found = dict(zip(WEARS, record_motions(list(WEARS.values()), 7, 16.0), strict=True))
     scale = 1.0 - 0.5 * np.eye(ARM.joints)[0]
-    return found | {"half scale": [replace(log, position=scale * log.position) for log in found["healthy"]]}
+    zeros = [replace(log, extra={ZEROS: "the zeros are not known"}) for log in found["soft elbow"]]
+    return found | {
+        "unknown zeros": zeros,
+        "half scale": [replace(log, position=scale * log.position) for log in found["healthy"]],
+    }
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +60,7 @@ def found(logs):
         ("blocked wrist", {("wrist_flex", "stuck")}),
         ("limp wrist", {("wrist_flex", "stuck")}),
         ("half scale", {("shoulder_pan", "stuck")}),
+        ("unknown zeros", {("elbow_flex", "hysteresis"), ("elbow_flex", "lag")}),  # as sag tells no stiffness
     ],
 )
 def test_one_wear_is_named_and_nothing_else(found, name, expected):
@@ -116,6 +122,7 @@ def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
     ).evidence.rest_error_mm  # of one, there is too little
     assert alone.value == pytest.approx(expected, rel=0.5)
     assert found["soft elbow"].evidence.rest_error_mm.low > found["healthy"].evidence.rest_error_mm.high
+    assert found["unknown zeros"].evidence.rest_error_mm is None
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from log_samples import ARM, Sample, worn_sample, write_table
 from test_logs_checks import motion
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs.columns import read_motion
+from rejoint.logs.columns import ZEROS, read_motion
 from rejoint.logs.importing import READERS, import_logs, to_log
 from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
@@ -135,10 +135,13 @@ def test_degrees_declared_as_normalised_and_the_reverse(tmp_path):
     ):
         with pytest.raises(FileError, match=said):
             import_logs(source, ARM, out=tmp_path / "logs", options=options)
-    for source, options in ((degrees, as_degrees), (degrees, known), (normalised, as_normalised)):
+    middles = ImportOptions(angle_unit="normalised")
+    pairs = (degrees, as_degrees), (degrees, known), (normalised, as_normalised), (normalised, middles)
+    for source, options in pairs:
         log = import_logs(source, ARM, out=tmp_path / "logs", options=options)
         np.testing.assert_allclose(log.logs[0].position, found.position, atol=1e-6)
         assert not any("nothing in the file tells" in note for note in log.notes)
+        assert (ZEROS in log.logs[0].extra) == (options is middles)
         for path in (tmp_path / "logs").iterdir():
             path.unlink()
 

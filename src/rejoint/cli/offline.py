@@ -11,7 +11,7 @@ from urllib.parse import quote
 import rejoint
 from rejoint.arms import Arm
 from rejoint.cli.options import Call, listed, takes
-from rejoint.logs.consistency import forced_remarks
+from rejoint.logs.consistency import remarks_on
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
 from rejoint.logs.joints import ImportOptions, read_map
@@ -41,7 +41,7 @@ def replay(
     if said := settled(None, run_of_twin(twin), None)[1]:
         call.message(said)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
-    for remark in forced_remarks(replayed.logs):
+    for remark in remarks_on(replayed.logs):
         call.message(f"  ! {remark}")
     value = show_errors(call, replayed.judgement, out / "replay.json")
     call.result(f"Page: {replayed.page}")

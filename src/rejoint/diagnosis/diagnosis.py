@@ -21,7 +21,8 @@ from rejoint.diagnosis.segments import (
     settled_postures,
 )
 from rejoint.diagnosis.verdict import RULES, Finding, find
-from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
+from rejoint.logs.columns import ZEROS
+from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -180,7 +181,8 @@ def diagnose_logs(
     told = _by_effort(measurement, data.effort_unit, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent, doubt = {joint: log.label for log in logs for joint in unpowered_joints(log)}, sag_doubt(data)
+    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    doubt = data.log.extra.get(ZEROS) or sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
         robot=source,
@@ -192,7 +194,7 @@ def diagnose_logs(
             *_untold(measurement),
             LAG_ALONE,
             BEHIND,
-            *(f"{remark}." for remark in forced_remarks(logs)),
+            *(f"{remark}." for remark in remarks_on(logs)),
         ),
         open_loop=None,
         measurement=measurement,
@@ -281,7 +283,7 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
         position, command = resting_postures(answered(log), rows)
-        if not len(position):
+        if ZEROS in log.extra or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()

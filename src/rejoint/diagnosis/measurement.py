@@ -27,6 +27,7 @@ from rejoint.diagnosis.metrics import (
 )
 from rejoint.diagnosis.regression import LinearFit, product, reciprocal, scaled, shifted, within
 from rejoint.diagnosis.segments import FREE, STEP, STILL, ExcitationLog, is_excitation
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.runlog import RunLog
 from rejoint.system.records import value_type
 from rejoint.system.statistics import NORMAL95, Estimate
@@ -198,7 +199,7 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
         stuck_rad=metrics.farthest_off(data, joint, law),
         coulomb_effort=None if effort is None else effort.estimate(WIDTH),
         viscous_effort=None if effort is None else effort.estimate(LAG),
-        offset_rad=None if law is None else scaled(law.estimate(OFFSET), -1.0),
+        offset_rad=None if law is None or ZEROS in data.log.extra else scaled(law.estimate(OFFSET), -1.0),
     )
 
 
@@ -286,7 +287,7 @@ def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
     torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
     by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
-    by_sag = _by_sag(data.arm, laws, KNOWN_WITHIN)
+    by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
     pairs = list(zip(by_torque, by_sag, strict=True))
     apart = [abs(np.log(one.value / sag.value)) > np.log(SURE_WITHIN) for one, sag in pairs if one and sag]
     if np.sum(apart) > len(apart) / 2:  # the column holds no torques of the joints: another unit, or before the gear

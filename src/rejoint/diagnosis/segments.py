@@ -20,6 +20,7 @@ from rejoint.arms.kinematics import frames
 from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.control.servoreference import ServoReference
 from rejoint.diagnosis.regression import mean_of
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, free_runs, joint_speed
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -194,6 +195,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
         label=f"{len(logs)} logs",
         time=np.concatenate(times),
         units=logs[0].units,
+        extra={key: said for log in logs for key, said in log.extra.items() if key == ZEROS},
         **arrays,
     )
     return ExcitationLog(arm=arm, log=everything, segments=tuple(segments))

@@ -241,6 +241,12 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """SI units per unit of each group; of times, units per second"""
 SI = {"torque": "N m", "current": "A"}
+ZEROS = "zeros"
+"""Key in ``extra``: why the zeros of the joints are not known"""
+_MIDDLES = (
+    "the middle of each joint's range is unknown and taken as zero: offsets, sag and places of the tool are not known, "
+    "millimetres at the tool are rough"
+)
 NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
 MOTION = ("position", "command")
@@ -295,7 +301,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         more=more,
         units=measured,
         robot=f"{kind}:{source.stem}",
-        extra={"source": source.name, "format": kind, **motion.extra},
+        extra={"source": source.name, "format": kind, **table.extra},
     )
     return _held(replace(found.take(np.argsort(sort_keys(found.time), kind="stable")), notes=table.notes))
 
@@ -327,7 +333,7 @@ def _held(motion: RecordedMotion) -> RecordedMotion:
 class _GroupedColumns:
     def __init__(self, motion: RawMotion, arm: Arm, options: ImportOptions) -> None:
         self.motion, self.arm, self.options = motion, arm, options
-        self.notes = [*motion.notes]
+        self.notes, self.extra = [*motion.notes], {**motion.extra}
         self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
         self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
@@ -483,10 +489,8 @@ class _GroupedColumns:
         raw = self._read(self._columns("position"))
         counts = calibrated_ranges(raw[np.isfinite(raw).all(axis=1)], self.arm, self.motion.path)
         told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(self.arm.joint_names, counts, strict=True))
-        self.notes.append(
-            f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
-            "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
-        )
+        self.notes.append(f"without a calibration the ranges follow from the steps of the encoders ({told} counts)")
+        self.extra[ZEROS] = _MIDDLES
         return counts * np.pi / COUNTS_PER_TURN
 
     def measured(self) -> tuple[dict[str, Array], dict[str, str]]:

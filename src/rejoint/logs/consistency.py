@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.columns import FEWEST, NORMALISED_MOST, RecordedMotion, turn_bits, unit_by_steps
+from rejoint.logs.columns import FEWEST, NORMALISED_MOST, ZEROS, RecordedMotion, turn_bits, unit_by_steps
 from rejoint.logs.exclusions import correlations
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.runlog import TWO_TURNS, RunLog
@@ -131,15 +131,20 @@ Remark: TypeAlias = tuple[str, str]
 """A doubt about a log and its remedy; or a note, without one"""
 
 
-def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
-    """Name logs imported by force."""
+def kept_remarks(log: RunLog) -> list[str]:
+    """Return what the import found out about a log, and kept in it."""
+    forced = [f"imported by force, although {one}" for one in log.extra.get(FORCED, "").split(BETWEEN) if one]
+    return [*filter(None, [log.extra.get(ZEROS)]), *forced]
+
+
+def remarks_on(logs: Sequence[RunLog]) -> list[str]:
+    """Return the kept remarks with the names of their logs."""
     found: dict[str, list[str]] = {}
     for log in logs:
-        for reason in filter(None, log.extra.get(FORCED, "").split(BETWEEN)):
-            found.setdefault(reason, []).append(log.label)
+        for remark in kept_remarks(log):
+            found.setdefault(remark, []).append(log.label)
     return [
-        f"{labels[0]}{f' and {len(labels) - 1} more' * (len(labels) > 1)}: imported by force, although {reason}"
-        for reason, labels in found.items()
+        f"{labels[0]}{f' and {len(labels) - 1} more' * (len(labels) > 1)}: {remark}" for remark, labels in found.items()
     ]
 
 

@@ -21,6 +21,7 @@ from rejoint.logs.consistency import (
     check_units,
     clean,
     copies,
+    kept_remarks,
 )
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
@@ -140,7 +141,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     notes.extend(
         f"state: {one} never answers its command: unpowered, too weak or stuck (--torque-off {one})" for one in silent
     )
-    return log, [*notes, *(f"imported by force, although {reason}" for reason in reasons)]
+    return log, [*notes, *kept_remarks(log)]
 
 
 @value_type

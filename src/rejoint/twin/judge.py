@@ -18,6 +18,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.diagnosis.metrics import COARSEST
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
@@ -161,7 +162,7 @@ HALVED = 2.0
 
 
 def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
-    found = []
+    found = sorted({log.extra[ZEROS] for log in logs if ZEROS in log.extra})
     travel = max(np.ptp(log.position, axis=0).max() for log in logs)
     if travel < MOVED:
         return [f"no joint moved by more than {np.degrees(travel):.2g} deg, expected at least {np.degrees(MOVED):g}"]

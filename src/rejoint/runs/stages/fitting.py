@@ -15,7 +15,7 @@ from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
-from rejoint.logs.consistency import forced_remarks, require_commands
+from rejoint.logs.consistency import remarks_on, require_commands
 from rejoint.logs.exclusions import answered, declared
 from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
@@ -136,7 +136,7 @@ def identify(
             hold_out = None if what.hold_out is None else tuple(what.hold_out)
             how = LogSettings(hold_out=hold_out, seed=drawn)
             twin = identify_logs(chosen, motions, how, update, what.beside)
-            twin = replace(twin, notes=(*twin.notes, *forced_remarks(motions)))
+            twin = replace(twin, notes=(*twin.notes, *remarks_on(motions)))
         if about is not None:
             about.begin().folder.judgement.unlink(missing_ok=True)
             twin.save(about.folder.twin)
