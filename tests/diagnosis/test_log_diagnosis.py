@@ -246,12 +246,18 @@ def test_current_tells_friction_where_nobody_recorded_commands():
         assert row.stiffness_nm_per_rad is None
     assert diagnosis.measurement.joints[-1].coulomb_effort is None
     assert " A (" in diagnosis.verdict
+    assert diagnosis == replace(diagnose_logs(ARM, [log], plain_reference()), healthy=None)  # it knows no current
+    for current in (-log.current, np.abs(log.current)):
+        rows = diagnose_logs(ARM, [replace(log, current=current)], None).measurement.joints
+        assert {(row.coulomb_effort, row.viscous_effort) for row in rows} == {(None, None)}
 
 
-@pytest.mark.parametrize(("grown", "condition"), [(1.0, "unknown"), (1.6, "worn")])
-def test_friction_that_grew_between_two_dates_is_named_and_no_other(grown, condition):
+@pytest.mark.parametrize(
+    ("grown", "unit", "condition"), [(1.0, "A", "unknown"), (1.6, "A", "worn"), (1.6, "", "unknown")]
+)
+def test_friction_that_grew_between_two_dates_is_named_and_no_other(grown, unit, condition):
     dry = np.full(ARM.joints, 0.4)
-    before = diagnose_logs(ARM, [states_with_current(dry, 0.0)], None)
+    before = diagnose_logs(ARM, [replace(states_with_current(dry, 0.0), units={"current": unit})], None)
     dry[1] *= grown
     now = diagnose_logs(ARM, [states_with_current(dry, 0.7)], reference_by(ARM, before))
     assert now.condition == condition

@@ -171,7 +171,8 @@ def diagnose(
     ).diagnosis
     if call.settings.dry_run:
         return {"robot": robot}
-    call.next(command("identify", job.path) if logs is None else command("identify", "--logs", logs, "--run", job.path))
+    if any(row.sweep_gain is not None for row in found.measurement.joints):  # None: no commands that a twin needs
+        call.next(command("identify", *((job.path,) if logs is None else ("--logs", logs, "--run", job.path))))
     return {
         "run": job.path,
         "diagnosis": found,

@@ -74,7 +74,7 @@ UNKNOWN = {
     "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told. Gravity does "
     "not load it enough in these motions, they disagree too much, or its controller may carry the weight.",
     "lag_s": "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too "
-    "weak, in one direction only, with readings too far apart or without commands.",
+    "weak, in one direction only, or with readings too far apart.",
     "overshoot": "Whether {} shoots over cannot be told: too few steps.",
     "noise_rad": "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.",
     "torque_limit_nm": "The torque limit of {} was not seen.",
@@ -82,6 +82,7 @@ UNKNOWN = {
 """What motions leave open where a quantity is unknown"""
 
 BEHIND = "Play and flex behind the encoders, and so the true error of the tool, cannot be seen."
+BARE = "Stiffness, lag, zeros, overshoot and noise cannot be told without commands."
 LAG_ALONE = (
     "Lag here holds the delay of commands and answers, and damping is part of it: `rejoint diagnose ROBOT` tells them "
     "apart."
@@ -178,7 +179,7 @@ def diagnose_logs(
     rest = _rest(logs, excluded)
     findings = () if bare else find(arm, measurement, rest, healthy)
     grown = _grown(measurement, healthy) if bare else None
-    told = _by_effort(measurement, data.effort_unit, grown)
+    told = _by_effort(measurement, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
     silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
@@ -191,8 +192,7 @@ def diagnose_logs(
         findings=findings,
         unseen=(
             *(f"{joint} does not answer in {label}: unpowered, too weak or stuck." for joint, label in silent.items()),
-            *_untold(measurement),
-            LAG_ALONE,
+            *((BARE,) if bare else (*_untold(measurement), LAG_ALONE)),
             BEHIND,
             *(f"{remark}." for remark in remarks_on(logs)),
         ),
@@ -347,30 +347,33 @@ def _farthest(arm: Arm, rest: Postures) -> str:
 
 
 def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[str] | None:
-    """Joints with more friction than the healthy arm, by torque or current; None without such an arm."""
-    if healthy is None:
+    """Joints with more friction than the healthy arm, by torque or current; None where nothing can be compared."""
+    if healthy is None or healthy.effort_unit != measurement.effort_unit:
         return None
-    found = []
-    for row, good in zip(measurement.joints, healthy.joints, strict=True):
-        now, usual = row.coulomb_effort, good.coulomb_effort
-        if now and usual and (now.low or 0.0) > (usual.high or np.inf):
-            found.append(row.joint)
-    return found
+    rows = zip(measurement.joints, healthy.joints, strict=True)
+    pairs = [
+        (row.joint, now, usual) for row, good in rows if (now := row.coulomb_effort) and (usual := good.coulomb_effort)
+    ]
+    return [joint for joint, now, usual in pairs if (now.low or 0.0) > (usual.high or np.inf)] if pairs else None
 
 
-def _by_effort(measurement: Measurement, unit: str | None, grown: list[str] | None) -> str:
+def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
     def said(found: Estimate, unit: str) -> str:
         return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
 
-    unit = f" {unit}" if unit else ""
+    unit = f" {measurement.effort_unit}" if measurement.effort_unit else ""
     named = "; ".join(
         f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}"
         for row in measurement.joints
         if row.coulomb_effort and row.viscous_effort
     )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
+    why = "no joint moves in both directions for long enough"
+    if measurement.turned:
+        why = f"it is below zero at {', '.join(measurement.turned)}: the sign of the column is turned or missing. "
+        why += "Import the values with their sign (a minus in --map turns one)"
     return (
         f"These logs hold no commands{'' if grown else ': whether the arm is worn cannot be told'}. Dry friction, and "
         f"friction by speed, by what the motors give{'' if unit else ', in the unit of the column'}: "
-        f"{named or 'not known, as no joint moves in both directions for long enough'}.{than}"
+        f"{named or f'not known, as {why}'}.{than}"
     )

@@ -76,6 +76,8 @@ class HealthyReference:
     joints: tuple[JointMetrics, ...]
     error_mm: Estimate | None
     """of ten targets open loop, or at rest, by encoders"""
+    effort_unit: str | None = None
+    """as in `Measurement`"""
     setting: str = ""
     """load, P and supply it was computed for"""
 
@@ -224,6 +226,7 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
         joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
         error_mm=error and _range([error]),
+        effort_unit=good.measurement.effort_unit,
     )
 
 

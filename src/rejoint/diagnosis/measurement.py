@@ -138,6 +138,10 @@ class Measurement:
     joints: tuple[JointMetrics, ...]
     period_s: float
     """median of the readings"""
+    effort_unit: str | None = None
+    """of friction by torque or current; empty: that of the column"""
+    turned: tuple[str, ...] = ()
+    """joints with such friction clearly below zero: the sign is turned or missing, and that of no joint is known"""
 
     def balance(self, arm: Arm) -> tuple[Array, Array]:
         """Sag per gravity torque (n,) [rad/(N m)] and lead without load (n,) [rad]; NaN if unknown.
@@ -178,7 +182,11 @@ def measure_logs(data: ExcitationLog) -> Measurement:
     """Measure every joint from joined logs."""
     laws = _laws(data)
     rows = [_row(data, joint, law, k) for joint, (law, k) in enumerate(zip(laws, _known(data, laws), strict=True))]
-    return Measurement(joints=tuple(rows), period_s=data.log.period)
+    efforts = [(row.joint, one) for row in rows for one in (row.coulomb_effort, row.viscous_effort)]
+    turned = tuple(dict.fromkeys(joint for joint, one in efforts if one and (one.high or 0.0) < 0.0))
+    if turned:
+        rows = [replace(row, coulomb_effort=None, viscous_effort=None) for row in rows]
+    return Measurement(joints=tuple(rows), period_s=data.log.period, effort_unit=data.effort_unit, turned=turned)
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
