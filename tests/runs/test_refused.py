@@ -11,6 +11,7 @@ from madetwin import made_calibration
 from rejoint.arms import Displacement, mycobot280, so101
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.runs.run import Run
+from rejoint.session.context import zeros_of
 from runs.test_connect import a_twin
 
 ARM = mycobot280()
@@ -44,6 +45,21 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run):
     for drive in drives:
         with pytest.raises(rejoint.InputError, match=r"shifts a target by .* calibrate again"):
             drive()
+
+
+def test_a_calibration_holds_for_the_zeros_that_it_was_measured_with(tmp_path):
+    file, arm = tmp_path / "arm.json", so101()
+    file.write_text("{}")
+    address = f"feetech://127.0.0.1:9?calibration={file}"
+    run = Run.create(tmp_path / "run", address, arm)
+    far = replace(Displacement.none(arm), offset=np.array([0.5, 0.0, 0.0, 0.0, 0.0]))
+    write_calibration(run.folder.calibration, made_calibration(arm, far, zeros=zeros_of(address)))
+    with pytest.raises(rejoint.InputError, match="shifts a target"):
+        rejoint.connect(address, run=run)
+    for other in (f"{address}&zero=0,0,0,0,5", address):
+        with pytest.raises((rejoint.FileError, rejoint.RobotError)):  # opened, uncorrected
+            rejoint.connect(other, run=run)
+        file.write_text("{ }")  # calibrated again, under the same name
 
 
 @pytest.mark.parametrize(

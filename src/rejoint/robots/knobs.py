@@ -15,7 +15,7 @@ from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung,
 from rejoint.robots.family import Wire, read_wire
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
-from rejoint.system.files import read_shipped
+from rejoint.system.files import digest, read_shipped
 from rejoint.system.records import value_type
 from rejoint.system.stopping import ending
 
@@ -249,6 +249,13 @@ class ServoAddress:
     def spot(self) -> str:
         """Equal for all its addresses."""
         return self.wire.spot
+
+    @property
+    def zeros(self) -> str:
+        """Fingerprint of the file and the angles that say where zero is; empty without them."""
+        file = self.calibration
+        data = file.read_bytes() if file is not None and file.exists() else b""
+        return digest(data + repr(self.zero).encode()) if data or self.zero else ""
 
     def middle(self, arm: Arm) -> Array:
         """Angles (n,) [rad] in mid-range, where LeRobot has its zeros; InputError."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -132,13 +133,19 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
 
 def is_own(run: Run, robot: str) -> bool:
-    """Whether ``robot`` is at the address of a run's own robot, with the same zeros."""
+    """Whether ``robot`` is at the address of a run's own robot."""
     try:
         own, here = place_of(run.robot), place_of(robot)
     except AddressError:  # a robot that was opened by other means
         return robot == run.robot
-    zeros = [[getattr(place.detail, name, None) for name in ("calibration", "zero")] for place in (own, here)]
-    return own.unloaded == here.unloaded or not (own.virtual or here.virtual or zeros[0] != zeros[1])
+    return own.unloaded == here.unloaded or not (own.virtual or here.virtual)
+
+
+def zeros_of(robot: str) -> str:
+    """Fingerprint of what the address of a ``robot`` says of its zeros; empty if nothing."""
+    with suppress(AddressError):
+        return str(getattr(place_of(robot).detail, "zeros", ""))
+    return ""
 
 
 def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:

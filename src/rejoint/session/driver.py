@@ -56,6 +56,7 @@ from rejoint.session.context import (
     quick_note,
     stance_of,
     twin_under,
+    zeros_of,
 )
 from rejoint.session.inputs import (
     ArmLike,
@@ -437,9 +438,12 @@ class ArmDriver:
         if found is None:
             return None
         own = given is not None or run is None or is_own(run, self.address)
-        if own and found.used:
+        same = given is not None or found.zeros == zeros_of(self.address)
+        why = "" if found.used else "it did not clearly help"
+        why = why if same else "the zeros of the joints have changed since; calibrate again"
+        why = why if own else f"it is not of {self.address}"
+        if not why:
             return found
-        why = "it did not clearly help" if own else f"it is not of {self.address}"
         known = self._named.folder.calibration if self._named else "the calibration"
         name = given if isinstance(given, str | Path) else known
         self.observer.message(f"Not corrected: {name} is not applied; {why}.")

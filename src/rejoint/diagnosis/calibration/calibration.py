@@ -256,6 +256,8 @@ class Calibration(Readable):
     """whether the correction helped at points left out; else it is off"""
     floor: float
     """[m] sigma per coordinate beyond the model"""
+    zeros: str = ""
+    """of the address, as `zeros_of`"""
     suspects: tuple[int, ...] = ()
     """rows, from 0, that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))

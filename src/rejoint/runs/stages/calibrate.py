@@ -31,7 +31,7 @@ from rejoint.diagnosis.calibration.procedure import (
     suggest,
 )
 from rejoint.runs.run import Run
-from rejoint.session.context import stance_of
+from rejoint.session.context import stance_of, zeros_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_calibration
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
@@ -207,7 +207,8 @@ def calibrate(
                 else:
                     measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
-        result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
+        zeros = zeros_of(session.address or (about.robot if about else ""))
+        result = _fitted(session.arm, measured, prior, zeros, taken=about is not None and before is None)
         check()  # what is interrupted changes nothing
         if about is not None:
             with saving(result):
@@ -222,7 +223,9 @@ def calibrate(
         return result
 
 
-def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
+def _fitted(
+    arm: Arm, measured: Measurements | Film, prior: Calibration | None, zeros: str, *, taken: bool
+) -> Calibrated:
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
     try:
@@ -236,5 +239,8 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
             error.add_note("What was measured is kept; this measures again: rejoint calibrate ROBOT RUN --fresh")
         raise
     return Calibrated(
-        calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
+        calibration=replace(found, zeros=zeros),
+        measurements=measured,
+        reversal=reversals(arm, measured, found.frame),
+        filmed=filmed,
     )
