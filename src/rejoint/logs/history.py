@@ -42,13 +42,13 @@ def hours_of(address: str) -> float | None:
 
 
 def setup_of(arm: Arm) -> str:
-    """Fingerprint of a description."""
+    """Fingerprint of a description, rounded: a file that was written from another differs in the last digits."""
     text = hashlib.sha256()
     for item in fields(arm):
         value = getattr(arm, item.name)
         parts = (value.lower, value.upper) if item.name == "targets" else (value,)
         for part in parts:
-            text.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+            text.update((np.round(part, 9) + 0.0).tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
     return text.hexdigest()[:16]
 
 

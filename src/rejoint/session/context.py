@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.postures import find_postures, too_heavy
-from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.controllers.catalogue import (
@@ -33,7 +31,6 @@ from rejoint.control.controllers.policy import Policy, check_controller_period
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands
-from rejoint.control.moving.tracker import joint_weights
 from rejoint.control.robot import Controller, heeds_turn
 from rejoint.control.servogains import (
     GEARED,
@@ -48,43 +45,28 @@ from rejoint.control.servogains import (
     stiffness_under,
 )
 from rejoint.control.start import Stance
-from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
 from rejoint.session.inputs import ControllerLike, Period, laden
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
-from rejoint.twin.parameters import Layout, back_emf, lifting_torque
+from rejoint.twin.parameters import back_emf, lifting_torque
 from rejoint.twin.twin import Twin
 
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
-UNSEEN = 3.0
-"""Factor on torque limits that a twin never saw (chosen)"""
-
-
-def heavy(arm: Arm, twin: Twin, points: Array, turns: Orientation | None = None) -> list[str]:
-    """Say at which of K ``points`` (K, 3) [m] a motor is too weak by a limit that the twin has seen."""
-    start = np.broadcast_to(arm.rest, (len(points), arm.joints))
-    limit = np.where(_limits_seen(twin) & (joint_weights(arm) <= 1.0), believed_motors(arm, twin).usable, np.inf)
-    judged = (too_heavy(arm, posture, limit) for posture in find_postures(arm, points, start, turns))
-    return [f"{in_mm(point)}: {why}" for point, (joint, why) in zip(points, judged, strict=True) if joint is not None]
-
-
-def _limits_seen(twin: Twin) -> NDArray[Any]:
-    """Whether the motion that was fitted showed the torque limits (n,) of a twin."""
-    return twin.identified[Layout(len(twin.joint_names)).at("torque_limit")]
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:
-    """Motors of a twin; unseen limits may be three times as high."""
+    """Motors of a twin."""
     own = twin.parameters
-    limit = np.where(_limits_seen(twin), own.torque_limit, UNSEEN * own.torque_limit)
     late, emf = float(own.delay) + 0.5 * NOMINAL_PERIOD, back_emf(arm, own)
-    return Motors(limit, lifting_torque(own), own.damping, own.coulomb, own.armature, own.stiffness, late, emf)
+    return Motors(
+        own.torque_limit, lifting_torque(own), own.damping, own.coulomb, own.armature, own.stiffness, late, emf
+    )
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:

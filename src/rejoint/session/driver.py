@@ -16,15 +16,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Motors, tcp_position
 from rejoint.arms.inertia import LoadedArm
-from rejoint.arms.rotations import Orientation
+from rejoint.arms.postures import too_heavy
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.tracker import joint_weights
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
 from rejoint.control.reference import Reference
 from rejoint.control.robot import (
@@ -39,6 +40,7 @@ from rejoint.control.robot import (
 )
 from rejoint.control.servogains import ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
+from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
@@ -48,9 +50,9 @@ from rejoint.runs.run import Run, dated, exclusive, staged
 from rejoint.session.context import (
     ControllerMaker,
     Factory,
+    believed_motors,
     correction_of,
     guard_limits,
-    heavy,
     is_own,
     noticed_load,
     quick_note,
@@ -497,12 +499,20 @@ class ArmDriver:
             self._gains.enter_context(under_gains(robot, controller))
             self.limits, self._in_charge = limits_under(self._base, robot, controller), controller
 
-    def say_heavy(self, targets: Array, turns: Orientation | None) -> None:
-        """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
-        arm, twin = self.arm, self.twin
-        if twin is None or not isinstance(arm, LoadedArm):
+    @property
+    def motors(self) -> Motors | None:
+        """What the motors hold and lift, by the twin under the gains in force; None without one."""
+        twin = self.twin_now
+        return None if twin is None else believed_motors(self.arm, twin)
+
+    def say_heavy(self, targets: Array, postures: Array, motors: Motors | None) -> None:
+        """Report ``targets`` (K, 3) [m] in whose ``postures`` (K, n) [rad] the ``motors`` may not lift the load."""
+        arm = self.arm
+        if motors is None or not isinstance(arm, LoadedArm):
             return
-        found = heavy(arm, twin, targets.reshape(-1, 3), turns and turns.flat)
+        lifted = np.where(joint_weights(arm) <= 1.0, motors.usable, np.inf)
+        judged = [(place, *too_heavy(arm, q, lifted)) for place, q in zip(targets, postures, strict=True)]
+        found = [f"{in_mm(place)}: {why}" for place, joint, why in judged if joint is not None]
         if found:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
@@ -600,9 +610,11 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
+            advice, motors = "Give it more time or room, or look whether something is in its way", self.motors
+            joint, why = (None, "") if motors is None else too_heavy(arm, self.robot.read().position[0], motors.usable)
             raise NotReachedError(
                 f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. "
-                f"{lags}. Give it more time or room, or look whether something is in its way"
+                f"{lags}. {advice if joint is None else f'Its load is too heavy there: {why}'}"
             )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:

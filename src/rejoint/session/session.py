@@ -23,7 +23,6 @@ from rejoint.control.reference import Reference, TargetSequence, with_ways
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
 from rejoint.runs.run import exclusive
-from rejoint.session.context import believed_motors
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalStream, RunRecorder
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
@@ -130,12 +129,6 @@ class ArmSession(ArmDriver):
     def _moving(self) -> bool:
         return self._motion is not None and not self._motion.done()
 
-    @property
-    def motors(self) -> Motors | None:
-        """What the motors hold and lift, by the twin under the gains in force; None without one."""
-        twin = self.twin_now
-        return None if twin is None else believed_motors(self.arm, twin)
-
     # --- motions ------------------------------------------------------------------------------
 
     def move_to(
@@ -189,6 +182,7 @@ class ArmSession(ArmDriver):
             if why:
                 number = f" {k + 1}" if len(targets) > 1 else ""
                 raise InputError(f"target{number} {in_mm(targets[k])}: {why}")
+        self.say_heavy(targets, found.q, motors)
         return with_ways(self.arm, found.q, start, motors=motors)
 
     def move_joints(

@@ -412,7 +412,7 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
     def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
         kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name != "arm"}
-        parts = {name: msgspec.convert(data[name], kind, dec_hook=array_of) for name, kind in kinds.items()}
+        parts = {k: msgspec.convert(data[k], kind, dec_hook=array_of) for k, kind in kinds.items() if k in data}
         own = Calibration(arm=arm, **parts)
         require_finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
         return own

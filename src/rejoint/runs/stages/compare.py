@@ -16,6 +16,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
+from rejoint.arms.postures import find_postures
 from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
@@ -357,10 +358,12 @@ def comparison_job(
     block = BLOCK if real and not plan.full else 0
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
-    session.say_heavy(points, turns)
     protocol, ways, longest = as_options(plan.protocol or (ONE_ARM_PROTOCOL if block else None), Protocol), None, 0.0
-    if targets is not None:
-        motors = None if twin is None else believed_motors(arm, twin)
+    motors = None if twin is None else believed_motors(arm, twin)
+    if targets is None:
+        places = points.reshape(-1, 3)
+        session.say_heavy(places, find_postures(arm, places, np.tile(arm.rest, (len(places), 1)), None), motors)
+    else:
         ways = [session.ways(one, turns and turns[k], motors) for k, one in enumerate(points)]
         longest = round(0.05 + max(way.duration for row in ways for way in row), 1)
     trials = TrialSettings(
