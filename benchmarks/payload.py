@@ -69,7 +69,9 @@ def main(
         for seed in map(int, seeds.split(",")):
             place = RunFolder((twins or FilePath(folder)) / str(seed))
             twin = own_twin(arm, seed, place, seed // FAMILY_SIZE - 1)
-            too_heavy = np.array([why != "" for why in heavy(loaded(arm, load), twin, targets[0])])
+            laden, places = loaded(arm, load), targets[0]
+            postures = find_postures(laden, places, np.tile(arm.rest, (len(places), 1)), None)
+            too_heavy = np.array([why != "" for why in heavy(laden, postures, believed_motors(laden, twin))])
             light = ~too_heavy
             needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in chosen}
             for case, name in product(chosen, names):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.postures import too_heavy
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.controllers.catalogue import (
@@ -31,6 +32,7 @@ from rejoint.control.controllers.policy import Policy, check_controller_period
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import standing_bands
+from rejoint.control.moving.tracker import joint_weights
 from rejoint.control.robot import Controller, heeds_turn
 from rejoint.control.servogains import (
     GEARED,
@@ -58,6 +60,13 @@ STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
+
+
+def heavy(arm: Arm, postures: Array, motors: Motors) -> list[str]:
+    """Say which of the ``motors`` may not lift each of K ``postures`` (K, n) [rad]; empty where they do."""
+    lifted = np.where(joint_weights(arm) <= 1.0, motors.usable, np.inf)
+    judged = (too_heavy(arm, posture, lifted) for posture in postures)
+    return [why if joint is not None else "" for joint, why in judged]
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:

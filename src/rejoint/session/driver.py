@@ -25,7 +25,6 @@ from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
-from rejoint.control.moving.tracker import joint_weights
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
 from rejoint.control.reference import Reference
 from rejoint.control.robot import (
@@ -53,6 +52,7 @@ from rejoint.session.context import (
     believed_motors,
     correction_of,
     guard_limits,
+    heavy,
     is_own,
     noticed_load,
     quick_note,
@@ -507,13 +507,10 @@ class ArmDriver:
 
     def say_heavy(self, targets: Array, postures: Array, motors: Motors | None) -> None:
         """Report ``targets`` (K, 3) [m] in whose ``postures`` (K, n) [rad] the ``motors`` may not lift the load."""
-        arm = self.arm
-        if motors is None or not isinstance(arm, LoadedArm):
+        if motors is None or not isinstance(self.arm, LoadedArm):
             return
-        lifted = np.where(joint_weights(arm) <= 1.0, motors.usable, np.inf)
-        judged = [(place, *too_heavy(arm, q, lifted)) for place, q in zip(targets, postures, strict=True)]
-        found = [f"{in_mm(place)}: {why}" for place, joint, why in judged if joint is not None]
-        if found:
+        judged = zip(targets, heavy(self.arm, postures, motors), strict=True)
+        if found := [f"{in_mm(place)}: {why}" for place, why in judged if why]:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
                 f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not come there."

@@ -269,7 +269,8 @@ class Campaign:
         folder = self.fleet.folder if step == "check" else self.run_folder(arm).path
         options = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
         if step == "check":
-            options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name)}
+            first = "" if arm.may_repair else "  # first write may_repair = true into the file"
+            options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name) + first}
         work = Work(arm=arm, step=step, folder=folder, options=options)
         if work.moves:
             one.why = self._refused(work)
