@@ -33,6 +33,7 @@ from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.session.context import believed_motors, heavy, noticed_load
+from rejoint.system.errors import InputError
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
@@ -128,7 +129,10 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
     servos = twin.parameters.repeat(1)
-    home = path.home(robot.arm, believed_motors(robot.arm, twin))
+    try:
+        home = path.home(robot.arm, believed_motors(robot.arm, twin))
+    except InputError:  # too heavy
+        return np.nan
     sent = move(robot, PathPostures(robot.arm, path.place[:1], home=home).last[0], sent=sent, settle=0.5).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
     recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [path], home), schedule)

@@ -83,6 +83,13 @@ class Motors(NamedTuple):
     """[s] command to effect (chosen for unknown servos: worn ones take 0.07 to 0.15 s)"""
     back_emf: Array | float = 0.0
     """(n,) [N m s/rad] part of the damping that takes from the limit"""
+    doubt: Array | float = 1.0
+    """(n,) factor by which the limit may be higher"""
+
+    @property
+    def most(self) -> Array:
+        """(n,) [N m] above which a motor surely cannot hold."""
+        return self.doubt * self.limit
 
 
 @entity
@@ -302,7 +309,7 @@ def _neighbours(arm: Arm, goal: Array, other: Array) -> bool:
 def _load_of(arm: Arm, motors: Motors | None) -> Array:
     """Torque (2, n) [N m] that counts as one, and the largest."""
     if motors is not None:
-        return np.stack([motors.usable / redundancy.LOAD, motors.limit])
+        return np.stack([motors.usable / redundancy.LOAD, motors.most])
     torque = np.abs(pool_of(arm).torque).max(axis=0, initial=1e-9)
     return np.stack([np.maximum(torque, UNLOADED * torque.max()), np.full(arm.joints, np.inf)])
 

@@ -262,7 +262,7 @@ class ServedArm(Computer, Reference):
         """Return the joint that cannot hold ``angles`` (n,) [rad], and why, or None."""
         if self._motors is None:
             return None, ""
-        return too_heavy(self.arm, self._apparent.measured(angles), self._motors.limit)
+        return too_heavy(self.arm, self._apparent.measured(angles), self._motors.most)
 
     def _is_clear(self, angles: Array) -> bool:
         """Whether motors and guard allow ``angles`` (n,) [rad]; in contact it may go nearer to what is clear."""

@@ -58,24 +58,28 @@ from rejoint.twin.twin import Twin
 
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
+UNSEEN = 3.0
+"""Factor on torque limits that are not identified (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
 
 
 def heavy(arm: Arm, postures: Array, motors: Motors) -> list[str]:
-    """Say which of the ``motors`` may not lift each of K ``postures`` (K, n) [rad]; empty where they do."""
-    lifted = np.where(joint_weights(arm) <= 1.0, motors.usable, np.inf)
+    """Say which of the ``motors`` may not lift each of K ``postures`` (K, n) [rad]; empty where they do.
+
+    Midway between what they lift and what they hold (``benchmarks payload``).
+    """
+    lifted = np.where(joint_weights(arm) <= 1.0, 0.5 * (motors.usable + motors.limit), np.inf)
     judged = (too_heavy(arm, posture, lifted) for posture in postures)
     return [why if joint is not None else "" for joint, why in judged]
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:
-    """Motors of a twin."""
-    own = twin.parameters
+    """Motors of a twin; limits that are not identified may be three times as high."""
+    own, limit, lifting = twin.parameters, twin.parameters.torque_limit, lifting_torque(twin.parameters)
     late, emf = float(own.delay) + 0.5 * NOMINAL_PERIOD, back_emf(arm, own)
-    return Motors(
-        own.torque_limit, lifting_torque(own), own.damping, own.coulomb, own.armature, own.stiffness, late, emf
-    )
+    doubt = np.where(twin.identified[twin.layout.at("torque_limit")], 1.0, UNSEEN)
+    return Motors(limit, lifting, own.damping, own.coulomb, own.armature, own.stiffness, late, emf, doubt)
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:

@@ -206,7 +206,7 @@ def _home(arm: Arm, motors: Motors | None, time: Array, places: Array, turns: Or
 
 def _loads(arm: Arm, motors: Motors | None) -> Array:
     """Usual and largest torque (2, n) [N m] along a path."""
-    lifted = np.inf if motors is None else np.maximum(motors.usable, _SURELY * motors.limit)
+    lifted = np.inf if motors is None else np.maximum(motors.usable, _SURELY * motors.most)
     return np.outer([_LIGHT, _HEAVY], lifted * np.ones(arm.joints))
 
 
