@@ -209,7 +209,7 @@ def _parts(columns: Sequence[Sequence[str]], most: int) -> list[list[Sequence[st
 
 def _least(column: Sequence[str]) -> int:
     words = [cell_len(word) for cell in column for word in cell.split()]
-    whole = [wide for wide in map(cell_len, column[1:]) if wide <= _CELL]
+    whole = [min(cell_len(cell), _CELL) for cell in column[1:]]
     return min(max([*words, *whole]), WIDTH // 2)
 
 
