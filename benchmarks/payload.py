@@ -64,17 +64,16 @@ def main(
     names, chosen = controllers.split(","), cases.split(",")
     arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
     targets = draw_targets(arm, sets=1, seed=3)
+    postures = find_postures(arm, targets[0], np.broadcast_to(arm.rest, (targets.shape[1], arm.joints)), None)
     heads = f"{'settled':>8} {'time s':>7} {'seems g':>8} {'too heavy':>10} {'joint3 %':>8} {'joint4 %':>8} {PATH:>10}"
     print(f"{'arm':>6} {'driven by':>11} {'case':>7} {heads}")
     with TemporaryDirectory() as folder:
         for seed in map(int, seeds.split(",")):
             place = RunFolder((twins or FilePath(folder)) / str(seed))
             twin = own_twin(arm, seed, place, seed // FAMILY_SIZE - 1)
-            laden, places = loaded(arm, load), targets[0]
-            postures = find_postures(laden, places, np.tile(arm.rest, (len(places), 1)), None)
-            too_heavy = np.array([why != "" for why in heavy(laden, postures, believed_motors(laden, twin))])
+            too_heavy = np.array([*map(bool, heavy(loaded(arm, load), postures, believed_motors(arm, twin)))])
             light = ~too_heavy
-            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in chosen}
+            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], postures) for case in chosen}
             for case, name in product(chosen, names):
                 true, told = (load * given for given in CASES[case])
                 settled, time, seems = _hold(arm, seed, twin, CONTROLLERS[name], targets, true, told)
@@ -117,10 +116,9 @@ def _hold(
     return holds["settled"][0], holds[Protocol().stay_names[NARROW]][0], seems
 
 
-def _needed(arm: Arm, seed: int, load: float, targets: Array) -> Array:
-    """Return the share (n,) of its motors that an arm needs to go on moving, at the target where that is largest."""
-    wear, start = load_wear(f"worn?seed={seed}", arm), np.broadcast_to(arm.rest, (len(targets), arm.joints))
-    weight = np.abs(gravity_torque(loaded(arm, load), find_postures(arm, targets, start, None)))
+def _needed(arm: Arm, seed: int, load: float, postures: Array) -> Array:
+    """Return the share (n,) of its motors that an arm needs to go on moving, at the posture where that is largest."""
+    wear, weight = load_wear(f"worn?seed={seed}", arm), np.abs(gravity_torque(loaded(arm, load), postures))
     return ((weight * (1.0 + wear.load_friction) + wear.coulomb) / wear.torque_limit).max(axis=0)
 
 
