@@ -173,11 +173,12 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
 
 def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
     allowed = {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
-    ranges: dict[str, Any] = {}
+    ranges, k = dict[str, Any](), rows[0].stiffness_nm_per_rad
+    least = {"hysteresis_rad": 2.0 * arm.encoder_step, "coulomb_nm": arm.encoder_step * (k.value if k else 0.0)}
     for name in (*POSITIVE, *allowed):
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:
-            ranges[name] = _range(known, allowed.get(name))
+            ranges[name] = _range(known, allowed.get(name), least.get(name, 0.0))
     return JointMetrics(
         joint=rows[0].joint,
         offset_rad=NO_OFFSET,
@@ -190,15 +191,15 @@ def _typical(values: Sequence[float | None]) -> float | None:
     return float(np.median(known)) if 3 * len(known) >= len(values) else None
 
 
-def _range(found: Sequence[Estimate], allowed: float | None = None) -> Estimate:
+def _range(found: Sequence[Estimate], allowed: float | None = None, least: float = 0.0) -> Estimate:
     """Healthy range: `SIGMAS` of several values or the interval of one, and `TOLERANCE`.
 
-    Of logarithms, for positive quantities; about zero with ``allowed`` beside.
+    Of logarithms of ``least`` or more, for positive quantities; about zero with ``allowed`` beside.
     """
     known = np.array([(one.value, one.low, one.high) for one in found], dtype=float)
     ends = np.where(np.isnan(known), known[:, :1], known)  # an open end is the value
     if allowed is None:
-        ends = np.log(np.maximum(ends, 1e-12))
+        ends = np.log(np.maximum(ends, least or 1e-12))
     value, low, high = ends[0]
     if len(ends) > 1:
         value, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
