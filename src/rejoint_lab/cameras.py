@@ -50,7 +50,7 @@ def render(rig: Rig, tool: Array, seed: int | tuple[int, ...], *, blur: float = 
 
 
 def _paint(canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array) -> None:
-    """Trace the pixels around the board to its drawing; nothing where it is behind the camera or out of sight."""
+    """Trace the pixels around the board to its drawing, where it is in sight."""
     outline = (board.outline + _QUIET * np.sign(board.outline - 1e-9)) @ pose[:3, :3].T + pose[:3, 3]
     corner = lens.project(outline)
     x0, y0 = np.maximum(corner.min(axis=0) - _MARGIN, 0).astype(int)

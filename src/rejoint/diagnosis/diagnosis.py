@@ -347,7 +347,7 @@ def _farthest(arm: Arm, rest: Postures) -> str:
 
 
 def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[str] | None:
-    """Joints with more friction than the healthy arm, by torque or current; None where nothing can be compared."""
+    """Joints with more friction than the healthy arm, by torque or current; None: unknown."""
     if healthy is None or healthy.effort_unit != measurement.effort_unit:
         return None
     rows = zip(measurement.joints, healthy.joints, strict=True)

@@ -141,7 +141,7 @@ class Measurement:
     effort_unit: str | None = None
     """of friction by torque or current; empty: that of the column"""
     turned: tuple[str, ...] = ()
-    """joints with such friction clearly below zero: the sign is turned or missing, and that of no joint is known"""
+    """joints with friction clearly below zero: the sign is turned or missing"""
 
     def balance(self, arm: Arm) -> tuple[Array, Array]:
         """Sag per gravity torque (n,) [rad/(N m)] and lead without load (n,) [rad]; NaN if unknown.

@@ -115,7 +115,7 @@ PAUSE = 1.0
 
 
 def sort_keys(time: Array) -> Array:
-    """Return keys (T,) that sort rows which are a little late; the keys of a clock that was set back keep its rows."""
+    """Keys (T,) that sort rows a little late; a clock that was set back keeps its order."""
     latest = np.fmax.accumulate(time)
     moved = np.argsort(np.fmin(latest, time), kind="stable") - np.arange(len(time))
     return latest if np.abs(moved).max(initial=0) > LATE else np.fmin(latest, time)
@@ -309,7 +309,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
 def _held(motion: RecordedMotion) -> RecordedMotion:
     """Rows with states, and the commands in force: each joint's until its next.
 
-    The last one holds as long as any did: motion after it may follow what the log does not hold.
+    The last one holds as long as any did.
     """
     out, notes = np.all(np.isnan(motion.position), axis=1), [*motion.notes]
     out &= not out.all()

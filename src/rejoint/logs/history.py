@@ -42,7 +42,7 @@ def hours_of(address: str) -> float | None:
 
 
 def setup_of(arm: Arm) -> str:
-    """Fingerprint of a description, rounded: a file that was written from another differs in the last digits."""
+    """Fingerprint of a description, but for rounding."""
     text = hashlib.sha256()
     for item in fields(arm):
         value = getattr(arm, item.name)

@@ -252,7 +252,7 @@ class ServoAddress:
 
     @property
     def zeros(self) -> str:
-        """Fingerprint of the file and the angles that say where zero is; empty without them."""
+        """Fingerprint of what says where zero is; empty if nothing."""
         file = self.calibration
         data = file.read_bytes() if file is not None and file.exists() else b""
         return digest(data + repr(self.zero).encode()) if data or self.zero else ""

@@ -137,7 +137,7 @@ def is_own(run: Run, robot: str) -> bool:
 
 
 def zeros_of(robot: str) -> str:
-    """Fingerprint of what the address of a ``robot`` says of its zeros; empty if nothing."""
+    """Fingerprint of the zeros in an address; empty without any."""
     with suppress(AddressError):
         return str(getattr(place_of(robot).detail, "zeros", ""))
     return ""

@@ -506,7 +506,7 @@ class ArmDriver:
         return None if twin is None else believed_motors(self.arm, twin)
 
     def say_heavy(self, targets: Array, postures: Array, motors: Motors | None) -> None:
-        """Report ``targets`` (K, 3) [m] in whose ``postures`` (K, n) [rad] the ``motors`` may not lift the load."""
+        """Report ``targets`` (K, 3) [m] whose ``postures`` (K, n) [rad] the ``motors`` may not lift."""
         if motors is None or not isinstance(self.arm, LoadedArm):
             return
         judged = zip(targets, heavy(self.arm, postures, motors), strict=True)
