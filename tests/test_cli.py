@@ -1,4 +1,4 @@
-"""The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
+"""The command line: exit codes, one clear line per error, JSON on the last line, runs and signals."""
 
 import json
 import os
@@ -7,109 +7,16 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import rejoint
 from commandline import python
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder import RunInfo
-from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
-from rejoint.training.train import TrainingOptions, train
-from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.wear import load_wear
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A run with everything up to a policy that has hardly been trained."""
-    path = tmp_path_factory.mktemp("runs") / "one"
-    run = Run.create(path, "emulated:worn", mycobot280())
-    rejoint.diagnose("emulated:worn", run=run)
-    twin = rejoint.identify(run=run)
-    train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16))
-    return run.folder
-
-
-def test_repair_goes_on_where_it_stopped(finished, cli):
-    before = {path: path.stat().st_mtime_ns for path in (finished.diagnosis, finished.twin, finished.policy)}
-    options = ("--run", str(finished.path), "--sets", "1", "--repetitions", "1", "--controllers", "default,integrator")
-    done = cli("repair", *options, "--json")
-    assert before == {path: path.stat().st_mtime_ns for path in before}
-    assert done.err.count("already done") == 3
-    last = done.last
-    assert last["recommended"]["controller"] == "integrator"
-    page = Path(last["report"]).read_text()
-    assert page.startswith("<!DOCTYPE html>")
-    assert done.out.splitlines()[-2] == last["report"]
-    before = rejoint.Run.open(finished.path).diagnosis.open_loop.error_mm.value
-    assert last["errors"]["before"]["encoders"] == pytest.approx(1e-3 * before)
-    assert "rejoint goto" not in done.out.rpartition("\n{")[0], "what comes next is no result"
-    assert all(line in page for line in last["next"].values())
-    words = next(line for line in done.err.splitlines() if "rejoint goto" in line).partition("#")[0].split()[1:]
-    assert cli(*words, "--dry-run", "--json").last["reached"]
-
-
-def test_a_twin_finds_the_weak_motor_and_predicts_motion_that_it_has_not_seen(finished):
-    found, wear = Run.open(finished.path).twin, load_wear("worn", mycobot280())
-    assert found.held_out.twin.tcp < 0.25 * found.held_out.no_twin.tcp
-    most = found.parameters.torque_limit / found.parameters.stiffness
-    assert most[3] == pytest.approx(wear.torque_limit[3] / wear.position_gain[3], rel=0.5)
-
-
-def test_a_twin_is_replayed_on_the_logs_it_came_from(finished, tmp_path, cli):
-    words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--out", str(tmp_path), "--json")
-    mean = cli(*words).last["mean"]
-    assert mean["twin"]["all"]["tcp"] < mean["no twin"]["all"]["tcp"]
-    assert (tmp_path / "replay.html").read_text().startswith("<!DOCTYPE html>")
-
-
-def test_deploy_logs_what_it_did(finished, tmp_path, cli):
-    points = tmp_path / "points.csv"
-    points.write_text("x,y,z\n170,0,200\n180,30,210\n")
-    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator", "--targets", str(points))
-    errors = cli(*words, "--dwell", "6", "--json").last["error_mm"]
-    assert len(errors) == 2
-    assert max(errors) < 5.0
-    log = RunLog.load(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
-    assert log.time[-1] - log.time[0] == pytest.approx(13.2, abs=1.2)
-
-
-def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
-    points = tmp_path / "line.csv"
-    points.write_text("time,x,y,z\n0,170,0,200\n1,180,15,205\n2,180,30,210\n")
-    words = ("follow", "emulated:worn", str(finished.path), str(points), "--repeat", "2", "--json")
-    assert [one["encoder"]["rms"] < 5e-3 for one in cli(*words).last["passes"]] == [True, True]
-    logs = {name: path for name, path in finished.logs().items() if name.startswith("follow-0")}
-    assert len(logs) == 2
-    log = RunLog.load(next(iter(logs.values())))
-    assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
-    assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
-    words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default")
-    assert "Not followed" in cli(*words, code=5).out
-
-
-def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
-    step, steps = EmulatedRobot.step, []
-
-    def hot(self, *arguments):
-        steps.append(arguments)
-        state = step(self, *arguments)
-        return replace(state, temperature=np.full((1, 6), 90.0)) if len(steps) == 20 else state
-
-    monkeypatch.setattr(EmulatedRobot, "step", hot)
-    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator")
-    path = Path(re.search(r"What was recorded until then: (.+)", cli(*words, code=3).err)[1])
-    log = RunLog.load(path)
-    path.unlink()
-    assert log.label == "deploy/begin/stopped"
-    assert 15 < len(log.time) <= 21
 
 
 def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):
