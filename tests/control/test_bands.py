@@ -69,16 +69,20 @@ def bands_of(logs):
     return standing_bands(ARM, (logs.excitation, logs.targets), *measure(ARM, logs.excitation).balance(ARM))
 
 
-@pytest.fixture(scope="module", params=["healthy", "play-in-loop"])
-def diagnosed(request):
-    wears = [load_wear(f"{request.param}?seed={70 + i}", ARM) for i in range(1)]
-    logs = record(EmulatedRobot(ARM, wears, seed=6, tells_load=False), seed=0)
-    return wears, logs
+WORN = 6
+
+
+@pytest.fixture(scope="module")
+def diagnosed():
+    """Worn arms, a healthy one, one with play: their wears, logs and bands."""
+    names = [*(f"worn?seed={500 + i}" for i in range(WORN)), "healthy?seed=70", "play-in-loop?seed=70"]
+    wears = [load_wear(name, ARM) for name in names]
+    logs = record(EmulatedRobot(ARM, wears, seed=4, tells_load=False), seed=0)
+    return wears, logs, [bands_of(log) for log in logs]
 
 
 def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_own_diagnosis(diagnosed):
-    for wear, logs in zip(*diagnosed, strict=True):
-        bands = bands_of(logs)
+    for wear, logs, bands in list(zip(*diagnosed, strict=True))[WORN:]:
         friction = wear.stiction[:3] / wear.position_gain[:3]
         assert (bands.width[:3] > 0.5 * friction).all()
         assert (bands.width[:3] < 2.5 * friction + np.radians(0.5)).all()
@@ -86,34 +90,32 @@ def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_o
 
 
 @pytest.fixture(scope="module")
-def worn():
-    """Six worn arms and their bands."""
-    wears = [load_wear(f"worn?seed={500 + i}", ARM) for i in range(6)]
-    logs = record(EmulatedRobot(ARM, wears, seed=4, tells_load=False), seed=0)
-    bands = [bands_of(log) for log in logs]
-    return wears, Bands(**{f: np.array([getattr(b, f) for b in bands]) for f in ("slope", "offset", "reach", "width")})
+def worn(diagnosed):
+    """Worn arms, the limits by their bands, and what they do when nothing is broken."""
+    wears, bands = diagnosed[0][:WORN], diagnosed[2][:WORN]
+    bands = Bands(**{f: np.array([getattr(b, f) for b in bands]) for f in ("slope", "offset", "reach", "width")})
+    limits = replace(GuardLimits.of(ARM), bands=bands)
+    return wears, limits, drive(wears, limits)
 
 
 @pytest.mark.parametrize("blind", [False, True])
 def test_dead_encoders_of_worn_arms_that_tell_no_load_are_noticed(worn, blind):
-    wears, bands = worn
-    joint, limits = np.arange(6) % 3, replace(GuardLimits.of(ARM), bands=bands)
-    whole, broken = (drive(wears, limits, joint, when, blind) for when in (np.inf, 0.7))
+    wears, limits, whole = worn
     assert (whole.tripped == 0).all(), "nothing is broken"
-    near = 0
-    for b in range(6):
+    broken, near = drive(wears, limits, 0.7, blind), 0
+    for b in range(WORN):
         mine = [np.flatnonzero(one.active[:, b]) for one in (broken, whole)]
         trip = np.flatnonzero(broken.reasons[mine[0], b] & Reason.NOT_FOLLOWING)
         last = trip[0] + 1 if len(trip) else len(mine[0])
         off = broken.true_tcp[mine[0][:last], b] - whole.true_tcp[mine[1][:last], b]
         near += np.linalg.norm(off, axis=-1).max() < 0.030
-    assert near >= (4 if blind else 6), "docs/faults.md has the figures of many"
+    assert near >= (4 if blind else WORN), "docs/faults.md has the figures of many"
     assert np.count_nonzero(broken.tripped) >= 5
 
 
-def drive(wears, limits, joint, at, blind):
+def drive(wears, limits, at=np.inf, blind=False):
     robot = EmulatedRobot(ARM, wears, seed=9, tells_load=False)
-    dead = np.arange(ARM.joints) == joint[:, None]
+    dead = np.arange(ARM.joints) == (np.arange(WORN) % 3)[:, None]
 
     def break_it(cycle):
         if cycle.time[0] >= at:

@@ -47,9 +47,11 @@ def run(tmp_path):
     return Run.create(tmp_path, ROBOT, ARM)
 
 
-def leave(run, last):
+def leave(run, last, **options):
+    """Answer for the first ``last`` postures of a new session, and end."""
     with pytest.raises(InputError, match="the answers ended") as stopped:
-        calibrate(run, Hand(last))
+        calibrate(run, hand := Hand(last), **options)
+    assert hand.asked == list(range(1, last + 1))
     return stopped
 
 
@@ -68,8 +70,7 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
     assert np.unique(found.measurements.posture, return_counts=True)[1].tolist().count(2) == COUNT - 1
     assert read_interrupted(run.folder.measurements, ARM) is None
 
-    calibrate(run, hand := Hand())  # that one was at its end
-    assert hand.asked == list(range(1, TOTAL + 1))
+    leave(run, 1)  # that one was at its end: this one begins anew
     assert len(list(run.path.glob("measurements-*.json"))) == 1
 
 
@@ -82,33 +83,32 @@ def stopped(*given, found=fit.leave_out):
     return found(*given)
 
 
-@pytest.mark.parametrize(
-    ("place", "what", "error"),
-    [
+def test_a_calibration_that_was_not_written_is_made_again_from_what_was_typed(run, monkeypatch):
+    asked = []
+    for place, what, error in (
         ("runs.stages.calibrate.write_calibration", full, UnsavedError),
         ("diagnosis.calibration.fit.leave_out", stopped, Interrupted),
-    ],
-)
-def test_a_calibration_that_was_not_written_is_made_again_from_what_was_typed(run, monkeypatch, place, what, error):
-    with monkeypatch.context() as broken:
-        broken.setattr(f"rejoint.{place}", what)
-        with pytest.raises(error):
-            calibrate(run, Hand())
-    assert not run.folder.calibration.exists()
-    assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
-    assert hand.asked == []
+    ):
+        with monkeypatch.context() as broken:
+            broken.setattr(f"rejoint.{place}", what)
+            with pytest.raises(error):
+                calibrate(run, hand := Hand())
+        asked += hand.asked
+        assert not run.folder.calibration.exists()
+    found = calibrate(run, hand := Hand())
+    assert found.calibration.points == TOTAL - 1
+    assert [*asked, *hand.asked] == list(range(1, TOTAL + 1)), "each once"
     assert run.folder.calibration.exists()
 
 
-@pytest.mark.parametrize("other", [{"count": 4}, {"visits": 1}, {"gauge": Hand().gauge(frame="room")}])
-def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, other):
-    leave(run, 3)
+def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run):
+    leave(run, 2)
     before = run.folder.measurements.read_bytes()
-    with pytest.raises(InputError, match="calibrate ROBOT RUN --fresh"):
-        rejoint.calibrate(ROBOT, run=run, **({"gauge": Hand(0).gauge(), "count": COUNT} | other))
-    assert run.folder.measurements.read_bytes() == before
-    calibrate(run, hand := Hand(), calibration="none")
-    assert hand.asked[0] == 1
+    for other in ({"count": 4}, {"visits": 1}, {"gauge": Hand().gauge(frame="room")}):
+        with pytest.raises(InputError, match="calibrate ROBOT RUN --fresh"):
+            rejoint.calibrate(ROBOT, run=run, **({"gauge": Hand(0).gauge(), "count": COUNT} | other))
+        assert run.folder.measurements.read_bytes() == before
+    leave(run, 1, calibration="none")
     assert next(run.path.glob("measurements-*.json")).read_bytes() == before
 
 
@@ -128,11 +128,11 @@ def test_what_was_interrupted_can_be_fitted_as_it_is_and_is_at_its_end_then(run)
 
 
 def test_a_damaged_session_is_one_line_and_no_guess(run):
-    leave(run, 3)
+    leave(run, 1)
     whole = run.folder.measurements.read_bytes()
-    at = whole.index(b'"answered": 3')
+    at = whole.index(b'"answered": 1')
     run.folder.measurements.write_bytes(whole[: at + 12] + b"5" + whole[at + 13 :])
     with pytest.raises(FileError, match="digest is another") as refused:
         calibrate(run, Hand())
     assert "calibrate ROBOT RUN --fresh" in refused.value.__notes__[-1]
-    calibrate(run, Hand(), calibration="none")
+    leave(run, 1, calibration="none")

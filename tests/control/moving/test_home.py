@@ -34,7 +34,7 @@ def circles(arm, count):
 def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
     arm = load_arm(name)
     possible, followed, beyond_rest = 0, 0, 0
-    for path in circles(arm, 20):
+    for path in circles(arm, 10):
         if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
             continue
         possible += 1
@@ -47,7 +47,7 @@ def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
         assert not collides(arm, way).any()
         followed += 1
         beyond_rest += bool((home != arm.rest).any())
-    assert possible > 6
+    assert possible > 3
     assert followed >= 0.8 * possible
     assert beyond_rest > 0
 
