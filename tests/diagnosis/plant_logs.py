@@ -8,7 +8,8 @@ import numpy as np
 from rejoint.arms import so101
 from rejoint.control.guard import GuardLimits
 from rejoint.control.start import move, play
-from rejoint.diagnosis.healthy import ARMS_ON_DEMAND, measure_healthy
+from rejoint.diagnosis.excitation import record
+from rejoint.diagnosis.healthy import SEED, reference_from
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 
@@ -33,7 +34,8 @@ def kinds(diagnosis):
 @cache
 def plain_reference():
     """What healthy arms with such servos measure."""
-    return measure_healthy(PLAIN, count=ARMS_ON_DEMAND)
+    robot = EmulatedRobot(PLAIN, [HEALTHY] * 3, seed=SEED)
+    return reference_from(PLAIN, record(robot, seed=SEED), source="three arms")
 
 
 def wandering(seed, seconds, size=0.3):

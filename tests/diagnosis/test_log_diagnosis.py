@@ -35,7 +35,7 @@ TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, fricti
 
 @pytest.fixture(scope="module")
 def logs():
-    found = dict(zip(WEARS, record_motions(list(WEARS.values()), 7, 16.0), strict=True))
+    found = dict(zip(WEARS, record_motions(list(WEARS.values()), 6, 16.0), strict=True))
     scale = 1.0 - 0.5 * np.eye(ARM.joints)[0]
     zeros = [replace(log, extra={ZEROS: "the zeros are not known"}) for log in found["soft elbow"]]
     return found | {

@@ -12,7 +12,7 @@ from rejoint.twin.identify import LogSettings, identify_logs
 
 
 def motions(slower, size, **options):
-    paths = [wandering(k, 20.0, centre_of(k), size) for k in range(6)]
+    paths = [wandering(k, 20.0, centre_of(k), size) for k in range(4)]
     return [record(f"motion{k}", slower * time, path, **options) for k, (time, path) in enumerate(paths)]
 
 

@@ -6,7 +6,8 @@ import pytest
 
 import rejoint
 from comparisons import picked
-from rejoint.arms import mycobot280
+from madetwin import made_calibration
+from rejoint.arms import Displacement, mycobot280
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.comparison.result import Protocol
@@ -14,6 +15,8 @@ from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.guard import GuardLimits
 from rejoint.control.targets import draw_targets
+from rejoint.diagnosis.calibration.calibration import write_calibration
+from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 
@@ -85,7 +88,10 @@ def test_a_baseline_is_handed_over(comparison, name):
 def before_policy(tmp_path_factory):
     """A run folder with everything that comes before the policy."""
     run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM)
-    rejoint.diagnose("emulated:worn", run=run)
+    time = np.arange(0.0, 60.0, 0.05)
+    command = ARM.rest + 0.2 * np.sin(0.6 * time[:, None] + np.arange(ARM.joints))
+    rejoint.diagnose(RunLog.of(time, command, command - 0.02, arm=ARM), run=run)
+    write_calibration(run.folder.calibration, made_calibration(ARM, Displacement.none(ARM)))
     bad.softer_twin(ARM).save(run.folder.twin)
     return run.folder
 
