@@ -44,6 +44,14 @@ def stable_simulations() -> Iterator[None]:
     assert not warnings, f"MuJoCo warned {len(warnings)} times: {warnings[0]}"
 
 
+@pytest.fixture(scope="module")
+def few_targets() -> Iterator[None]:
+    """A diagnosis drives to three targets instead of ten."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rejoint.diagnosis.excitation.TARGETS", 3)
+        yield
+
+
 @pytest.fixture
 def cli(capsys, monkeypatch):
     """`cli(*words)` runs `rejoint WORDS` in this process, which ends with ``code``."""

@@ -98,7 +98,7 @@ def check_program(words):
 
 
 @each_page
-def test_python_runs(page, tmp_path, monkeypatch):
+def test_python_runs(page, tmp_path, monkeypatch, few_targets):
     """The blocks of a page build on one another; they run in an empty folder, beside the modules of the examples."""
     monkeypatch.chdir(tmp_path)
     for folder in {path.parent for path in (ROOT / "examples").rglob("*.py")}:

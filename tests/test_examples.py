@@ -19,6 +19,8 @@ from rejoint.runs.run import Run
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 
+pytestmark = pytest.mark.usefixtures("few_targets")
+
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -41,7 +43,7 @@ def is_figure(path):
 
 
 @pytest.fixture(scope="module")
-def repaired(tmp_path_factory):
+def repaired(tmp_path_factory, few_targets):
     """The folder of a quick repair, and what was printed."""
     path = tmp_path_factory.mktemp("runs") / "mine"
     said = run("repair_an_arm.py", "--quick", "--run", path)
