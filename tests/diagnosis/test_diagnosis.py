@@ -145,7 +145,7 @@ def test_a_reference_from_healthy_logs_contains_them(logs):
     reference = reference_from(ARM, healthy, source="three arms")
     for entry in healthy:
         assert judge(ARM, entry, reference).condition == "ok"
-        assert judge(ARM, entry, None).condition == "unknown"
+    assert judge(ARM, entry, None).condition == "unknown"
 
 
 def test_a_diagnosis_begins_with_a_look(monkeypatch):

@@ -78,7 +78,7 @@ def test_it_is_opened_like_any_robot_and_lost_answers_are_asked_for_again(line):
     assert np.abs(state.position - goal).max() < 0.2
 
 
-def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch):
+def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch, few_targets):
     folder, lost = RunFolder(tmp_path / "run"), line.lost
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n180,30,210\n")

@@ -408,8 +408,7 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         assert end.time_s < 200.0, "ten times along a circle take longer"
 
 
-@pytest.mark.usefixtures("few_targets")
-def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path):
+def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path, few_targets):
     run = Run.create(tmp_path, "emulated:worn", ARM).path
     with rejoint.connect("emulated:worn", run=run) as arm:
         assert "joint" in arm.diagnose(quick=True).verdict

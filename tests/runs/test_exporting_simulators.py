@@ -51,7 +51,7 @@ def rms(paths, measured):
 
 
 @pytest.mark.parametrize("address", ["emulated:worn", "emulated:so101"])
-def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path):
+def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path, few_targets):
     robot = open_robot(address)
     arm, logs = robot.arm, [one.excitation for one in record(robot, seed=0)]
     twin = identify(arm, logs)

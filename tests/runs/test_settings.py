@@ -144,7 +144,7 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
     np.testing.assert_array_equal(whole.position, taken.log.position)
 
 
-def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path):
+def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path, few_targets):
     run = Run.create(tmp_path, "emulated:worn", ARM)
     told = rejoint.Settings(payload=0.05, keep_out=[WALL])
     with rejoint.connect("emulated:worn", run=run, settings=told) as arm:

@@ -63,7 +63,7 @@ def take(studio, address="emulated:worn"):
     return do(studio, lambda machine: jobs.choose(machine, address))
 
 
-def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio):
+def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio, few_targets):
     assert "emulated:worn" in do(studio, jobs.look).found["arms"].values()
     status = take(studio)
     assert (status.step, status.arm.name, status.error) == ("check", "mycobot280", "")
@@ -178,7 +178,7 @@ def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path
     assert (status.address, status.step) == ("emulated:worn?seed=5", "check"), status.error
 
 
-def test_a_known_arm_is_used_at_once(studio, tmp_path):
+def test_a_known_arm_is_used_at_once(studio, tmp_path, few_targets):
     take(studio)
     do(studio, lambda machine: jobs.diagnose(machine, quick=True))
     again = Studio(tmp_path / "runs")

@@ -17,7 +17,7 @@ HEAVY = replace(ARM, mass=1.5 * ARM.mass)
 def motions(share):
     """Logs with torque of an arm that is heavier than its model; a ``share`` of its gravity is fed forward."""
     logs, rng = [], np.random.default_rng(0)
-    for k in range(8):
+    for k in range(5):
         time, command = wandering(k, 20.0, centre_of(k, wrist=0.0))
         sent = command + share * gravity_torque(HEAVY, command) / TRUTH.stiffness
         log = record(f"motion{k}", time, sent, own=HEAVY)

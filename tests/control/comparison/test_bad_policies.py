@@ -21,7 +21,7 @@ from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 
 ARM = mycobot280()
-PROTOCOL = Protocol(dwell=5.0, hold=4.0, window=0.5)
+PROTOCOL = Protocol(dwell=4.0, hold=3.0, window=0.5)
 TARGETS = draw_targets(ARM, sets=1, count=2, seed=1)
 NAMES = ("random", "saturated", "nan", "nan-later", "infinite", "softer")
 LIMITS = GuardLimits.of(ARM)

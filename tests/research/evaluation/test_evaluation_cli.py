@@ -28,7 +28,7 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint_lab.research.evaluation.family.own_twin", lambda *_: a_twin())
     monkeypatch.setattr("rejoint_lab.research.evaluation.evaluate.POINTS", (20,))
-    rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "2", "--variants", "worn")
+    rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "1", "--variants", "worn")
     error = {(row["variant"], row["controller"]): row["settled_true"]["mean"]["value"] for row in rows}
     for where in ("worn, target region", "worn, anywhere"):
         assert error[where, "20 points"] < 0.5 * error[where, "not calibrated"]
