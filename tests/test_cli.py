@@ -25,7 +25,7 @@ def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):
 
     monkeypatch.setattr("rejoint.deploy", fail)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    words = ("deploy", "emulated:worn", str(tmp_path), "--json")
+    words = ("deploy", "emulated:worn", tmp_path, "--json")
     _, out, line = cli(*words, code=1)
     assert (json.loads(out)["exit_code"], json.loads(out)["error"]) == (1, "InternalError")
     found = re.fullmatch(
@@ -35,11 +35,11 @@ def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):
 
 
 def test_a_start_that_fails_leaves_nothing_and_takes_nothing(tmp_path, cli):
-    words = ("diagnose", "tcp://127.0.0.1:1", "--run", str(tmp_path / "runs" / "one"))
+    words = ("diagnose", "tcp://127.0.0.1:1", "--run", tmp_path / "runs" / "one")
     cli(*words, code=2)
     far = tmp_path / "far.csv"
     far.write_text("x,y,z\n900,0,200\n")
-    repair = ("repair", "emulated:worn", "--run", words[-1], "--targets", str(far))
+    repair = ("repair", "emulated:worn", "--run", words[-1], "--targets", far)
     cli(*repair, code=2)
     assert not (tmp_path / "runs" / "one").exists()
     folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280()).folder
@@ -49,7 +49,7 @@ def test_a_start_that_fails_leaves_nothing_and_takes_nothing(tmp_path, cli):
 
 
 def test_what_is_to_be_ignored_stays_ignored(tmp_path):
-    words = [sys.executable, "-m", "rejoint", "repair", "--run", str(tmp_path / "run")]
+    words = [sys.executable, "-m", "rejoint", "repair", "--run", tmp_path / "run"]
     code = "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
     with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True) as process:
         while "Diagnosis" not in process.stderr.readline():

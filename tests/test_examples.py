@@ -43,30 +43,25 @@ def is_figure(path):
 
 
 @pytest.fixture(scope="module")
-def repaired(tmp_path_factory, few_targets):
-    """The folder of a quick repair, and what was printed."""
+def finished(tmp_path_factory, few_targets):
+    """The folder of a quick repair, with what was printed."""
     path = tmp_path_factory.mktemp("runs") / "mine"
-    said = run("repair_an_arm.py", "--quick", "--run", path)
-    return Run.open(path).folder, said
+    (path / "said").write_text(run("repair_an_arm.py", "--quick", "--run", path))
+    return Run.open(path).folder
 
 
-@pytest.fixture
-def finished(repaired):
-    return repaired[0]
-
-
-def test_a_repair_is_five_lines_and_its_policy_drives(repaired):
-    mine, said = repaired
+def test_a_repair_is_five_lines_and_its_policy_drives(finished):
+    said = (finished.path / "said").read_text()
     assert "This arm misses its targets by 2" in said
     assert "Use: integrator" in said, "a policy that was trained for seconds is not handed over"
-    assert mine.report.read_text().startswith("<!DOCTYPE html>")
-    said = run("deploy_a_policy.py", mine.policy, "--dwell", "1")
+    assert finished.report.read_text().startswith("<!DOCTYPE html>")
+    said = run("deploy_a_policy.py", finished.policy, "--dwell", "1")
     assert said.count(" mm off, ") == 3
     assert "of 3 targets reached" in said
-    said = run("follow_a_path.py", mine.path)
+    said = run("follow_a_path.py", finished.path)
     assert re.search(r"circle: [0-4]\.\d mm off", said), "a path that is sent is missed by 18 mm"
     assert "stream: the tool stands at [" in said
-    said = run("compare_controllers.py", "--quick", "--policy", mine.policy)
+    said = run("compare_controllers.py", "--quick", "--policy", finished.policy)
     assert [line.split()[0] for line in said.splitlines()[:3]] == ["default", "integrator", "policy"]
     assert is_figure("controllers.png")
 
@@ -124,17 +119,10 @@ def test_a_twin_finds_the_weak_motor_and_predicts_motion_that_it_has_not_seen(fi
     assert most[3] == pytest.approx(wear.torque_limit[3] / wear.position_gain[3], rel=0.5)
 
 
-def test_a_twin_is_replayed_on_the_logs_it_came_from(finished, tmp_path, cli):
-    words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--out", str(tmp_path), "--json")
-    mean = cli(*words).last["mean"]
-    assert mean["twin"]["all"]["tcp"] < mean["no twin"]["all"]["tcp"]
-    assert (tmp_path / "replay.html").read_text().startswith("<!DOCTYPE html>")
-
-
 def test_deploy_logs_what_it_did(finished, tmp_path, cli):
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n180,30,210\n")
-    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator", "--targets", str(points))
+    words = ("deploy", "emulated:worn", finished.path, "--controller", "integrator", "--targets", points)
     errors = cli(*words, "--dwell", "6", "--json").last["error_mm"]
     assert len(errors) == 2
     assert max(errors) < 5.0
@@ -145,14 +133,14 @@ def test_deploy_logs_what_it_did(finished, tmp_path, cli):
 def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     points = tmp_path / "line.csv"
     points.write_text("time,x,y,z\n0,170,0,200\n1,180,15,205\n2,180,30,210\n")
-    words = ("follow", "emulated:worn", str(finished.path), str(points), "--repeat", "2", "--json")
+    words = ("follow", "emulated:worn", finished.path, points, "--repeat", "2", "--json")
     assert [one["encoder"]["rms"] < 5e-3 for one in cli(*words).last["passes"]] == [True, True]
     logs = {name: path for name, path in finished.logs().items() if name.startswith("follow-0")}
     assert len(logs) == 2
     log = RunLog.load(next(iter(logs.values())))
     assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
     assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
-    words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default")
+    words = ("follow", "emulated:worn", finished.path, points, "--controller", "default")
     assert "Not followed" in cli(*words, code=5).out
 
 
@@ -165,7 +153,7 @@ def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
         return replace(state, temperature=np.full((1, 6), 90.0)) if len(steps) == 20 else state
 
     monkeypatch.setattr(EmulatedRobot, "step", hot)
-    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator")
+    words = ("deploy", "emulated:worn", finished.path, "--controller", "integrator")
     path = Path(re.search(r"What was recorded until then: (.+)", cli(*words, code=3).err)[1])
     log = RunLog.load(path)
     path.unlink()

@@ -64,6 +64,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path,
     done = cli("replay", folder.twin, "--logs", logs, "--out", "again", "--json")  # of the arm of the twin
     again = read_json(tmp_path / "again" / "replay.json", Judgement)
     assert done.last["page"] == "again/replay.html"
+    assert again.mean["twin"].all.tcp < again.mean["no twin"].all.tcp
     assert len(again.motions) == 5
     assert again.motions[0].motion in (tmp_path / "again" / "replay.html").read_text()
 

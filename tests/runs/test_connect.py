@@ -413,8 +413,8 @@ def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path
     with rejoint.connect("emulated:worn", run=run) as arm:
         assert "joint" in arm.diagnose(quick=True).verdict
         assert arm.identify().arm == ARM.name
-        targets, plan = ARM.targets.sample(np.random.default_rng(0), (2,)), rejoint.TrialPlan(repetitions=1)
-        compared = arm.compare(["default", "predictive"], targets, plan=plan)
+        targets = ARM.targets.sample(np.random.default_rng(0), (2,))
+        compared = arm.compare(["default", "predictive"], targets, plan=rejoint.TrialPlan(repetitions=1))
         assert compared.recommendation.controller == "predictive"
         assert arm.controller == "predictive"
         arm.move_to([0.18, 0.03, 0.21], within_m=0.003)

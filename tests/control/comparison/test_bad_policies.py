@@ -84,31 +84,21 @@ def test_a_baseline_is_handed_over(comparison, name):
     assert any("policy" in line for line in advice.why), "and it says why"
 
 
-@pytest.fixture(scope="module")
-def before_policy(tmp_path_factory):
-    """A run folder with everything that comes before the policy."""
-    run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM)
+def test_repair_hands_over_the_baseline_and_says_why(tmp_path, files, cli):
+    run = Run.create(tmp_path / "one", "emulated:worn", ARM)
     time = np.arange(0.0, 60.0, 0.05)
     command = ARM.rest + 0.2 * np.sin(0.6 * time[:, None] + np.arange(ARM.joints))
     rejoint.diagnose(RunLog.of(time, command, command - 0.02, arm=ARM), run=run)
     write_calibration(run.folder.calibration, made_calibration(ARM, Displacement.none(ARM)))
     bad.softer_twin(ARM).save(run.folder.twin)
-    return run.folder
-
-
-def repair(cli, folder, code):
-    points = folder.path.parent / "points.csv"
-    points.write_text("x,y,z\n170,0,200\n180,30,210\n")
+    run.folder.policy.write_bytes(files["nan-later"].read_bytes())
+    points = tmp_path / "points.csv"
+    points.write_text("x,y,z\n170,0,200\n")
     options = ("--targets", points, "--repetitions", "1", "--controllers", "integrator,policy", "--json")
-    return cli("repair", "emulated:worn", "--run", folder.path, *options, code=code)
-
-
-def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, cli):
-    before_policy.policy.write_bytes(files["nan-later"].read_bytes())
-    said = repair(cli, before_policy, 0)
+    said = cli("repair", "emulated:worn", "--run", run.path, *options)
     assert said.last["recommended"]["controller"] == "integrator"
     sentence = "policy: 1 run ended early, because a command or a measured position was not a number."
     assert sentence in said.out
-    page = before_policy.report.read_text()
+    page = run.folder.report.read_text()
     assert f"The learned policy was tried and failed. {sentence.capitalize()}" in page.replace("\n", " ")
     assert "What failed, and why" in page
