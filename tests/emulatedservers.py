@@ -10,8 +10,10 @@ import numpy as np
 
 from rejoint.robots.wireserver import Server, TerminalServer
 from rejoint.runs.run import Run
+from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.firmware import Firmware
 from rejoint_lab.emulator.servers import WireSession, on_port
+from rejoint_lab.emulator.servobus import BusSession
 
 
 def _session(firmware: Firmware, timing: Any = (), **options: Any) -> WireSession:
@@ -26,6 +28,13 @@ def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 0, **opti
 
 def serve_pty(firmware: Firmware, **options: Any) -> Server:
     return TerminalServer(_session(firmware, **options))
+
+
+def serve_bus(arm, fault="", *, pty=False):
+    """A server of the servos of an ``arm``, which it keeps."""
+    server = (TerminalServer if pty else on_port)(BusSession(arm, faults=parse_faults(fault, arm.arm.joints)))
+    server.arm = arm
+    return server
 
 
 HEARD = (

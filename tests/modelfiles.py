@@ -4,7 +4,11 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from rejoint.arms import Arm, Box, load_arm
+import numpy as np
+
+from rejoint.arms import Arm, Box, Loaded, load_arm
+from rejoint.arms.loading import finish
+from rejoint.arms.modelfile import cut, read_tree
 
 
 def packaged(package: str, path: str) -> Path:
@@ -15,6 +19,13 @@ def packaged(package: str, path: str) -> Path:
 
 def ur5e() -> Arm:
     return load_arm(packaged("airo_models", "arms/ur5e/ur5e.urdf"))
+
+
+def without_workspace(path: Path, base: str | None, tip: str) -> Arm:
+    """Read an arm without deriving its workspace, which takes a second or more."""
+    draft = cut(read_tree(path), base, tip).arm
+    middle, box = np.nan_to_num((draft.lower + draft.upper) / 2), Box(lower=-np.ones(3), upper=np.ones(3))
+    return finish(Loaded(arm=replace(draft, rest=middle, targets=box))).arm
 
 
 def resized(arm, length, mass=1.0):

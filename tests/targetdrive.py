@@ -1,9 +1,12 @@
 """A drive to targets without a session: what the judgement of deployments is tried on."""
 
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge_targets
+from rejoint.control.recording import recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.start import begin
+from rejoint.system.errors import GuardTripError, RobotError
 
 
 def deploy(robot, controller, job, *, model=None, correction=None):
@@ -12,3 +15,11 @@ def deploy(robot, controller, job, *, model=None, correction=None):
     targets = TargetSequence(robot.arm, job.targets[None], turns=job.turns and job.turns[None], correction=correction)
     recording = run(robot, controller, targets, Schedule(dwell=job.dwell, sent=start.command[-1]))
     return recording, judge_targets(robot.arm, recording, job, model)
+
+
+def drive_until_error(robot, targets, dwell, limits=None):
+    """Drive to targets with the integrator; returns the recording, and the error that ended it."""
+    try:
+        return run(robot, IntegratorController(robot.arm), targets, Schedule(dwell=dwell), limits=limits), None
+    except (RobotError, GuardTripError) as error:
+        return recording_of(error), error

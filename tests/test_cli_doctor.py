@@ -15,7 +15,7 @@ import cv2
 import pytest
 import serial
 
-from emulatedservers import serve_tcp
+from emulatedservers import serve_bus, serve_tcp
 from rejoint.arms import load_arm, mycobot280
 from rejoint.robots.mycobot import wire
 from rejoint.runs.run import Run
@@ -23,8 +23,6 @@ from rejoint.system import extras
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.feetech import StsArm
 from rejoint_lab.emulator.firmware import Firmware
-from rejoint_lab.emulator.servers import on_port
-from rejoint_lab.emulator.servobus import BusSession
 from test_newcomer import COBOT, serial_line
 
 SO101 = load_arm("so101")
@@ -40,7 +38,7 @@ class Bench:
         arm = StsArm.build(SO101, "so101")
         for name, value in registers.items():
             arm.servos[2][name] = value
-        return self._stack.enter_context(on_port(BusSession(arm, faults=parse_faults(fault, 5)))).address
+        return self._stack.enter_context(serve_bus(arm, fault)).address
 
     def mycobot(self, fault=""):
         computer = Firmware.build(mycobot280(), "worn")

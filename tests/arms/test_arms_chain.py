@@ -7,17 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from modelfiles import without_workspace
 from rejoint.arms import (
-    Box,
-    Loaded,
     gravity_torque,
     jacobian,
     solve_position,
     tcp_pose,
 )
 from rejoint.arms.inertia import pseudo_inertia, rigid_body
-from rejoint.arms.loading import finish
-from rejoint.arms.modelfile import cut, read_tree
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
 # reference lies outside of its limits, and a gripper.
@@ -46,21 +43,14 @@ AWKWARD = """<mujoco model="awkward"><compiler angle="radian" autolimits="true"/
 <keyframe><key qpos="0 0 0 0 0 0 0 0"/></keyframe></mujoco>"""
 
 
-def written(folder: Path, text: str, name: str = "arm.xml") -> str:
-    path = folder / name
+def written(folder: Path, text: str) -> Path:
+    path = folder / "arm.xml"
     path.write_text(text)
-    return str(path)
-
-
-def with_given_workspace(path: str, tip: str | None = None) -> Loaded:
-    """Read an arm without deriving its workspace, which takes a second."""
-    draft = cut(read_tree(Path(path)), None, tip).arm
-    box = Box(lower=-np.ones(3), upper=np.ones(3))
-    return finish(Loaded(arm=replace(draft, rest=np.zeros(draft.joints), targets=box)))
+    return path
 
 
 def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
-    arm = with_given_workspace(written(tmp_path, AWKWARD), "tcp").arm
+    arm = without_workspace(written(tmp_path, AWKWARD), None, "tcp")
     assert arm.joint_names == ("j1", "j2", "j3", "j4", "j5")
     spec = mujoco.MjSpec.from_string(AWKWARD)
     for geom in [g for b in spec.bodies for g in b.geoms if g.meshname]:
@@ -88,14 +78,6 @@ def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
         # the link between the two joints of one body has no mass of its own and gets a small one
         bare = replace(arm, mass=np.where(np.arange(5) == 1, 0.0, arm.mass))
         np.testing.assert_allclose(gravity_torque(bare, q), data.qfrc_bias[chain], atol=1e-9)
-
-
-def inertial(mass: float, moments: str = "0.001 0.001 0.001", xyz: str = "0 0 0.05") -> str:
-    xx, yy, zz = moments.split()
-    return (
-        f'<inertial><origin xyz="{xyz}"/><mass value="{mass}"/>'
-        f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
 
 
 def test_lumping_two_balls_by_hand() -> None:
@@ -133,8 +115,8 @@ def random_chain(joints: int, seed: int) -> str:
 @pytest.mark.parametrize("joints", [3, 5, 7])
 def test_arms_of_any_number_of_joints_about_any_axes(tmp_path: Path, joints: int) -> None:
     path = written(tmp_path, random_chain(joints, seed=joints))
-    arm = with_given_workspace(path, "tcp").arm
-    model = mujoco.MjModel.from_xml_path(path)
+    arm = without_workspace(path, None, "tcp")
+    model = mujoco.MjModel.from_xml_path(str(path))
     data, jac = mujoco.MjData(model), np.empty((2, 3, joints))
     postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (50, joints))
     for q in postures:

@@ -5,7 +5,6 @@ of UR3e and UR5e) and ManipulaPy (URDF of arms of five more makers), which are i
 None is imported.
 """
 
-import dataclasses
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,12 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from modelfiles import packaged
+from modelfiles import packaged, without_workspace
 from real_so101 import MODEL, NO_MODEL
 from rejoint.arms import (
     Arm,
-    Box,
-    Loaded,
     gravity_torque,
     jacobian,
     read_arm,
@@ -27,8 +24,6 @@ from rejoint.arms import (
     tcp_pose,
 )
 from rejoint.arms.arm import MODELS
-from rejoint.arms.loading import finish
-from rejoint.arms.modelfile import cut, read_tree
 
 ROBOPAL = "assets/models/manipulators"
 FILES = {
@@ -58,19 +53,8 @@ def file_of(name: str) -> Path:
 
 
 @lru_cache
-def loaded_of(name: str) -> Loaded:
-    return read_arm(str(file_of(name)), base=FILES[name][2], tip=FILES[name][3])
-
-
 def arm_of(name: str) -> Arm:
-    return loaded_of(name).arm
-
-
-def arm_without_workspace(name: str) -> Arm:
-    """Read an arm without deriving its workspace, which takes a second or more."""
-    draft = cut(read_tree(file_of(name)), *MORE[name][2:4]).arm
-    middle, box = np.nan_to_num((draft.lower + draft.upper) / 2), Box(lower=-np.ones(3), upper=np.ones(3))
-    return finish(Loaded(arm=dataclasses.replace(draft, rest=middle, targets=box))).arm
+    return read_arm(str(file_of(name)), base=FILES[name][2], tip=FILES[name][3]).arm
 
 
 def stripped_model(path: Path) -> mujoco.MjModel:
@@ -100,8 +84,8 @@ def relative_tip(model: mujoco.MjModel, data: mujoco.MjData, base: str, tip: str
 
 @pytest.mark.parametrize("name", [*FILES, *MORE])
 def test_kinematics_and_gravity_agree_with_mujoco_on_the_whole_file(name: str) -> None:
-    arm, model = arm_of(name) if name in FILES else arm_without_workspace(name), stripped_model(file_of(name))
-    base, tip, joints = {**FILES, **MORE}[name][2:]
+    file, (base, tip, joints) = file_of(name), {**FILES, **MORE}[name][2:]
+    arm, model = arm_of(name) if name in FILES else without_workspace(file, base, tip), stripped_model(file)
     assert arm.joints == joints
     data = mujoco.MjData(model)
     for q in np.random.default_rng(1).uniform(arm.lower, arm.upper, (100, joints)):
@@ -134,11 +118,6 @@ def test_two_authors_urdf_and_mjcf_of_one_mechanism_agree() -> None:
     np.testing.assert_allclose(tcp_pose(urdf, q)[:, :3, 3], tcp_pose(mjcf, q)[:, :3, 3], atol=1e-5)
     np.testing.assert_allclose(urdf.mass, mjcf.mass, rtol=1e-5)
     np.testing.assert_allclose(gravity_torque(urdf, q), gravity_torque(mjcf, q), atol=2e-3)
-
-
-def jaco() -> Arm:
-    """Read an arm whose thin wrist has capsules that overlap at its targets."""
-    return read_arm(str(file_of("jaco")), base=MORE["jaco"][2], tip=MORE["jaco"][3]).arm
 
 
 @pytest.mark.skipif(not MODEL.exists(), reason=NO_MODEL)

@@ -91,15 +91,8 @@ def test_what_the_model_does_not_know_is_seen_and_taken_out():
     assert correction.used > 2
 
 
-def test_a_hidden_tool_falls_back_to_the_model():
-    truth = DISPLACED
-    seen, correction = seen_errors(truth, truth, hidden=ALWAYS)
-    assert correction.used == 0
-    assert seen.max() < 0.4e-3
-
-
-def test_a_sighting_of_something_else_is_not_believed():
-    truth = DISPLACED
-    seen, correction = seen_errors(truth, truth, wrong=1)
+@pytest.mark.parametrize("seeing", [{"hidden": ALWAYS}, {"wrong": 1}])
+def test_a_hidden_tool_or_a_sighting_of_something_else_leaves_the_model(seeing):
+    seen, correction = seen_errors(DISPLACED, DISPLACED, **seeing)
     assert correction.used == 0
     assert seen.max() < 0.4e-3

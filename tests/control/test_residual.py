@@ -63,12 +63,8 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged():
 
 def learned_part(away: float) -> tuple[np.ndarray, np.ndarray]:
     """What a commander has learned (n,) [rad], and what is left of it at a new target ``away`` [m]."""
-    rest = np.tile(ARM.rest, (2, 1))
-    now = inputs(rest, tcp_position(ARM, rest))
+    (moved, now), (fresh, _) = begun(), begun()
     then = replace(now, target=now.target + np.array([0.0, 0.0, away]))
-    moved, fresh = Commander(ARM, LAW), Commander(ARM, LAW)
-    for commander in (moved, fresh):
-        commander.reset(now, EVERY)
     before = command(moved, now, np.zeros((2, 6)))
     learned = command(moved, now, np.ones((2, 6))) - before
     for commander in (moved, fresh):

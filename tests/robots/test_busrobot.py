@@ -26,17 +26,19 @@ from rejoint.system.errors import (
 ARM = mycobot280()
 
 
-def opened(**extra):
+def opened(*faults, **extra):
+    """A robot whose bus was opened, which moves nothing, and which meets ``faults`` from now on."""
     bus = PlainBus(**extra)
     robot = BusRobot(bus, ARM, address="plain:1", period=(0.02, 0.03), seed=2)
     robot.open()
+    assert bus.done == ["close", "open", "prepare"]
+    bus.done, bus.faults = [], list(faults)
     return robot, bus
 
 
 def test_it_is_a_robot_and_opening_it_moves_nothing():
-    robot, bus = opened(load=np.full(6, 0.5), voltage=np.full(6, 7.4), temperature=np.full(6, 30.0))
+    robot, _ = opened(load=np.full(6, 0.5), voltage=np.full(6, 7.4), temperature=np.full(6, 30.0))
     assert isinstance(robot, Robot)
-    assert bus.done == ["close", "open", "prepare"]
     state = robot.read()
     assert state.fault is None
     for value, number in ((state.load, 0.5), (state.voltage, 7.4), (state.temperature, 30.0)):
@@ -53,23 +55,20 @@ def test_every_answer_comes_one_period_after_the_last_one():
 
 @pytest.mark.parametrize("fault", [TimeoutError("late"), ValueError("cut"), struct.error("cut"), IndexError("cut")])
 def test_a_lost_or_garbled_answer_is_asked_for_again_once_both_sides_are_in_step(fault):
-    robot, bus = opened()
-    bus.done, bus.faults = [], [fault]
+    robot, bus = opened(fault)
     np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
     assert bus.done == ["read", "resynchronise", "read"]
 
 
 @pytest.mark.parametrize("fault", [TimeoutError("silent again"), ValueError("cut"), ConnectionLostError("silent")])
 def test_a_wire_that_fails_again_while_it_is_brought_into_step_is_connected_anew(fault):
-    robot, bus = opened()
-    bus.done, bus.faults = [], [TimeoutError("late"), fault]
+    robot, bus = opened(TimeoutError("late"), fault)
     np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
     assert bus.done == ["read", "resynchronise", "close", "open", "prepare", "read"]
 
 
 def test_a_broken_connection_is_made_anew():
-    robot, bus = opened()
-    bus.done, bus.faults = [], [OSError("gone"), OSError("still gone")]
+    robot, bus = opened(OSError("gone"), OSError("still gone"))
     robot.step(ARM.rest[None])
     assert bus.done[:7] == ["read", "close", "open", "close", "open", "prepare", "read"]
 
@@ -79,8 +78,7 @@ def test_a_broken_connection_is_made_anew():
     [(TimeoutError, NoReplyError), (ValueError, ImpossibleReplyError), (OSError, ConnectionLostError)],
 )
 def test_what_stays_bad_is_an_error_with_a_name_after_bounded_patience(fault, error):
-    robot, bus = opened()
-    bus.done, bus.faults = [], [fault("bad"), *([] if fault is OSError else [None])] * 1000
+    robot, bus = opened(*[fault("bad"), *([] if fault is OSError else [None])] * 1000)
     began = bus.clock.now()
     with pytest.raises(error, match="plain:1"):
         robot.read()
@@ -89,8 +87,7 @@ def test_what_stays_bad_is_an_error_with_a_name_after_bounded_patience(fault, er
 
 
 def test_an_arm_that_lost_its_power_is_not_waited_for():
-    robot, bus = opened()
-    bus.faults = [OSError("gone"), None, PowerLostError("no power")]
+    robot, _ = opened(OSError("gone"), None, PowerLostError("no power"))
     with pytest.raises(PowerLostError):
         robot.read()
 
@@ -131,12 +128,11 @@ def test_a_command_that_was_kept_up_by_a_new_connection_is_not_sent_to_an_arm_th
 
 
 def test_an_arm_that_refuses_is_not_asked_again():
-    robot, bus = opened()
+    robot, bus = opened(None, RobotError("refused"))
     robot.read()
-    bus.done, bus.faults = [], [RobotError("refused")]
     with pytest.raises(RobotError):
         robot.step(ARM.rest[None])
-    assert bus.done == ["send"]
+    assert bus.done == ["read", "send"]
 
 
 @pytest.mark.parametrize(
@@ -148,8 +144,7 @@ def test_an_arm_that_refuses_is_not_asked_again():
     ],
 )
 def test_positions_that_no_such_arm_has_are_asked_for_again_and_then_named(position, says):
-    robot, bus = opened()
-    bus.faults = [Reading(position=position)]
+    robot, bus = opened(Reading(position=position))
     robot.read()
     bus.faults = [Reading(position=position), None] * ATTEMPTS
     with pytest.raises(ImpossibleReplyError, match=says):
@@ -158,15 +153,13 @@ def test_positions_that_no_such_arm_has_are_asked_for_again_and_then_named(posit
 
 @pytest.mark.parametrize("name", ["load", "temperature", "voltage", "fault"])
 def test_an_answer_of_another_number_of_servos_is_named(name):
-    robot, bus = opened()
-    bus.faults = [Reading(position=ARM.rest, **{name: np.zeros(5)})] * ATTEMPTS * 2
+    robot, _ = opened(*[Reading(position=ARM.rest, **{name: np.zeros(5)})] * ATTEMPTS * 2)
     with pytest.raises(ImpossibleReplyError):
         robot.read()
 
 
 def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one():
-    robot, bus = opened(fault=np.zeros(6, bool))
-    bus.faults = [Reading(position=ARM.rest, fault=["", "overload", *[""] * 4])]
+    robot, bus = opened(Reading(position=ARM.rest, fault=["", "overload", *[""] * 4]), fault=np.zeros(6, bool))
     assert not robot.read().fault.any()
     bus.extra = {"fault": np.arange(6) == 1}
     np.testing.assert_array_equal(robot.read().fault, [np.arange(6) == 1])
@@ -216,8 +209,7 @@ def test_where_nothing_answers_or_something_else_does_the_error_is_one_line():
 
 
 def test_a_wish_to_end_is_heard_between_two_attempts_and_the_arm_is_still_stopped():
-    robot, bus = opened()
-    bus.done, bus.faults = [], [TimeoutError(), None] * ATTEMPTS
+    robot, bus = opened(*[TimeoutError(), None] * ATTEMPTS)
     with stopping.noted():
         os.kill(os.getpid(), signal.SIGTERM)
         with pytest.raises(stopping.Interrupted):

@@ -3,26 +3,21 @@
 import json
 import re
 import socket
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
 
+from emulatedservers import serve_bus
 from rejoint.arms import load_arm
-from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, run
-from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
 from rejoint.robots.dynamixel.bus import DynamixelWire
 from rejoint.robots.family import wire_address
 from rejoint.robots.servobus import Gripper
-from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import AddressError, ConnectionLostError, GuardTripError, PowerLostError, RobotError
 from rejoint_lab.emulator.dynamixel import XArm
-from rejoint_lab.emulator.faults import parse_faults
-from rejoint_lab.emulator.servers import on_port
-from rejoint_lab.emulator.servobus import BusSession
+from targetdrive import drive_until_error
 
 pytestmark = pytest.mark.realtime
 
@@ -36,12 +31,8 @@ def built(arm=KOCH):
     return XArm.build(arm, "healthy")
 
 
-@contextmanager
 def serving(arm=None, fault="", pty=False):
-    arm = arm or built()
-    with (TerminalServer if pty else on_port)(BusSession(arm, faults=parse_faults(fault, arm.arm.joints))) as server:
-        server.arm = arm
-        yield server
+    return serve_bus(arm or built(), fault, pty=pty)
 
 
 def opened(server, options="", arm=KOCH):
@@ -113,6 +104,7 @@ def limp(servo):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
+        ({"ID": 2}, "have two servos the ID 2"),
         ({"ID": 9}, r"elbow_flex .servo 3. is missing on the bus.*others that answer: 9"),
         ({"Model_Number": 1060}, r"elbow_flex .servo 3. is of model XL430-W250, and koch has XL330-M288"),
         ({"Operating_Mode": 1}, r"elbow_flex .servo 3. has no position mode"),
@@ -127,13 +119,6 @@ def test_a_servo_that_cannot_be_driven_is_named_and_nothing_moves(change, says):
     with serving(arm) as server, pytest.raises(AddressError, match=says):
         open_robot(server.address, arm=KOCH)
     assert all(at != GOAL for servo in arm.servos for at, _ in servo.writes)
-
-
-def test_two_servos_with_one_id_are_named_where_their_answers_collide():
-    arm = built()
-    arm.servos[2]["ID"] = 2
-    with serving(arm) as server, pytest.raises(AddressError, match="have two servos the ID 2"):
-        open_robot(server.address, arm=KOCH)
 
 
 def test_another_baud_rate_is_named(monkeypatch):
@@ -210,10 +195,7 @@ TARGETS = np.array([[KOCH.targets.lower, KOCH.targets.upper]])
 def drive(fault, dwell=2.0, limits=None):
     """Drive to two targets with a fault; returns the recording, and what ended it."""
     with serving(fault=fault) as server, opened(server) as robot:
-        try:
-            return run(robot, IntegratorController(KOCH), TARGETS, Schedule(dwell=dwell), limits=limits), None
-        except (RobotError, GuardTripError) as error:
-            return recording_of(error), error
+        return drive_until_error(robot, TARGETS, dwell, limits)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ The vendor's client is slow to give up: what takes its whole patience is tried o
 
 import signal
 import time
+from contextlib import closing
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -16,7 +17,6 @@ from emulatedservers import deploy, serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
 from rejoint.robots.bus import Vitals
 from rejoint.robots.busrobot import BusRobot
@@ -24,6 +24,7 @@ from rejoint.robots.mycobot.bus import MyCobotBus  # noqa: F401 - the client wit
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 from rejoint_lab.emulator.faults import parse_faults
 from rejoint_lab.emulator.firmware import Firmware
+from targetdrive import drive_until_error
 
 pytestmark = pytest.mark.realtime
 
@@ -39,16 +40,13 @@ def awake(monkeypatch):
     monkeypatch.setattr("pymycobot.mycobot280socket.time", SimpleNamespace(sleep=lambda _: None, time=time.time))
 
 
-def drive(fault, *, dwell=2.0, seed=0):
+def drive(fault, *, dwell=2.0):
     """Drive to two targets with a fault; returns the recording and what ended it."""
-    with serve_tcp(Firmware.build(ARM, "worn"), timing=TIMING, faults=parse_faults(fault, 6), seed=seed) as server:
-        robot = open_robot(server.address, period=(PERIOD, PERIOD))
-        try:
-            return run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=dwell)), None
-        except (RobotError, GuardTripError) as error:
-            return recording_of(error), error
-        finally:
-            robot.close()
+    with (
+        serve_tcp(Firmware.build(ARM, "worn"), timing=TIMING, faults=parse_faults(fault, 6)) as server,
+        closing(open_robot(server.address, period=(PERIOD, PERIOD))) as robot,
+    ):
+        return drive_until_error(robot, TARGETS, dwell)
 
 
 @pytest.mark.parametrize(
@@ -64,18 +62,13 @@ def test_a_lossy_link_is_got_over(fault):
     assert (steps <= 0.1 * ARM.max_speed + 1e-9).all()
 
 
-def test_after_a_long_stall_the_arm_goes_on_slowly():
-    recording, error = drive("stall=1.2/3", dwell=3.0)
+@pytest.mark.parametrize("fault", ["stall=1.2/3", "gone=1/1"])
+def test_after_a_long_stall_or_a_new_connection_the_arm_goes_on_slowly(fault):
+    recording, error = drive(fault, dwell=3.0)
     assert error is None
     after = np.flatnonzero(recording.gaps())[0]
     first = np.abs(recording.command[after, 0] - recording.command[after - 1, 0]).max()
     assert np.degrees(first) < 1.0
-
-
-def test_a_link_that_was_gone_and_is_back_is_taken_up_again():
-    recording, error = drive("gone=1/1", dwell=3.0)
-    assert error is None
-    assert recording.gaps().any()
 
 
 def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from commandline import JUDGE
+from emulatedservers import serve_bus
 from rejoint.arms import load_arm
-from rejoint.robots.wireserver import TerminalServer
 from rejoint_lab.emulator import dynamixel, feetech
-from rejoint_lab.emulator.servobus import BusSession
 from rejoint_lab.plant.wear import load_wear
 
 NAMES = (*load_arm("so101").joint_names, "gripper")
@@ -26,9 +25,9 @@ pytestmark = [
 ]
 
 
-def judged(session):
-    """What LeRobot's bus saw and did."""
-    with TerminalServer(session) as server:
+def judge(arm, models, homing, left):
+    """LeRobot's bus finds servos and homing offsets, and leaves registers as it should, its calibration kept."""
+    with serve_bus(arm, pty=True) as server:
         family, _, rest = server.address.partition("://")
         device = rest.partition("?")[0]
         command = [sys.executable, str(Path(__file__).with_name("lerobot_judge.py")), device, family]
@@ -39,27 +38,21 @@ def judged(session):
     assert seen["calibrated"]
     assert all(abs(count - 2047) <= 3 for count in seen["middle"].values())
     assert all(5.0 < angle < 14.0 for name, angle in seen["moved"].items() if name != "gripper")
-    return seen
+    assert seen["models"] == models
+    assert [seen["held"][name][0] for name in NAMES] == list(homing)
+    for servo in arm.servos:
+        assert {name: servo[name] for name in left} == left
+        servo.cycle_power()
+        assert (servo["Min_Position_Limit"], servo["Max_Position_Limit"]) == (1000, 3000)
 
 
 def test_lerobot_connects_calibrates_moves_and_disconnects():
     arm = feetech.StsArm.build(load_arm("so101"), "so101")
-    seen = judged(BusSession(arm))
-    assert seen["models"] == [777]
-    assert [seen["held"][name][0] for name in NAMES] == list(feetech.HOMING)
-    for servo in arm.servos:  # as LeRobot leaves an arm: limp, its calibration kept
-        assert (servo["Torque_Enable"], servo["Lock"], servo["P_Coefficient"]) == (0, 0, 16)
-        servo.cycle_power()
-        assert (servo["Min_Position_Limit"], servo["Max_Position_Limit"]) == (1000, 3000)
+    judge(arm, [777], feetech.HOMING, {"Torque_Enable": 0, "Lock": 0, "P_Coefficient": 16})
 
 
 def test_lerobots_dynamixel_bus_does_the_same_on_a_koch():
     koch = load_arm("koch")
     arm = dynamixel.XArm(koch, load_wear("new", koch), gravity=np.zeros(3))  # limp for its calibration, it would fall
-    seen = judged(BusSession(arm))
-    assert seen["models"] == [1060, 1200]
-    assert [seen["held"][name][0] for name in NAMES] == list(dynamixel.FITTINGS["koch"].homing)
-    for servo in arm.servos:
-        assert (servo["Torque_Enable"], servo["Position_P_Gain"], servo["Return_Delay_Time"]) == (0, 1600, 0)
-        servo.cycle_power()
-        assert (servo["Min_Position_Limit"], servo["Max_Position_Limit"]) == (1000, 3000)
+    left = {"Torque_Enable": 0, "Position_P_Gain": 1600, "Return_Delay_Time": 0}
+    judge(arm, [1060, 1200], dynamixel.FITTINGS["koch"].homing, left)

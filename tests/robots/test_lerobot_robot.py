@@ -5,36 +5,30 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from commandline import JUDGE
+from emulatedservers import serve_bus
 from rejoint.arms import load_arm
 from rejoint.control.guard import MAX_PERIOD, GuardLimits
-from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint_lab.emulator.feetech import StsArm
-from rejoint_lab.emulator.servers import on_port
-from rejoint_lab.emulator.servobus import BusSession
 
 ARM = load_arm("so101")
-MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+MOTORS = (*ARM.joint_names, "gripper")
 
 pytestmark = pytest.mark.realtime
 
 
-@contextmanager
 def serving(tmp_path, pty=False):
-    arm = StsArm.build(ARM, "so101")
-    with (TerminalServer if pty else on_port)(BusSession(arm)) as server:
-        server.arm = arm
-        server.run = Run.create(tmp_path, server.address, ARM).path
-        yield server
+    server = serve_bus(StsArm.build(ARM, "so101"), pty=pty)
+    server.run_path = Run.create(tmp_path, server.address, ARM).path
+    return server
 
 
 def never_dropped(arm):
@@ -47,7 +41,7 @@ def never_dropped(arm):
 
 def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_path):
     with serving(tmp_path) as server:
-        with connect(server.address, run=server.run) as arm:
+        with connect(server.address, run=server.run_path) as arm:
             start = arm.state.joints_rad
             goal = arm.send_joints(ARM.rest + np.radians([40.0, 6.0, -6.0, 8.0, 10.0]))
             time.sleep(3.0)
@@ -64,13 +58,13 @@ def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_p
         longest = limits.max_speed[0] * MAX_PERIOD / ARM.encoder_step  # never a leap: every command is guarded
         assert np.abs(np.diff(goals)).max() <= longest + 1 < np.ptp(goals)
         assert never_dropped(server.arm)
-    assert list((server.run / "logs").glob("joints-*.parquet"))
+    assert list((server.run_path / "logs").glob("joints-*.parquet"))
 
 
 def test_lines_of_another_program_are_answered_or_refused(tmp_path):
     with serving(tmp_path) as server:
         address = f"{server.address}?zero=0,0,0,5,0"
-        command = [sys.executable, "-m", "rejoint", "serve", address, str(server.run), "--stdio"]
+        command = [sys.executable, "-m", "rejoint", "serve", address, str(server.run_path), "--stdio"]
         lines = [{}, {"goal": [1.0]}, {"speed": 3}, {"gripper": 40.0}, {}, None]
         program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         hears = [json.loads(program.stdout.readline())]
@@ -108,7 +102,7 @@ def test_lerobot_finds_makes_drives_and_leaves_the_robot(tmp_path):
         device = server.address.removeprefix("feetech://").partition("?")[0]
         command = [sys.executable, str(Path(__file__).with_name("lerobot_robot_judge.py")), device]
         found = subprocess.run(
-            [*command, str(server.run), str(program), str(folder)],
+            [*command, str(server.run_path), str(program), str(folder)],
             env=os.environ | {"PYTHONPATH": str(JUDGE)},
             capture_output=True,
             text=True,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rejoint
+from emulatedservers import serve_bus
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.policy import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, OverloadedError, Round
@@ -24,8 +25,6 @@ from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.emulator.feetech import StsArm
-from rejoint_lab.emulator.servers import on_port
-from rejoint_lab.emulator.servobus import BusSession
 from servorobot import ARM, ServoRobot
 
 FOUND = KIND.for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
@@ -115,7 +114,7 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
 
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, cli):
     arm = StsArm.build(ARM, "so101")
-    with on_port(BusSession(arm)) as server:
+    with serve_bus(arm) as server:
         run = Run.create(tmp_path, server.address, ARM)
         found = found_by(run, server.address)
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):

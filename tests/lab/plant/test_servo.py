@@ -24,6 +24,14 @@ def joint(**changes):
     return record
 
 
+def commanded(goal, speed_limit):
+    """A powered servo at zero whose reference has arrived at its goal."""
+    state = np.zeros(1, servo.STATE)
+    state["goal"] = state["reference"] = goal
+    state["speed_limit"], state["powered"] = speed_limit, True
+    return state
+
+
 def slide(torque, steps, inertia=0.02):
     """Push a mass against friction alone, harder for 0.2 s and then steadily; returns angle [rad] and speed [rad/s]."""
     records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=inertia)
@@ -77,19 +85,15 @@ def test_teeth_do_not_pull_when_they_part():
 
 
 def test_an_error_of_one_count_is_ignored_and_one_of_two_is_not():
-    state = np.zeros(1, servo.STATE)
-    state["speed_limit"], state["powered"] = 100.0, True
     for counts, expected in ((1.0, 0.0), (2.0, 2.0)):
-        state["goal"] = state["reference"] = counts * ARM.encoder_step
+        state = commanded(counts * ARM.encoder_step, 100.0)
         torque = servo.motor_torque(joint()[0], state[0], 0.0, 0.0)
         assert torque == pytest.approx(expected * ARM.encoder_step * joint()["position_gain"][0])
 
 
 def test_an_offset_moves_where_the_servo_rests():
     """Without load there is no torque where the joint stands off its command by the offset."""
-    state = np.zeros(1, servo.STATE)
-    state["goal"] = state["reference"] = 0.3
-    state["speed_limit"], state["powered"] = 1.0, True
+    state = commanded(0.3, 1.0)
     records = joint(offset=10 * ARM.encoder_step, damping_gain=0.0)
     assert servo.motor_torque(records[0], state[0], 0.3 + 10 * ARM.encoder_step, 0.0) == 0.0
     expected = 10 * ARM.encoder_step * records["position_gain"][0]
@@ -97,10 +101,7 @@ def test_an_offset_moves_where_the_servo_rests():
 
 
 def test_back_emf_takes_the_torque_at_the_no_load_speed():
-    state = np.zeros(1, servo.STATE)
-    state["goal"] = state["reference"] = 10.0
-    state["speed_limit"], state["powered"] = 1.0, True
-    records = joint(damping_gain=0.0)
+    state, records = commanded(10.0, 1.0), joint(damping_gain=0.0)
     assert servo.motor_torque(records[0], state[0], 0.0, 0.0) == pytest.approx(records["torque_limit"][0])
     assert servo.motor_torque(records[0], state[0], 0.0, 5.0) == pytest.approx(0.0)
 
