@@ -65,7 +65,7 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path, storage: s
     sent = [(ARRAYS, round(1e9 * t), array(u[order])) for t, u in zip(found.time, found.command, strict=True)]
     source = write(tmp_path / "bag", storage, states(found) + sent, packed)
     assert packed == "FILE" or detect(source) == storage
-    assert {detect(place) for place in (source.parent, tmp_path)} == {"rosbag"}
+    assert {detect(place) for place in (source.parent, tmp_path)} == {storage if packed == "NONE" else "rosbag"}
     with pytest.raises(FileError, match=r"topic /forward.*, message 1.*0 names for 5 commands; set --order"):
         import_logs(source.parent, ARM, out=tmp_path / "logs")
     options = ImportOptions(names=tuple(ARM.joint_names[i] for i in order))

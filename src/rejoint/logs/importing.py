@@ -162,7 +162,7 @@ READERS: dict[Format, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "ro
 _NAMED = 8  # reasons for which logs are refused
 _EXPECTED = (
     "a folder with SAGE's state_motor.csv, text with columns such as time_s, position.JOINT_rad and command.JOINT_rad, "
-    "an MCAP file, a bag of ROS 1, the folder of a bag of ROS 2, or a folder with LeRobot's meta/info.json"
+    "an MCAP file, a bag of ROS, or a folder with LeRobot's meta/info.json"
 )
 
 
@@ -266,8 +266,11 @@ def detect(source: Path) -> Format:
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
-        fitting = [name for name, reader in READERS.items() if reader.fits(source, True)]
-        fitting = fitting or [name for name, reader in READERS.items() if reader.found(source)]
+        places = {name: paths for name, reader in READERS.items() if (paths := reader.found(source))}
+        level = min((len(paths[0].parts) for paths in places.values()), default=0)
+        fitting = [name for name, paths in places.items() if len(paths[0].parts) == level]
+        if len(fitting) > 1 and "table" in fitting:  # first bytes and names are surer than that it is text
+            fitting.remove("table")
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")

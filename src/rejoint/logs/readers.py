@@ -11,6 +11,7 @@ what was commanded: the controller's state does.
 """
 
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache, partial
@@ -39,10 +40,12 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads: a path, or what is in this folder, sorted by name."""
+        """Return what it reads at a path, sorted by name: in a folder, else in folders there, as of ROS 2's bags."""
         if self.fits(source, True):
             return [source]
-        return [path for path in sorted(source.iterdir()) if self.fits(path, False)] if source.is_dir() else []
+        below = sorted(source.iterdir()) if source.is_dir() else []
+        deeper = (path for folder in below if folder.is_dir() for path in sorted(folder.iterdir()))
+        return [path for path in below if self.fits(path, False)] or [path for path in deeper if self.fits(path, False)]
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -469,11 +472,19 @@ SAGE = Reader(
 TABLE = Reader(_is_table, _read_table)
 LEROBOT = Reader(lambda path, _: (path / _INFO).is_file(), _episodes)
 MCAP = Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap))
+_PACKED = re.compile(rb"compression_mode: ['\"]?(file|message)", re.IGNORECASE)
+
+
+def _is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag of ROS 2 that its single files do not tell: packed, or of databases."""
+    metadata = folder / "metadata.yaml"
+    if not begins_with(metadata, b"rosbag2_bagfile_information"):
+        return False
+    return bool(_PACKED.search(metadata.read_bytes())) or not any(folder.glob("*.mcap"))
+
+
 _ROSBAGS = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}
 ROSBAG = Reader(
-    lambda path, _: (
-        begins_with(path / "metadata.yaml", b"rosbag2_bagfile_information")
-        or (path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix]))
-    ),
+    lambda path, _: _is_bag(path) or (path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix])),
     partial(_read, _open_rosbag),
 )
