@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms import Arm, Array, gravity_torque, load_arm, position_kinematics
 from rejoint.arms.inertia import bare
 from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
@@ -52,6 +52,9 @@ ARMS, SEED = 12, 2024
 ARMS_ON_DEMAND = 6
 """The same on demand (about 10 s); chosen"""
 
+
+RUBS = 0.06
+"""Friction over load of healthy gears: Rhoban's BAM, as the wear profile ``so101-new``"""
 
 HOBBY = ("emulated:", "feetech:", "dynamixel:")
 """Addresses of hobby servos begin so"""
@@ -93,19 +96,19 @@ def healthy_reference(
 ) -> HealthyReference | None:
     """Return what healthy arms with this load, these ``gains`` and this ``voltage`` (n,) [V] measure, if known.
 
-    Without a load the package holds it for some arms. For others, and for a ``robot`` (address) with hobby servos,
-    emulated ones are measured.
+    The package holds it for some arms; of others with hobby servos, by the address of a ``robot``, emulated ones are
+    measured. With a load the error grows as the weight bends the arm at rest.
     """
-    hobby = _packaged(bare(arm)) or robot.startswith(HOBBY)
-    if not _packaged(arm) and not (hobby and usable("emulated:healthy")):
+    own = bare(arm)
+    if not reference_path(own).exists() and not (robot.startswith(HOBBY) and usable("emulated:healthy")):
         return None
     p = np.array((gains or {}).get("p", [0]), dtype=float)
     share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
     if _new(arm) is None or not ((p > 0.0) & (share > 0.0)).all():
-        return _measured(arm, AS_SOLD)
+        return _laden(_measured(own, AS_SOLD), arm)
     typical = np.exp(np.log(p).mean())
     nearest = [_nearest(one) for one in (typical, *p)]
-    known = {of: _measured(arm, of) for of in set(nearest)}
+    known = {of: _laden(_measured(own, of), arm) for of in set(nearest)}
     rows = []
     for joint, of in enumerate(nearest[1:]):
         row, stiffer = known[of].joints[joint], p[joint] / of * share[joint]
@@ -133,25 +136,38 @@ def _nearest(p: float) -> int:
     return min(MEASURED, key=lambda one: abs(np.log(p / one)))
 
 
-def _packaged(arm: Arm) -> bool:
-    return bare(arm) is arm and reference_path(arm).exists()
-
-
 def _measured(arm: Arm, p: int) -> HealthyReference:
-    if _packaged(arm):
-        return read_json(reference_path(arm, p), HealthyReference)
-    return measure_healthy(arm, count=ARMS_ON_DEMAND, p=p)
+    path = reference_path(arm, p)
+    return read_json(path, HealthyReference) if path.exists() else measure_healthy(arm, count=ARMS_ON_DEMAND, p=p)
+
+
+def _laden(found: HealthyReference, arm: Arm) -> HealthyReference:
+    """Let the error grow as the weight bends the arm at rest, and friction by what gears rub under it."""
+    own, ends = bare(arm), [one.stiffness_nm_per_rad for one in found.joints]
+    softness = np.array([1.0 / k.value if k else 0.0 for k in ends])
+    weight = [gravity_torque(one, one.rest) for one in (own, arm)]
+    jacobians = [position_kinematics(one, one.rest)[1] for one in (own, arm)]
+    bent = [float(np.linalg.norm(turn @ (softness * pull))) for turn, pull in zip(jacobians, weight, strict=True)]
+    rubs, load = RUBS * np.abs(weight[1] - weight[0]), round(arm.mass.sum() - own.mass.sum(), 6)
+    rows = [
+        replace(row, coulomb_nm=_wider(row.coulomb_nm, by), hysteresis_rad=_wider(row.hysteresis_rad, 2.0 * by * soft))
+        for row, by, soft in zip(found.joints, rubs.tolist(), softness.tolist(), strict=True)
+    ]
+    error = found.error_mm and scaled(found.error_mm, bent[1] / bent[0] if bent[0] > 0.0 else 1.0)
+    return replace(found, joints=tuple(rows), error_mm=error, setting=f"{load:g} kg" * bool(load))
+
+
+def _wider(range_: Estimate | None, by: float) -> Estimate | None:
+    return range_ and replace(range_, high=(range_.high or 0.0) + by)
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose emulated healthy arms with the load of an ``arm``; ``p``: gain of one in `NEW`."""
-    new, load = _new(arm), round(arm.mass.sum() - bare(arm).mass.sum(), 6)
+    """Diagnose emulated healthy arms; ``p``: gain of an arm in `NEW`."""
+    new = _new(arm)
     profile = new or ("new" if arm.servos else "healthy")
-    robot = open_robot(f"emulated:{profile}?payload={load}{f'&p={p}' * bool(new)}", arm=arm, seed=SEED, count=count)
-    found = reference_from(
-        arm, record(robot, seed=SEED), source=f"{count} emulated arms with wear profile '{profile}'", motors=new is None
-    )
-    return replace(found, setting=f"{load:g} kg" * bool(load))
+    robot = open_robot(f"emulated:{profile}{f'?p={p}' * bool(new)}", arm=arm, seed=SEED, count=count)
+    source = f"{count} emulated arms with wear profile '{profile}'"
+    return reference_from(arm, record(robot, seed=SEED), source=source, motors=new is None)
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:

@@ -138,11 +138,11 @@ def diagnose(
         reference = _known_good(built, healthy)
         with session.metered("diagnose") as driven:
             gains = gains_in_force(driven)
+            (logs,) = record(driven, seed=session.seed, on_progress=update)
             if reference is None:
                 voltage = driven.read().voltage
                 volts = None if voltage is None else voltage[0]
                 reference = healthy_reference(driven.arm, address_of(robot), gains, volts)
-            (logs,) = record(driven, seed=session.seed, on_progress=update)
             found = replace(judge(driven.arm, logs, reference), servo_gains=None if gains is None else dict(gains))
             result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
             if session.run is not None:
