@@ -69,8 +69,11 @@ def heavy(arm: Arm, postures: Array, motors: Motors) -> list[str]:
 
     Midway between what they lift and what they hold (``benchmarks payload``).
     """
-    lifted = np.where(joint_weights(arm) <= 1.0, 0.5 * (motors.usable + motors.limit), np.inf)
-    judged = (too_heavy(arm, posture, lifted) for posture in postures)
+    lifted, midway = (
+        np.where(joint_weights(arm) <= 1.0, torque, np.inf)
+        for torque in (motors.usable, 0.5 * (motors.usable + motors.limit))
+    )
+    judged = ((too_heavy(arm, posture, midway)[0], too_heavy(arm, posture, lifted)[1]) for posture in postures)
     return [why if joint is not None else "" for joint, why in judged]
 
 
@@ -117,7 +120,9 @@ def _standing(log: RunLog) -> NDArray[Any]:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Guard's limits, with friction bands if ``robot`` is the run's own."""
     limits = GuardLimits.of(arm)
-    if run is None or not is_own(run, robot) or (told := run.diagnosis) is None:
+    if run is None or not is_own(run, robot) or zeros_of(run.robot) != zeros_of(robot):
+        return limits
+    if (told := run.diagnosis) is None:
         return limits
     paths = [run.folder.log(name) for name in ("excitation", "targets")]
     if not all(path.exists() for path in paths):

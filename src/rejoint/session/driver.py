@@ -442,7 +442,7 @@ class ArmDriver:
         own = given is not None or run is None or is_own(run, self.address)
         same = given is not None or found.zeros == zeros_of(self.address)
         why = "" if found.used else "it did not clearly help"
-        why = why if same else "the zeros of the joints have changed since; calibrate again"
+        why = why if same else "the zeros of the joints are others than then; calibrate again"
         why = why if own else f"it is not of {self.address}"
         if not why:
             return found
@@ -584,17 +584,18 @@ class ArmDriver:
 
         ``within`` [m] and [rad] of the tool, or the latter of each of the ``joints`` (n,) [rad]; in words ``wanted``.
         """
-        arm, since, reached, left, lags = self.arm, np.inf, False, "", ""  # [s] close since then
+        arm, motors, here, left, lags = self.arm, self.motors, self.arm.rest, "", ""
+        since, reached = np.inf, False  # [s] close since then
 
         def look(inputs: ControlInput) -> bool:
-            nonlocal since, reached, left, lags
-            now, position = float(inputs.state.time[0]), inputs.state.position[0]
-            away = np.abs(position - (inputs.sent[0] if joints is None else joints))
+            nonlocal since, reached, left, lags, here
+            now, here = float(inputs.state.time[0]), inputs.state.position[0]
+            away = np.abs(here - (inputs.sent[0] if joints is None else joints))
             worst = away.argmax()
             lags = f"{arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
             if joints is None:
                 aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
-                error = np.linalg.norm(aim[0] - tcp_position(arm, position))
+                error = np.linalg.norm(aim[0] - tcp_position(arm, here))
                 turned = turned_off(arm, inputs)[0]
                 near = inputs.arrived[0] and error < within[0] and not turned > within[1]
                 left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
@@ -607,8 +608,8 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
-            advice, motors = "Give it more time or room, or look whether something is in its way", self.motors
-            joint, why = (None, "") if motors is None else too_heavy(arm, self.robot.read().position[0], motors.usable)
+            advice = "Give it more time or room, or look whether something is in its way"
+            joint, why = (None, "") if motors is None else too_heavy(arm, here, motors.usable)
             raise NotReachedError(
                 f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. "
                 f"{lags}. {advice if joint is None else f'Its load is too heavy there: {why}'}"
