@@ -96,8 +96,7 @@ def healthy_reference(
 ) -> HealthyReference | None:
     """Return what healthy arms with this load, these ``gains`` and this ``voltage`` (n,) [V] measure, if known.
 
-    The package holds it for some arms; of others with hobby servos, by the address of a ``robot``, emulated ones are
-    measured. With a load the error grows as the weight bends the arm at rest.
+    From the package; for others with hobby servos, told by the address of a ``robot``, emulated arms are measured.
     """
     own = bare(arm)
     if not reference_path(own).exists() and not (robot.startswith(HOBBY) and usable("emulated:healthy")):

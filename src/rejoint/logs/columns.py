@@ -115,7 +115,7 @@ PAUSE = 1.0
 
 
 def sort_keys(time: Array) -> Array:
-    """Keys (T,) that sort rows a little late; a clock that was set back keeps its order."""
+    """Keys (T,) that sort rows a little late."""
     latest = np.fmax.accumulate(time)
     moved = np.argsort(np.fmin(latest, time), kind="stable") - np.arange(len(time))
     return latest if np.abs(moved).max(initial=0) > LATE else np.fmin(latest, time)

@@ -132,13 +132,13 @@ Remark: TypeAlias = tuple[str, str]
 
 
 def kept_remarks(log: RunLog) -> list[str]:
-    """Return what the import found out about a log, and kept in it."""
+    """Return what the import kept in a log."""
     forced = [f"imported by force, although {one}" for one in log.extra.get(FORCED, "").split(BETWEEN) if one]
     return [*filter(None, [log.extra.get(ZEROS)]), *forced]
 
 
 def remarks_on(logs: Sequence[RunLog]) -> list[str]:
-    """Return the kept remarks with the names of their logs."""
+    """Kept remarks with the names of their logs."""
     found: dict[str, list[str]] = {}
     for log in logs:
         for remark in kept_remarks(log):

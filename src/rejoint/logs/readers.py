@@ -476,7 +476,7 @@ _PACKED = re.compile(rb"compression_mode: ['\"]?(file|message)", re.IGNORECASE)
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag of ROS 2 that its single files do not tell: packed, or of databases."""
+    """Whether a folder is a bag of ROS 2, packed or of databases."""
     metadata = folder / "metadata.yaml"
     if not begins_with(metadata, b"rosbag2_bagfile_information"):
         return False

@@ -261,7 +261,7 @@ def metadata(design: Design, notice: str) -> dict[str, str]:
 
 
 def model_text(template: str, arm: Arm, twin: Twin) -> str:
-    """Fill in a simulator's model of ``arm`` with the servos of its twin; a comment names what is missing."""
+    """Fill in a simulator's model of ``arm`` with its twin's servos."""
     from rejoint.twin.table import twin_spec
 
     spec, p = twin_spec(arm), twin.parameters

@@ -78,7 +78,7 @@ def heavy(arm: Arm, postures: Array, motors: Motors) -> list[str]:
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:
-    """Motors of a twin; limits that are not identified may be three times as high."""
+    """Motors of a twin, perhaps with limits in doubt."""
     own, limit, lifting = twin.parameters, twin.parameters.torque_limit, lifting_torque(twin.parameters)
     late, emf = float(own.delay) + 0.5 * NOMINAL_PERIOD, back_emf(arm, own)
     doubt = np.where(twin.identified[twin.layout.at("torque_limit")], 1.0, UNSEEN)

@@ -180,7 +180,7 @@ def run_of_twin(twin: TwinLike) -> Run | None:
 
 
 def arm_of_twin(twin: TwinLike, arm: ArmLike | None = None) -> Arm:
-    """Arm of a twin, by default its run's or the catalogue's; one that carries nothing gets the load of the run."""
+    """Arm of a twin, by default its run's or the catalogue's, with the load of the run."""
     run = run_of_twin(twin)
     if arm is not None:
         found = load_arm(arm)

@@ -239,7 +239,7 @@ def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
 
 
 def explains(problem: Problem, x: Array, simpler: Array) -> bool:
-    """Whether parameters ``x`` (k,) explain the motion clearly better than ``simpler`` (k,) ones."""
+    """Whether ``x`` (k,) explains the motion clearly better than ``simpler`` (k,)."""
     return bool(_ratio(_losses(problem, x), _losses(problem, simpler)) < 1.0 - LIMIT_GAIN)
 
 
