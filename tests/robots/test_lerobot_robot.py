@@ -27,7 +27,7 @@ pytestmark = pytest.mark.realtime
 
 def serving(tmp_path, pty=False):
     server = serve_bus(StsArm.build(ARM, "so101"), pty=pty)
-    server.run_path = Run.create(tmp_path, server.address, ARM).path
+    server.run_path = Run.create(tmp_path / "run", server.address, ARM).path
     return server
 
 
