@@ -260,6 +260,10 @@ def metadata(design: Design, notice: str) -> dict[str, str]:
     }
 
 
+DIFFERENT = 0.05
+"""Share of the sag by which joints feed gravity forward otherwise, and are said to; chosen"""
+
+
 def model_text(template: str, arm: Arm, twin: Twin) -> str:
     """Fill in a simulator's model of ``arm`` with its twin's servos."""
     from rejoint.twin.table import twin_spec
@@ -267,6 +271,8 @@ def model_text(template: str, arm: Arm, twin: Twin) -> str:
     spec, p = twin_spec(arm), twin.parameters
     bound = np.exp(twin.upper[twin.layout.at("torque_limit")])  # that of joints which no motion brought to their limit
     sag = gravity_torque(arm, posture_grid(arm, 3).q) / p.stiffness
+    fed = float((p.compensation * sag**2).sum() / max((sag**2).sum(), 1e-30))  # one share of all links, by sag
+    differs = np.ptp((p.compensation - fed) * sag) > DIFFERENT * np.ptp(sag)
     for joint, armature in zip(spec.joints, p.armature, strict=True):
         joint.armature = armature
     return render(
@@ -275,7 +281,8 @@ def model_text(template: str, arm: Arm, twin: Twin) -> str:
         twin=twin,
         p=p,
         limit=np.where(p.torque_limit < 0.99 * bound, p.torque_limit, np.inf),
-        sag=sag,
+        fed=fed,
+        rest=(p.compensation - fed) / p.stiffness if differs else None,
         beside=back_emf(arm, p),
         inertia=1.0 / spec.compile().dof_invweight0,
         stribeck=STRIBECK_SPEED,
