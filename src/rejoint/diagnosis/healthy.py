@@ -54,7 +54,7 @@ ARMS_ON_DEMAND = 6
 
 
 RUBS = 0.06
-"""Friction over load of healthy gears: Rhoban's BAM, as the wear profile ``so101-new``"""
+"""Friction over load of healthy gears, as of the profile ``so101-new``"""
 
 HOBBY = ("emulated:", "feetech:", "dynamixel:")
 """Addresses of hobby servos begin so"""
@@ -141,7 +141,7 @@ def _measured(arm: Arm, p: int) -> HealthyReference:
 
 
 def _laden(found: HealthyReference, arm: Arm) -> HealthyReference:
-    """Let the error grow as the weight bends the arm at rest, and friction by what gears rub under it."""
+    """Let the error grow as the weight bends the arm at rest, and friction by load."""
     own, ends = bare(arm), [one.stiffness_nm_per_rad for one in found.joints]
     softness = np.array([1.0 / k.value if k else 0.0 for k in ends])
     weight = [gravity_torque(one, one.rest) for one in (own, arm)]

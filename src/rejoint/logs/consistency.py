@@ -138,7 +138,7 @@ def kept_remarks(log: RunLog) -> list[str]:
 
 
 def remarks_on(logs: Sequence[RunLog]) -> list[str]:
-    """Kept remarks with the names of their logs."""
+    """Kept remarks with their logs' names."""
     found: dict[str, list[str]] = {}
     for log in logs:
         for remark in kept_remarks(log):

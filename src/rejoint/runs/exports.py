@@ -261,7 +261,7 @@ def metadata(design: Design, notice: str) -> dict[str, str]:
 
 
 DIFFERENT = 0.05
-"""Share of the sag by which joints feed gravity forward otherwise, and are said to; chosen"""
+"""Share of the sag from which joints differ; chosen"""
 
 
 def model_text(template: str, arm: Arm, twin: Twin) -> str:

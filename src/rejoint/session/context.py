@@ -120,9 +120,9 @@ def _standing(log: RunLog) -> NDArray[Any]:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Guard's limits, with friction bands if ``robot`` is the run's own."""
     limits = GuardLimits.of(arm)
-    if run is None or not is_own(run, robot) or zeros_of(run.robot) != zeros_of(robot):
+    if run is None or not is_own(run, robot):
         return limits
-    if (told := run.diagnosis) is None:
+    if zeros_of(run.robot) != zeros_of(robot) or (told := run.diagnosis) is None:
         return limits
     paths = [run.folder.log(name) for name in ("excitation", "targets")]
     if not all(path.exists() for path in paths):
