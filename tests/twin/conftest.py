@@ -33,7 +33,7 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     """A run log of the arm whose twin is ``truth``, with encoder steps and jittering answers."""
     timestep = 0.005
     time, command = _commands(arm, rng, seconds)
-    reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed))
+    reference = ServoReference(time, command, float(truth.ramp_speed))
     grid = time[0] + np.arange(int((time[-1] - time[0]) / timestep) + 2) * timestep
     control = reference.sample(grid, np.atleast_1d(truth.delay))
     simulation = Simulation(arm, 1)

@@ -56,9 +56,9 @@ def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, o
     if table is None:
         arm.write(Draw.of(twin))
     arm.restart(command[:1])
-    reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed))
+    reference = ServoReference(time, command, float(truth.ramp_speed))
     if acceleration < np.inf:
-        reference = ServoReference(time, command, np.ones(1), acceleration)
+        reference = ServoReference(time, command, 1.0, acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
     arm.rollout(np.tile(control[:1], (1, 400, 1)))

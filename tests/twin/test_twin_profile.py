@@ -48,7 +48,7 @@ def test_the_acceleration_is_never_exceeded_while_commands_keep_changing(limit, 
     time = np.cumsum(rng.uniform(0.015, 0.025, 60))
     command = np.cumsum(rng.normal(0.0, 0.05, (60, 2)), axis=0)
     step = 1e-3
-    path = ServoReference(time, command, np.ones(1), limit).sample(np.arange(time[0], time[-1], step), NO_DELAY)[0]
+    path = ServoReference(time, command, 1.0, limit).sample(np.arange(time[0], time[-1], step), NO_DELAY)[0]
     assert np.abs(np.diff(path, 2, axis=0)).max() < 1.001 * limit * step**2
     np.testing.assert_allclose(path[0], command[0])
 
@@ -56,9 +56,9 @@ def test_the_acceleration_is_never_exceeded_while_commands_keep_changing(limit, 
 def test_a_goal_that_is_sent_again_is_followed_at_once():
     time = np.arange(6) * 0.02
     command = np.array([0.0, 0.3, 0.3, 0.3, 0.5, 0.5])[:, None]
-    seen = ServoReference(time, command, np.ones(1), 40.0).sample(
-        np.array([0.039, 0.040, 0.079, 0.099, 0.1]), NO_DELAY
-    )[0, :, 0]
+    seen = ServoReference(time, command, 1.0, 40.0).sample(np.array([0.039, 0.040, 0.079, 0.099, 0.1]), NO_DELAY)[
+        0, :, 0
+    ]
     # 40 / 2 * 0.019^2 from each of the two goals before the second sending of the next
     np.testing.assert_allclose(seen, [0.00722, 0.3, 0.3, 0.30722, 0.5], atol=1e-12)
 
@@ -68,5 +68,5 @@ def test_a_fast_sine_is_followed_to_its_limit_and_no_further():
     time = np.arange(0.0, 6.0, 0.02)
     for frequency, smallest, largest in ((1.75, 0.98, 1.02), (4.0, 0.2, 0.8)):
         command = 0.15 * np.sin(2 * np.pi * frequency * time)[:, None]
-        path = ServoReference(time, command, np.ones(1), 40.0).sample(np.arange(3.0, 6.0, 0.002), NO_DELAY)
+        path = ServoReference(time, command, 1.0, 40.0).sample(np.arange(3.0, 6.0, 0.002), NO_DELAY)
         assert smallest < np.abs(path).max() / 0.15 < largest

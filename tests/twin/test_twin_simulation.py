@@ -40,9 +40,9 @@ def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(accele
         passed.append(driven.twins.qpos[0].copy())
     time, grid = PERIOD * np.arange(CYCLES), STEP * np.arange(CYCLES * SUBSTEPS) - 1e-9
     known = (
-        ServoReference(time, command, twin.ramp_speed[None])
+        ServoReference(time, command, float(twin.ramp_speed))
         if acceleration == np.inf
-        else ServoReference(time, command, np.ones(1), acceleration)
+        else ServoReference(time, command, 1.0, acceleration)
     )
     # In closed loop a step's reference is where it ends, in a replay where it begins: that of the next one.
     reference = known.sample(grid + STEP, twin.delay[None])

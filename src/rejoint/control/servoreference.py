@@ -37,43 +37,42 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
 
 
 class ServoReference:
-    """References of m twins for one record of commands."""
+    """Reference for one record of commands."""
 
-    def __init__(self, time: Array, command: Array, speed: Array, acceleration: float = np.inf) -> None:
-        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] or a finite acceleration [rad/s^2].
+    def __init__(self, time: Array, command: Array, speed: float, acceleration: float = np.inf) -> None:
+        """Take sending times (T,) [s], commands (T, n) [rad], a speed [rad/s] or a finite acceleration [rad/s^2].
 
-        One speed may serve all twins. The first reference is the first command.
+        The first reference is the first command.
         """
         self._time, self._command, self._limits = time, np.ascontiguousarray(command), (speed, acceleration)
-        again = np.diff(command, axis=0, prepend=np.nan) == 0.0
-        rows = command[:-1], again[:-1], np.diff(time)
-        goals, same, steps = (np.broadcast_to(row, (len(speed), *row.shape)) for row in rows)
-        self._position, self._velocity = np.zeros((2, len(speed), *command.shape))  # when each command is sent
-        self._position[:, 0] = command[0]
-        first, limits = (self._position[:, 0], self._velocity[:, 0]), (speed, np.full(len(speed), acceleration))
-        self._position[:, 1:], self._velocity[:, 1:] = follow(*first, goals, same, *limits, steps)
+        again, rest = np.diff(command, axis=0, prepend=np.nan) == 0.0, (command[:1], 0.0 * command[:1])
+        limits = np.array([speed]), np.array([acceleration])
+        moved = follow(*rest, command[None, :-1], again[None, :-1], *limits, np.diff(time)[None])
+        # when each command is sent
+        self._position, self._velocity = (np.vstack([first, one[0]]) for first, one in zip(rest, moved, strict=True))
         if acceleration < np.inf:
-            self._position[:, again], self._velocity[:, again] = command[again], 0.0
+            self._position[again], self._velocity[again] = command[again], 0.0
 
     def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
+        """Return references (m, s, n) [rad] at ``time`` (s,) [s], in order, for delays (m,) [s]."""
         late = time - delay[:, None]
         return _sample(late, self._time, self._command, self._position, self._velocity, self._limits)
 
 
 @njit(cache=True, nogil=True)
 def _sample(late, time, command, position, velocity, limits):
-    speeds, acceleration = limits
+    speed, acceleration = limits
     twins, instants = late.shape
     path = np.empty((twins, instants, command.shape[1]))
     for i in range(twins):
-        u = min(i, len(speeds) - 1)
+        k = 0
         for s in range(instants):
-            k = max(np.searchsorted(time, late[i, s], side="right") - 1, 0)
+            while k + 1 < len(time) and time[k + 1] <= late[i, s]:
+                k += 1
             elapsed = max(late[i, s] - time[k], 0.0)
             for j in range(command.shape[1]):
-                now, v = position[u, k, j], velocity[u, k, j]
-                path[i, s, j] = move(now, v, command[k, j], speeds[u] * elapsed, acceleration, elapsed)[0]
+                now, v = position[k, j], velocity[k, j]
+                path[i, s, j] = move(now, v, command[k, j], speed * elapsed, acceleration, elapsed)[0]
     return path
 
 

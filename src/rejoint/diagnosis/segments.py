@@ -98,7 +98,7 @@ class ExcitationLog:
     def references(self) -> list[ServoReference]:
         """Of each joint, which ramps to each command at top speed."""
         log, speed = self.log, self.arm.max_speed
-        return [ServoReference(log.time, log.command[:, [j]], speed[[j]]) for j in range(self.arm.joints)]
+        return [ServoReference(log.time, log.command[:, [j]], speed[j]) for j in range(self.arm.joints)]
 
     @cached_property
     def load(self) -> Array:

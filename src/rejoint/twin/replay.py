@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -90,12 +90,8 @@ class Replay:
     acceleration: float = np.inf
 
     def __post_init__(self) -> None:
-        for log in self._shown.values():
-            log.require(self.arm)
-
-    @cached_property
-    def _shown(self) -> dict[int, RunLog]:
-        return {w.log: self.logs[w.log] for w in self.windows}
+        for w in self.windows:
+            self.logs[w.log].require(self.arm)
 
     @cached_property
     def seconds(self) -> float:
@@ -137,7 +133,7 @@ class Replay:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
         of_logs = {
             i: np.stack(np.broadcast_arrays(log.position, velocity(log.time, log.position, VELOCITY), gains(log)))
-            for i, log in self._shown.items()
+            for i, log in {w.log: self.logs[w.log] for w in self.windows}.items()
         }
         return np.stack([of_logs[w.log][:, w.first] for w in self.windows], axis=1)
 
@@ -186,22 +182,24 @@ class Replay:
 
     def references(self, parameters: TwinParameters) -> Array:
         """One twin's references (rows, n) [rad] at the readings."""
-        one = parameters.repeat(1)
-        references = self._references(one.ramp_speed)
-        times = [(w, self.logs[w.log].time[w.first : w.last]) for w in self.windows]
-        return np.concatenate([references[w.log].sample(time, one.delay)[0] for w, time in times])
+        delay, limits = np.atleast_1d(parameters.delay), (float(parameters.ramp_speed), self.acceleration)
+        logs = [(self.logs[w.log], slice(w.first, w.last)) for w in self.windows]
+        return np.concatenate([followed(log, *limits).sample(log.time[rows], delay)[0] for log, rows in logs])
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n), means over each simulation step."""
-        limits = np.stack([parameters.delay, parameters.ramp_speed])
-        (delay, speed), which = np.unique(limits, axis=1, return_inverse=True)
-        references, grid = self._references(speed), self._grid
+        limits = np.stack([parameters.ramp_speed, parameters.delay])
+        (speed, delay), which = np.unique(limits, axis=1, return_inverse=True)
+        grid = self._grid
         control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
-            reference, times = references[w.log], self.logs[w.log].time[w.first] + grid
-            instants = times[:, None] + self.timestep * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
-            sampled = reference.sample(instants.ravel(), delay).reshape(len(delay), *instants.shape, -1)
-            part[:] = sampled.mean(axis=2)[which]
+            log = self.logs[w.log]
+            instants = (log.time[w.first] + grid)[:, None] + self.timestep * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
+            sampled = [
+                followed(log, one, self.acceleration).sample(instants.ravel(), delay[speed == one])
+                for one in np.unique(speed).tolist()
+            ]
+            part[:] = np.concatenate(sampled).reshape(len(delay), *instants.shape, -1).mean(axis=2)[which]
         if parameters.compensation.any():
             torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
@@ -213,9 +211,11 @@ class Replay:
         log = self.logs[window.log]
         return gravity_torque(self.arm, interpolated(log.time[window.first] + self._grid, log.time, log.command))
 
-    def _references(self, speed: Array) -> dict[int, ServoReference]:
-        """Return references by log for speeds (u,) [rad/s]."""
-        return {i: ServoReference(log.time, log.command, speed, self.acceleration) for i, log in self._shown.items()}
+
+@lru_cache
+def followed(log: RunLog, speed: float, acceleration: float) -> ServoReference:
+    """Return the reference of a log, kept for other twins of its speed."""
+    return ServoReference(log.time, log.command, speed, acceleration)
 
 
 GAIN, TORQUE_OFF = "gain", "torque_off"
