@@ -266,7 +266,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
     free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
     kept = _usual(error, free)
     without, own, any_masses = ((_left(error[kept], design[kept]) ** 2).sum() for design in (base, model, free))
-    moments = np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept])).R
+    moments = np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept]), mode="r")
     scale = len(np.unique(motion.cluster[kept])) ** 0.5 / max(any_masses**0.5, 1e-150)
     return (without - own) / max(without - any_masses, 1e-300), moments * scale
 
@@ -292,7 +292,7 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
             error = mirror[joint, own] * motion.error[0]
             kept = _usual(error, design)
             rows = np.column_stack([design, *turned, error])[kept]
-            root = np.linalg.qr(np.pad(rows, ((0, size), (0, 0)))).R[-size:, -size:]
+            root = np.linalg.qr(np.pad(rows, ((0, size), (0, 0))), mode="r")[-size:, -size:]  # type: ignore[call-overload]
             found[k, joint] = (
                 root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(np.linalg.norm(root[4:, -1]), 1e-150)
             )
