@@ -117,8 +117,8 @@ def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[A
     k is 3 for ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
     """
     shape, rows = np.broadcast_shapes(q.shape[:-1], target.shape[:-1]), 3 if turn is None else 6
-    postures = rows_of(arm, np.broadcast_to(q, (*shape, arm.joints)))
-    goals = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17)
+    each = np.zeros((*shape, 1))
+    postures, goals = rows_of(arm, q + each), goals_of(target + each, turn).reshape(-1, 17)
     errors, jacobians = np.zeros((len(goals), rows)), np.zeros((len(goals), rows, arm.joints))
     compiled.fill_tasks(chain_of(arm), goals, postures, errors, jacobians)
     return errors.reshape(*shape, rows), jacobians.reshape(*shape, rows, arm.joints)

@@ -192,8 +192,10 @@ def guard(
     the limits if ``sent`` is. ``way``: goals (B, n) [rad] on a clear way, and where (B,) they move; in a contact, only
     the clear part of the command's difference from them remains.
     """
-    asked = np.stack([command, sent, speed, state.position], axis=1, dtype=float)
-    times, out = np.stack(np.broadcast_arrays(state.age, period), dtype=float), np.empty((2, *command.shape))
+    count, joints = command.shape
+    asked, times, out = np.empty((count, 4, joints)), np.empty((2, count)), np.empty((2, count, joints))
+    asked[:, 0], asked[:, 1], asked[:, 2], asked[:, 3] = command, sent, speed, state.position
+    times[0], times[1] = state.age, period
     reasons, about = servo_trips(state), (chain_of(limits.arm), limits.shape, limits.rules)
     compiled.guard(*about, asked, times, reasons, out)
     touched = reasons & np.uint16(Reason.COLLISION.value)

@@ -261,6 +261,8 @@ class RunState:
         self.set_at, self.begun = (np.where(where, old + by, old) for old in (self.set_at, self.begun))
 
     def _advance(self, finished: Mask) -> Mask:
+        if not finished.any():
+            return finished
         last = self.index == self.reference.legs - 1
         renewed = finished & ~last
         self.active = self.active & ~(finished & last)
@@ -278,14 +280,15 @@ class RunState:
         late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
         # A repeated answer has no news of the clock: the last period stands.
         self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
-        known = np.where(np.isnan(self.usual), elapsed, self.usual)
-        self._wait(self.gap, elapsed)
-        moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
+        known, moved = np.where(np.isnan(self.usual), elapsed, self.usual), self.gap
+        if self.gap.any():
+            self._wait(self.gap, elapsed)
+            moved = moved & elsewhere(self.state.position, self.sent, state.position)
         left_out = self.reference.left_out(self.state.time - self.set_at, self.state.position, state.position)
         self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state = state
-        if np.count_nonzero(self.gap):
+        if self.gap.any():
             self._begin_again(self.gap, moved)
         self._ask()
 

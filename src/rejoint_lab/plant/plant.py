@@ -165,8 +165,8 @@ class Plant:
 
     def encoder(self, age: Array | float = 0.0) -> Array:
         """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
-        steps = np.rint(np.broadcast_to(age, self.count) / servo.STEP).astype(np.int64)
-        return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
+        tick = self._tick - np.rint(np.asarray(age) / servo.STEP).astype(np.int64)
+        return self._history[np.arange(self.count), tick % servo.HISTORY]
 
     def reset(self, position: Array) -> None:
         """Put the arms at rest at encoder ``position`` (B, n) [rad]."""
@@ -193,8 +193,7 @@ class Plant:
     def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
-        wait = np.broadcast_to(delay, self.count)
-        due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
+        due = self._tick + np.ceil(np.asarray(delay) / servo.STEP - 1e-9).astype(np.int64)
         for i in self._selected(where):
             slot = int(np.argmax(self._due[i]))
             if self._due[i, slot] != servo.NEVER:
@@ -203,14 +202,14 @@ class Plant:
 
     def advance(self, duration: Array | float, where: Mask | None = None) -> None:
         """Advance by ``duration`` (B,) [s], in whole milliseconds."""
-        wanted = np.broadcast_to(duration, self.count)
         steps = np.zeros(self.count, np.int64)
-        chosen = self._selected(where)
-        steps[chosen] = np.rint(wanted[chosen] / servo.STEP).astype(np.int64)
+        steps[:] = np.rint(np.asarray(duration) / servo.STEP)
+        if where is not None:
+            steps[~where] = 0
         done = 0
-        for until in np.unique(steps[steps > 0]):  # arms with longer durations go on without the others
-            self._run(np.flatnonzero(steps >= until), int(until) - done)
-            done = int(until)
+        for until in sorted({*steps.tolist()} - {0}):  # arms with longer durations go on without the others
+            self._run(np.flatnonzero(steps >= until), until - done)
+            done = until
 
     def set_power(self, on: bool) -> None:
         """Switch the servos. Off: only friction. On: hold."""
@@ -244,11 +243,11 @@ class Plant:
 
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
-        for _ in range(steps):
-            arms, commands = (self.joints, self.servos), (self._due, self._queue)
-            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._sts, self._x)
+        clock, arms, commands = (self._tick, self._history), (self.joints, self.servos), (self._due, self._queue)
+        for k in range(steps):
+            _drive(ids, (k > 0, *clock), self._key, arms, commands, self._bodies, self._sts, self._x)
             self.batch.step(stepped)
-            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
+        servo.record(ids, *clock, *arms, self.qpos)
 
     def _balance(self, position: Array) -> tuple[Array, Array, Array]:
         """Servo angles, gear angles and motor torques (B, n) at rest."""
@@ -433,14 +432,17 @@ def _aim(joints, servos, status):
 
 
 @inner
-def _drive(ids, tick, key, arms, commands, bodies, sts, x):
+def _drive(ids, clock, key, arms, commands, bodies, sts, x):
     """Write the next torques of the arms ``ids``.
 
-    ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
+    ``clock``: whether to record a step, steps (B,), encoder readings (B, HISTORY, n); ``arms``: JOINT and
+    STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
     velocities, torques (B, 2n); ``sts``, ``x``: None, or SETTING and STATUS (B, n, S) of joints with S such servos, and
     rings (B, n, ...) of an STS3215.
     """
-    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
+    (late, tick, history), (joints, servos), (due, queue), (qpos, qvel, applied) = clock, arms, commands, bodies
+    if late:
+        servo.record(ids, tick, history, joints, servos, qpos)
     n = joints.shape[1]
     for i in ids:
         if due[i].min() <= tick[i]:

@@ -195,7 +195,7 @@ def receive(tick, due, queue, servos):
 
 
 @inner
-def record(ids, tick, joints, servos, qpos, history):
+def record(ids, tick, history, joints, servos, qpos):
     """Count a step and store encoder readings (B, HISTORY, n)."""
     for i in ids:
         tick[i] += 1
