@@ -101,12 +101,13 @@ class TableBatch:
         """Advance by ``control`` (m, steps, n) [rad]; return such positions."""
         path = np.empty_like(control)
         driving, bias = self._batch.bind("qfrc_actuator"), self._batch.bind("qfrc_bias")
+        friction = self._batch.expand("dof_frictionloss")
         self._ctrl[:] = control[:, 0]
         self._batch.forward()  # what presses the gears at the start
         for k in range(control.shape[1]):
             self._ctrl[:] = control[:, k]
             load = 0.5 * np.abs(driving + bias)  # a step ago
-            self._batch.expand("dof_frictionloss")[:] = dry_friction(self._terms, self.qvel, load)
+            friction[:] = dry_friction(self._terms, self.qvel, load)
             self._batch.step(None, nstep=1)
             path[:, k] = self.qpos
         return path
