@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtr
 
 from rejoint.arms import Arm, Array, Displacement, Mask
-from rejoint.arms.rotations import difference, inverse, moved
+from rejoint.arms.rotations import difference, inverse, moved, pose_of
 from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import (
     ANYWHERE,
@@ -105,16 +105,17 @@ class ToolProblem:
         return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
     def outside(self, vector: Array) -> tuple[Array, Array, Array]:
-        """Poses (4, 4) of frame and mounting, and the lens's change, for the unknowns (k,)."""
-        frame, mounted, lens = np.split(np.pad(vector[self.layout.body :], (0, 12)), [6, 12])
-        return moved(self.frame, frame), moved(self.mounted, mounted), lens[: self.by_lens.shape[-1]]
+        """Poses (..., 4, 4) of frame and mounting, and the lens's change, for the unknowns (..., k)."""
+        rest = np.append(vector, 0.0 * vector[..., :12], axis=-1)[..., self.layout.body :]
+        frame, mounted, lens = np.split(rest, [6, 12], axis=-1)
+        return moved(self.frame, frame), moved(self.mounted, mounted), lens[..., : self.by_lens.shape[-1]]
 
     def tool(self, vector: Array) -> Array:
-        """Measured tool (R, 4, 4) in the measuring frame."""
+        """Measured tool (..., R, 4, 4) in the measuring frame."""
         _, mounted, lens = self.outside(vector)
-        seen = inverse(self.seen) if self.inverted else self.seen
-        seen = moved(seen, self.by_lens @ lens)
-        return (inverse(seen) if self.inverted else seen) @ inverse(mounted)
+        change = np.einsum("rcl,...l->...rc", self.by_lens, lens)
+        seen = moved(inverse(self.seen) if self.inverted else self.seen, change)
+        return (inverse(seen) if self.inverted else seen) @ inverse(mounted)[..., None, :, :]
 
     def misfit(self, vector: Array) -> Array:
         """Predicted less measured shift [m] and turn [rad] (R, 6), axes of the measuring frame; 0: not measured."""
@@ -126,12 +127,11 @@ class ToolProblem:
         predicted, slope = self.layout.linearised(vector, self.position)
         by_arm = np.where(self.known[..., None], back @ slope, 0.0)
 
-        here, steps = self._misfit(vector, predicted), _STEP * np.eye(len(vector))[body:]
-        by_device = [(self._misfit(vector + step, predicted) - here)[..., None] / _STEP for step in steps]
-        return np.concatenate([by_arm, *by_device], axis=-1)
+        *there, here = self._misfit(vector + _STEP * np.eye(len(vector) + 1)[body:, :-1], predicted)
+        return np.concatenate([by_arm, *((one - here)[..., None] / _STEP for one in there)], axis=-1)
 
     def _misfit(self, vector: Array, predicted: Array) -> Array:
-        off = difference(inverse(self.outside(vector)[0]) @ predicted, self.tool(vector))
+        off = difference(inverse(self.outside(vector)[0])[..., None, :, :] @ predicted, self.tool(vector))
         return np.where(self.known, off, 0.0)
 
     def noise(self, vector: Array) -> Array:
@@ -269,7 +269,7 @@ def leave_out(problem: ToolProblem, fitted: Fitted) -> Array:
         out = np.isin(problem.posture, numbers[group::FOLDS])
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
         off, slope = held.misfit(refit.vector)[:, :3], held.slope(refit.vector)[:, :3]
-        total = held.noise(refit.vector)[:, :3, :3] + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
+        total = held.noise(refit.vector)[:, :3, :3] + slope @ refit.covariance @ slope.mT
         before = np.linalg.norm(problem.uncorrected(out, fitted.vector)[:, :3], axis=1)
         surprise = np.einsum("mi,mi->m", off, np.linalg.solve(total, off[..., None])[..., 0])
         found[:, out] = before, np.linalg.norm(off, axis=1), surprise
@@ -292,26 +292,22 @@ def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = Non
 
     ``prior``: an earlier calibration; ContractError for another arm's. InputError for unusable measurements.
     """
-    if measurements.position.shape[1] != arm.joints:
+    position, point, foreign = measurements.position, measurements.point, measurements.frame != "base"
+    if position.shape[1] != arm.joints:
         raise InputError(
-            f"measurements of {measurements.position.shape[1]} joints, the arm {arm.name} has {arm.joints}; take those "
-            "of this arm"
+            f"measurements of {position.shape[1]} joints, the arm {arm.name} has {arm.joints}; take those of this arm"
         )
-    near = cdist(measurements.position, measurements.position, "chebyshev") < SAME
-    same = near | (measurements.posture[:, None] == measurements.posture)
+    same = (cdist(position, position, "chebyshev") < SAME) | (measurements.posture[:, None] == measurements.posture)
     measurements = replace(measurements, posture=connected_components(same)[1])  # rows of one posture, one number
-    foreign = measurements.frame != "base"
-    seen = np.tile(np.eye(4), (len(measurements), 1, 1))
-    seen[:, :3, 3] = np.nan_to_num(measurements.point)
     beliefs = beliefs_of(arm, prior, ANYWHERE**-2.0 * np.eye(6 * foreign))
     problem = ToolProblem(
         arm=arm,
         belief=beliefs[0],
-        seen=seen,
-        by_lens=np.zeros((len(seen), 6, 0)),
-        known=np.isfinite(np.pad(measurements.point, ((0, 0), (0, 3)), constant_values=np.nan)),
+        seen=pose_of(np.eye(3), np.nan_to_num(point)),
+        by_lens=np.zeros((len(point), 6, 0)),
+        known=np.isfinite(np.append(point, np.nan * point, axis=1)),
         spread=measurements.sigma[:, None, None] ** 2 * np.eye(6),
-        position=measurements.position,
+        position=position,
         posture=measurements.posture,
         frame=align(arm, measurements) if foreign else np.eye(4),
         mounted=np.eye(4),
