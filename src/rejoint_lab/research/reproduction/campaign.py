@@ -166,11 +166,10 @@ class Bench:
             quick=True,
             sets=1,
             repetitions=2,
-            count=3,
-            protocol=Protocol(dwell=2.0, hold=2.0),
+            count=2,
+            protocol=Protocol(dwell=1.0, hold=1.5),
             agents=16,
-            updates=2,
-            snapshot_every=2,
+            updates=1,
             judged=8,
         )
 

@@ -375,7 +375,7 @@ def _ten(row: ControllerRow) -> str:
 
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
-    protocol, found, series, means = Protocol(hold=FIG_9_DWELL), Found(), [], []
+    protocol, found, series, means = replace(bench.protocol, hold=FIG_9_DWELL), Found(), [], []
     for profile, look, paper in (("healthy", LOOKS["blue"], 3.09), ("worn", LOOKS["red"], 22.7)):
         compared = trials(bench, profile, ["default"], protocol, repetitions=1).compare()
         (row,), sets = compared.rows, 1e3 * compared.array("settled", "default")[:, 0]
