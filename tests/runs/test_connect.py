@@ -408,16 +408,6 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         assert end.time_s < 200.0, "ten times along a circle take longer"
 
 
-def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path, few_targets):
-    run = Run.create(tmp_path, "emulated:worn", ARM).path
-    with rejoint.connect("emulated:worn", run=run) as arm:
-        assert "joint" in arm.diagnose(quick=True).verdict
-        assert arm.identify().arm == ARM.name
-        targets = ARM.targets.sample(np.random.default_rng(0), (2,))
-        compared = arm.compare(["default", "predictive"], targets, plan=rejoint.TrialPlan(repetitions=1))
-        assert compared.recommendation.controller == "predictive"
-        assert arm.controller == "predictive"
-        arm.move_to([0.18, 0.03, 0.21], within_m=0.003)
-    assert Run.open(run).twin is not None
+def test_a_session_without_a_run_does_no_stages():
     with rejoint.connect("emulated:worn") as arm, pytest.raises(rejoint.InputError, match="run=FOLDER"):
         arm.diagnose()

@@ -144,12 +144,16 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
     np.testing.assert_array_equal(whole.position, taken.log.position)
 
 
-def test_a_session_does_its_stages_with_the_load_that_it_was_told(tmp_path, few_targets):
+def test_a_session_does_its_stages_with_the_load_that_it_was_told_and_drives_by_what_they_find(tmp_path, few_targets):
     run = Run.create(tmp_path, "emulated:worn", ARM)
     told = rejoint.Settings(payload=0.05, keep_out=[WALL])
     with rejoint.connect("emulated:worn", run=run, settings=told) as arm:
-        arm.diagnose(quick=True)
-        arm.compare(["default"], [[0.18, 0.03, 0.21]], plan=rejoint.TrialPlan(repetitions=1))
+        assert "joint" in arm.diagnose(quick=True).verdict
+        assert arm.identify().arm == ARM.name
+        target = [0.18, 0.03, 0.21]
+        arm.compare(["default", "predictive"], [target], plan=rejoint.TrialPlan(repetitions=1))
+        assert arm.controller == "predictive"
+        arm.move_to(target, within_m=0.003)
     assert settled(None, run, "emulated:worn")[0].payload.mass == 0.05
     robot = rejoint.open_robot("emulated:worn", arm=loaded(ARM, 0.05))
     for other in (rejoint.Settings(payload=0.1), rejoint.Settings(tool=[0.0, 0.0, 0.05])):
