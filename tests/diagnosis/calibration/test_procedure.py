@@ -105,15 +105,15 @@ def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
 
 def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
     run = Run.create(tmp_path, "emulated:worn?seed=5", ARM)
-    found = rejoint.calibrate("emulated:worn?seed=5", run=run)
+    found = rejoint.calibrate("emulated:worn?seed=5", run=run, count=6)
     assert found.calibration.used
     assert found.before > 5e-3
     assert found.after < 0.4 * found.before
-    assert len(found.reversal) == 10
+    assert len(found.reversal) == 6
     kept = read_measurements(run.folder.measurements, ARM)
     np.testing.assert_array_equal(kept.point, found.measurements.point)
 
-    targets = ARM.targets.sample(np.random.default_rng(8), (6,))
+    targets = ARM.targets.sample(np.random.default_rng(8), (3,))
     usual = rejoint.Settings(controller="integrator")
     plain, aimed, other = (
         rejoint.deploy(f"emulated:worn?seed={seed}", targets, run=run, settings=settings)
