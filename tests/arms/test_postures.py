@@ -84,8 +84,8 @@ def test_what_is_too_heavy_is_so_in_every_posture():
     heavy = [k for k, why in enumerate(goals.refusals) if why.startswith("too heavy")]
     assert 3 < len(heavy) < 50
     assert all(any(f"{name} needs" in goals.refusals[k] for name in arm.joint_names) for k in heavy)
-    starts = np.random.default_rng(6).uniform(arm.lower, arm.upper, (2000, arm.joints))
-    for k in heavy[:6]:
+    starts = np.random.default_rng(6).uniform(arm.lower, arm.upper, (1000, arm.joints))
+    for k in heavy[:3]:
         any_way = solve_position(arm, places[k], starts, rest_gain=0.0)
         free = any_way.converged & (clearances(arm, any_way.q, guarded_floors(arm)) > 0.0).all(axis=-1)
         assert free.any()

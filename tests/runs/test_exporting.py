@@ -80,7 +80,7 @@ def differences(file, recording):
 @pytest.mark.parametrize(("arm", "address"), [(ARM, "emulated:worn"), (so101(), "emulated:so101")])
 def test_onnx_runtime_commands_what_our_controller_commands(arm, address, tmp_path):
     about = Run.create(tmp_path, address, arm)
-    targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
+    targets = arm.targets.sample(np.random.default_rng(0), (1, 2))
     policy = write_policy(about.folder.policy, arm)
     given = ((None, policy.controller(arm)), (None, shelf_controller(arm)), ("feedforward", FeedforwardController(arm)))
     for name, controller in given:

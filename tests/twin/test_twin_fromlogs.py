@@ -17,7 +17,7 @@ from rejoint.twin.structure import EARLIER, Structure, find_acceleration
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
-QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=80.0, contact_seconds=24.0)
+QUICK = LogSettings(coarse_seconds=20.0, fit_seconds=40.0, contact_seconds=12.0)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
         position = fed.position.copy()
         position[:, 4] = position[0, 4]
         logs.append(replace(fed, arm=stranger.name, command=command, position=position))
-    found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, far_seconds=5.0))
+    found = identify_logs(stranger, logs, LogSettings(coarse_seconds=8.0, fit_seconds=15.0, far_seconds=5.0))
     told = dict(zip(found.names, found.identified, strict=True))
     assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
     assert {*found.unknown["compensation"]} >= {*ARM.joint_names[:4]}

@@ -90,9 +90,9 @@ def test_the_intervals_are_not_merely_wide(distances):
 
 def test_a_plant_with_play_and_flex_is_predicted_on_motion_the_fit_has_not_seen():
     """The plant is richer than any twin, so its parameters have no truth here: prediction decides."""
-    logs = record_motions([load_wear("so101", ARM)], 5, 18.0, seed=3)[0]
-    settings = LogSettings(coarse_seconds=48.0, fit_seconds=80.0)
-    found = identify_logs(ARM, logs, replace(settings, hold_out=("motion1", "motion4")))
+    logs = record_motions([load_wear("so101", ARM)], 5, 12.0, seed=3)[0]
+    settings = LogSettings(coarse_seconds=24.0, fit_seconds=40.0, hold_out=("motion1", "motion4"))
+    found = identify_logs(ARM, logs, settings)
     mean = found.judgement.mean
     assert mean[FITTED].free.tcp < 0.25 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)
     assert mean[FITTED].free.tcp < 4e-3

@@ -17,7 +17,7 @@ def motions(slower, size, **options):
 
 
 def identified(logs):
-    return identify_logs(ARM, logs, LogSettings(coarse_seconds=24.0, fit_seconds=60.0))
+    return identify_logs(ARM, logs, LogSettings(coarse_seconds=12.0, fit_seconds=30.0))
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_torque_tells_the_stiffness_and_a_sag_no_more_than_it_can(share):
 
 
 def test_a_twin_has_the_scale_of_the_torque():
-    twin = identify_logs(STRANGER, motions(0.0), LogSettings(coarse_seconds=40.0, fit_seconds=96.0))
+    twin = identify_logs(STRANGER, motions(0.0), LogSettings(coarse_seconds=20.0, fit_seconds=40.0))
     known = twin.identified[: ARM.joints]
     assert known.all()
     assert np.abs(twin.parameters.stiffness / TRUTH.stiffness - 1.0).max() < 0.15

@@ -23,11 +23,11 @@ def loads(arm, path, home):
 
 
 def circles(arm, count):
-    """Circles of 20 mm radius in 20 s, somewhere in the workspace."""
+    """Circles of 20 mm radius in 6 s, somewhere in the workspace."""
     rng, places = np.random.default_rng(2), pool_of(arm).place
     for middle in places[rng.integers(len(places), size=count)]:
         circle = 0.02 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
-        yield Path(time=np.linspace(0.0, 20.0, 61), place=middle + circle)
+        yield Path(time=np.linspace(0.0, 6.0, 61), place=middle + circle)
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
@@ -54,7 +54,7 @@ def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
 
 @pytest.mark.parametrize(("name", "heavy"), [("mycobot280", 2), ("so101", 1)])
 def test_an_arm_too_weak_for_rest_takes_a_posture_that_its_motors_lift(name, heavy):
-    arm, path = load_arm(name), standard_path("circle-20s", load_arm(name))
+    arm, path = load_arm(name), standard_path("circle-8s", load_arm(name))
     need = loads(arm, path, arm.rest)
     strong = 4.0 * need.max() * np.ones(arm.joints)
     weak = strong.copy()
@@ -70,7 +70,7 @@ def test_an_arm_too_weak_for_rest_takes_a_posture_that_its_motors_lift(name, hea
 
 def test_a_path_that_the_motors_do_not_lift_is_refused_with_the_joint():
     arm = load_arm("so101")
-    path = standard_path("circle-20s", arm)
+    path = standard_path("circle-8s", arm)
     weak = 0.5 * loads(arm, path, arm.rest)
     with pytest.raises(InputError, match=r"too heavy: .* needs"):
         path.home(arm, Motors(weak, weak))
@@ -80,7 +80,7 @@ def test_a_path_that_the_motors_do_not_lift_is_refused_with_the_joint():
 def test_an_accepted_path_keeps_the_clearance_of_targets(height):
     arm = load_arm("mycobot280")
     circle = 0.03 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
-    path = Path(time=np.linspace(0.0, 20.0, 61), place=np.array([0.16, 0.1, height]) + circle)
+    path = Path(time=np.linspace(0.0, 6.0, 61), place=np.array([0.16, 0.1, height]) + circle)
     if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
         with pytest.raises(InputError):
             path.home(arm)
