@@ -253,7 +253,7 @@ def test_current_tells_friction_where_nobody_recorded_commands():
 
 
 @pytest.mark.parametrize(
-    ("grown", "unit", "condition"), [(1.0, "A", "unknown"), (1.6, "A", "worn"), (1.6, "", "unknown")]
+    ("grown", "unit", "condition"), [(1.6, "A", "unknown"), (1.9, "A", "worn"), (1.9, "", "unknown")]
 )
 def test_friction_that_grew_between_two_dates_is_named_and_no_other(grown, unit, condition):
     dry = np.full(ARM.joints, 0.4)

@@ -194,11 +194,7 @@ def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
         known = [found for row in rows if (found := getattr(row, name)) is not None]
         if known:
             ranges[name] = _range(known, allowed.get(name), least.get(name, 0.0))
-    return JointMetrics(
-        joint=rows[0].joint,
-        offset_rad=NO_OFFSET,
-        **ranges,
-    )
+    return JointMetrics(joint=rows[0].joint, offset_rad=NO_OFFSET, **ranges)
 
 
 def _typical(values: Sequence[float | None]) -> float | None:
@@ -207,20 +203,18 @@ def _typical(values: Sequence[float | None]) -> float | None:
 
 
 def _range(found: Sequence[Estimate], allowed: float | None = None, least: float = 0.0) -> Estimate:
-    """Healthy range: `SIGMAS` of several values or the interval of one, and `TOLERANCE`.
+    """Healthy range: `SIGMAS` of several values and `TOLERANCE`; of one its interval, and twice that.
 
     Of logarithms of ``least`` or more, for positive quantities; about zero with ``allowed`` beside.
     """
-    known = np.array([(one.value, one.low, one.high) for one in found], dtype=float)
+    known = np.array([(one.value, one.low, one.high) for one in found], float)
     ends = np.where(np.isnan(known), known[:, :1], known)  # an open end is the value
     if allowed is None:
         ends = np.log(np.maximum(ends, least or 1e-12))
-    value, low, high = ends[0]
-    if len(ends) > 1:
-        value, half = ends[:, 0].mean(), SIGMAS * ends[:, 0].std(ddof=1)
-        low, high = value - half, value + half
+    value = ends[:, 0].mean()
     margin = np.log1p(TOLERANCE) if allowed is None else TOLERANCE * abs(value) + allowed
-    range_ = value, low - margin, high + margin
+    half = SIGMAS * ends[:, 0].std(ddof=1) + margin if len(ends) > 1 else np.hypot(ends[0, 1:] - value, 2.0 * margin)
+    range_ = value, *(value + np.multiply(half, (-1.0, 1.0)))
     return Estimate(*(np.exp(range_) if allowed is None else range_))
 
 
@@ -228,14 +222,11 @@ POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_r
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
-    """Make a reference from a diagnosis, widened by the spread between arms.
-
-    InputError for another arm.
-    """
+    """Make a reference from a diagnosis, for other arms; InputError for another kind."""
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
-    error = None if good.evidence is None else good.evidence.rest_error_mm
-    error = error if good.open_loop is None else good.open_loop.error_mm
+    loop, seen = good.open_loop, good.evidence
+    error = loop.error_mm if loop else seen.rest_error_mm if seen else None
     return HealthyReference(
         arm=arm.name,
         source=f"an arm known to be good ({good.robot})",
