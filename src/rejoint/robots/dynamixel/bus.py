@@ -243,7 +243,7 @@ class DynamixelBus(ServoBus):
             position=position,
             load=self._sign * shares,
             voltage=self._volts[self.leads],
-            fault=np.array([bool(word) for word in words]),
+            fault=np.array(words, bool),
             trouble=tuple(words),
         )
 

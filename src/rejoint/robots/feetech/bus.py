@@ -115,7 +115,7 @@ class FeetechBus(ServoBus):
             load=torque_share(self.gains, duties, targets - places),
             voltage=VOLT * volts,
             temperature=heats,
-            fault=np.array([bool(word) for word in words]),
+            fault=np.array(words, bool),
             trouble=tuple(words),
         )
 

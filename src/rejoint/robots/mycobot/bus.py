@@ -199,7 +199,7 @@ class MyCobotBus(Bus):
         if not isinstance(reply, list) or len(reply) != _JOINTS:
             raise ImpossibleReplyError(f"expected the status of {_JOINTS} servos, got {reply!r}")
         words = [", ".join(FAULTS.get(bit, "a fault") for bit in bits or ()) for bits in reply]
-        return Vitals(fault=np.array([bool(bits) for bits in reply]), trouble=tuple(words))
+        return Vitals(fault=np.array(words, bool), trouble=tuple(words))
 
     def ask(self, method: str, *arguments: object) -> object:
         """Return what a method of the vendor's client answers; RobotError."""

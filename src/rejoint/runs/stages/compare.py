@@ -237,12 +237,11 @@ class ComparisonJob:
         return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer(), threads=1))
 
     def _open(self, count: int, seed: int) -> Robot:
-        if not isinstance(self.robot, str):
-            robot: Robot = Borrowed(self.robot)
-        else:
-            robot = open_robot(
-                self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=self.threads
-            )
+        robot = (
+            open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=self.threads)
+            if isinstance(self.robot, str)
+            else Borrowed(self.robot)
+        )
         return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
 
     def fingerprint(self, run: Run) -> str:
