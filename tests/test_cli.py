@@ -13,7 +13,6 @@ import pytest
 
 from commandline import python
 from rejoint.arms import mycobot280
-from rejoint.logs.runfolder import RunInfo
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
@@ -64,10 +63,8 @@ def test_what_is_to_be_ignored_stays_ignored(tmp_path):
 def test_the_newest_unfinished_run_is_resumed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     robot, arm = "emulated:worn?seed=3", mycobot280()
-    first = Run.plan(None, robot, arm).path
+    first = Run.plan(None, robot, arm).begin().path
     assert first == Path("runs/mycobot280-emulated-worn-seed-3-seed0/001")
-    info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
-    write_json(first / "run.json", info)
     assert newest_or_new(robot, arm, first.parent) == first
     (first / "report.html").write_text("of what there is")
     assert newest_or_new(robot, arm, first.parent) == first

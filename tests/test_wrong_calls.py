@@ -180,6 +180,8 @@ def test_an_arm_has_a_name_that_every_command_takes(tmp_path, cli, monkeypatch):
     assert cli("goto", "bench-3", "180", "0", "200", "--json").last["reached"]
     checked = cli("check", "bench-3", "--history", "seen", "--json", code=None).last
     assert (checked["arm"], checked["robot"]) == ("bench-3", "emulated:worn?seed=3")
+    assert "rejoint repair bench-3" in checked["line"]
+    assert "runs/bench-3-emulated" in cli("repair", "bench-3", "--preset", "none", code=2).err
     cli("arms", "remove", "left")
     (tmp_path / "config" / "rejoint" / "FLEET.toml").rename(tmp_path / "FLEET.toml")  # that of a fleet, here
     assert cli("arms", "--json").last["arms"] == {"bench-3": "emulated:worn?seed=3"}

@@ -115,29 +115,29 @@ def test_many_write_at_once(tmp_path):
 )
 def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows, count):
     every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
-    past = past_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
+    past = past_of(every, "a1")
     assert len(past.visits) == count
     assert past.setup == "same"
     assert past.visits[-1].measures == measures()
 
 
-def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path):
+def test_a_repair_is_of_the_arm_that_it_names_else_of_the_only_one_at_its_address(tmp_path):
     """Arms are plugged into one port one after the other; the history shows each with its own repair."""
-    key = name_of("tcp://10.0.0.1:9000", "mycobot280")
-    repair = head(2.5, kind="repair", arm=key, settled_mm=0.5, error_mm=30.0, state="bad")
-    checks = [head(month, arm=arm) for month, arm in enumerate(("a1", "a2", "a1", "a2", "a1"))]
-    rows = [row for one in checks for row in rows_of(one, measures())] + [repair]
-    mine, other = past_of(rows, "a1", key), past_of(rows, "a2", key)
+    key, line = name_of("tcp://10.0.0.1:9000", "mycobot280"), "It is soft. Do: rejoint check a1 --repeat 5"
+    repair = head(2.5, kind="repair", settled_mm=0.5, error_mm=30.0, state="bad", line=line)
+    checks = [row for month in range(5) for row in rows_of(head(month, arm=f"a{2 - month % 2}"), measures())]
+    rows, unnamed = [*checks, repair], replace(repair, arm=key)
+    mine, other = past_of(rows, "a1"), past_of(rows, "a2")
     assert (len(mine.visits), mine.left_mm) == (1, 0.5)
-    assert (len(other.visits), other.left_mm) == (2, None)
-    assert past_of([*rows, replace(repair, time=BEGIN)], "a3", key).left_mm is None
-    assert past_of([repair], "a3", key).left_mm == 0.5
-    assert {arm.name: len(arm.rows) for arm in arms_of(rows)} == {"a1": 4, "a2": 2}
+    assert (len(other.visits), other.left_mm) == (3, None)
+    assert [past_of([*checks, unnamed], arm).left_mm for arm in ("a1", "a2", key)] == [None, None, 0.5]
+    assert past_of([unnamed, head(3)], "a1").left_mm == 0.5
+    assert {arm.name: len(arm.rows) for arm in arms_of(rows)} == {"a1": 3, "a2": 3}
     told = arms_of([row for row in rows if row.time <= repair.time])
     shown = {arm.name: cells(arm) for arm in told}
     assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
     assert not head(error_mm=2.0, true_error_mm=4.0, tolerance_mm=3.0).over  # a check judges by the encoders
-    assert shown["a1"][-1].endswith("--repeat 5")
+    assert shown["a1"][-1] == "rejoint check a1 --repeat 5"
     write_history(tmp_path / "told.html", told)
     assert "<p>Nothing urgent on 2 arms.</p>" in (tmp_path / "told.html").read_text()
 

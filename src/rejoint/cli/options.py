@@ -55,10 +55,8 @@ class Call(Terminal, Observer):
         """Take the shared options by their fields in `Settings`, in `ArmPick` or here."""
         self.settings = Settings(**{name: given[name] for name in Settings.__dataclass_fields__ if name in given})
         self.pick = ArmPick(**{name: given[name] for name in ArmPick._fields if name in given})
-        self.picked = any(self.pick)
-        """whether the user described the arm"""
-        self.named: FleetArm | None = None
-        """the arm, where it was given by name"""
+        self.named = FleetArm(name="", address="")
+        """arm given by name"""
         self.code = 0
         """exit code"""
         self._bar: Progress = no_progress
@@ -70,13 +68,8 @@ class Call(Terminal, Observer):
 
     def address(self, robot: str) -> str:
         """Return the address of a robot that may be given by name; what is known of it holds by default."""
-        found = named_arm(robot)
-        if found is None:
-            return robot
-        self.named = found
-        if found.description is not None and not self.picked:
-            self.pick = self.pick._replace(arm=found.description)
-        return found.address
+        self.named = named_arm(robot) or self.named
+        return self.named.address or robot
 
     def arm(self, robot: str | None = None) -> Arm:
         """Load the arm, by default the one that ``robot`` is, and say what its description left open.
@@ -84,7 +77,7 @@ class Call(Terminal, Observer):
         Without a rest posture the arm is written to a TOML file for its owner.
         """
         source, base, tip, hold = self.pick
-        source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
+        source = source or self.named.description or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
         try:
             loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
         except NoPostureError as error:
@@ -106,11 +99,11 @@ class Call(Terminal, Observer):
 
         It is the one at ``path``, else the newest interrupted one, or a new one.
         """
-        if path is not None and RunFolder(path).info.exists() and not any(self.pick):
+        if path is not None and RunFolder(path).info.exists() and not (any(self.pick) or self.named.description):
             chosen = OpenRun.open(path).arm
         else:
             chosen = self.arm(None if robot.startswith(LOGS) else robot)
-        return OpenRun.plan(path, robot, chosen, seed)
+        return OpenRun.plan(path, robot, chosen, seed, name=self.named.name)
 
     def do(self, work: Callable[..., T], *given: object, **options: object) -> T:
         """Do a stage, ``work`` of the front door, and print its result, also one cut short."""

@@ -62,7 +62,7 @@ def calibrate(
     if run.exists():
         job = Run.open(run).seeded(call.settings.seed)
     else:
-        job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0)
+        job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0, name=call.named.name)
     settings = replace(call.settings, calibration="none" if fresh else None)
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
     about = {"run": job, "settings": settings}
@@ -233,11 +233,11 @@ def check(
     seed: int | None = None,
 ) -> object:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
-    chosen = call.arm(robot)
-    if call.named is not None:
-        name, tolerance = name or call.named.name, tolerance or call.named.tolerance_mm
-    described = (word for name, value in call.pick._asdict().items() if value for word in (f"--{name}", value))
-    notes = replace(notes, repair=command("repair", robot, *described, *to_keep(call.settings).options()))
+    chosen, name = call.arm(robot), call.named.name or None if name is None else name
+    described = (word for option, value in call.pick._asdict().items() if value for word in (f"--{option}", value))
+    notes = replace(
+        notes, repair=command("repair", call.named.name or robot, *described, *to_keep(call.settings).options())
+    )
     with call.watched("check") as observer:
         for number in range(repeat):
             if number:
@@ -247,7 +247,7 @@ def check(
                 history=history,
                 name=name,
                 arm=chosen,
-                tolerance_mm=tolerance,
+                tolerance_mm=call.named.tolerance_mm if tolerance is None else tolerance,
                 notes=notes,
                 settings=replace(call.settings, seed=seed),
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),

@@ -55,6 +55,10 @@ class RunInfo:
     """local date and time, ISO 8601"""
     arm_file: str = ""
     """`file_digest` of the arm's description, or empty"""
+    name: str = ""
+    """of the arm, or empty"""
+    fleet: str = ""
+    """its file, or empty"""
     format: int = FORMAT
 
 

@@ -17,21 +17,16 @@ from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
-from rejoint.system.shell import command
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
-    """Return a function from a row to its arm's name."""
-    checks: dict[str, list[HistoryRow]] = {}
-    for row in sorted((row for row in rows if row.kind == "check" and not row.joint), key=lambda row: row.time):
-        checks.setdefault(name_of(row.robot, row.model), []).append(row)
-
-    def owner(row: HistoryRow) -> str:
-        there = [] if row.kind == "check" else checks.get(name_of(row.robot, row.model), [])
-        before = [one for one in there if one.time <= row.time]
-        return (before[-1:] or there[:1] or [row])[0].arm
-
-    return owner
+    """Return the arm of each row; without a name, the only one checked at its address."""
+    sole = dict[str, str]()
+    for row in rows:
+        if row.kind == "check":
+            key = name_of(row.robot, row.model)
+            sole[key] = row.arm if sole.get(key, row.arm) == row.arm else key
+    return lambda row: sole.get(row.arm, row.arm)
 
 
 MOVED, SET_UP = "moved", "set up"
@@ -58,7 +53,6 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
-    due = found.due
     arm = replace(
         rows[0],
         state=found.state,
@@ -67,25 +61,21 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
         tolerance_mm=found.tolerance_mm,
         controlled_mm=found.controlled_mm,
     )
-    if due:
+    if due := found.due:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     states = {one.joint: one.state for one in reversed(found.changes)}  # the worst of each joint
     return [arm, *(replace(row, state=states.get(row.joint, "")) for row in rows[1:])]
 
 
-def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
-    """Return an arm's history since its baseline began.
-
-    A repair counts for its `owners`, or by ``key``.
-    """
+def past_of(rows: Sequence[HistoryRow], arm: str) -> Past:
+    """Return an arm's history since its baseline began."""
     past, owner = Past(), owners(rows)
-    mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and owner(row) in (arm, key))]
-    mine.sort(key=lambda row: (row.time, row.kind))
+    mine = sorted((row for row in rows if owner(row) == arm), key=lambda row: (row.time, row.kind))
     for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
         members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
         head = members.pop("", None)
-        if kind == "repair":
-            past = Past(setup=head.setup, left_mm=head.left_mm) if head else Past(setup=past.setup)
+        if kind == "repair" and head:
+            past = Past(setup=head.setup, left_mm=head.left_mm)
         elif kind == "check" and head and members:
             with suppress(msgspec.ValidationError):  # a measure is missing
                 found = vars(head) | {"joints": list(map(vars, members.values()))}
@@ -101,14 +91,14 @@ def summarise(run: Run) -> None:
     A finished repair keeps its time.
     """
     diagnosis, comparison = run.diagnosis, run.comparison
-    if run.folder.quick.exists() or (diagnosis is None and comparison is None):
+    if run.folder.quick.exists() or not (diagnosis or comparison):
         return
     path, kind = run.path / SUMMARY, REPAIR if run.folder.finished.exists() else "run"
     before = summary_of(path)
     arm = HistoryRow(
-        time=before.time if before is not None and before.kind == kind == REPAIR else utc_now(),
+        time=before.time if before and before.kind == kind == REPAIR else utc_now(),
         kind=kind,
-        arm=name_of(run.robot, run.arm.name),
+        arm=run.info.name or name_of(run.robot, run.arm.name),
         robot=run.robot,
         model=run.arm.name,
         setup=setup_of(run.arm),
@@ -118,14 +108,18 @@ def summarise(run: Run) -> None:
         for row in diagnosis.measurement.joints:
             found = {name: one and one.value for name in _DIAGNOSED for one in [getattr(row, name)]}
             joints.append(replace(arm, joint=row.joint, **found))
-        arm, loop = replace(arm, state=diagnosis.condition, line=diagnosis.verdict), diagnosis.open_loop
-        if loop is not None:
+        arm = replace(arm, state=diagnosis.condition, line=diagnosis.verdict)
+        if loop := diagnosis.open_loop:
             known = loop.true_error_mm
             arm = replace(arm, true_error_mm=known.value if known else None, error_mm=loop.error_mm.value)
     if comparison is not None:
         best = comparison.row(recommend(comparison).controller)
         settled, true = (1e3 * one.mean.value if one else None for one in (best.settled, best.settled_true))
         arm = replace(arm, controller=best.controller, success=best.reached, settled_mm=settled, settled_true_mm=true)
+    if kind == REPAIR:
+        from rejoint.pages.report.page import check_again
+
+        arm = replace(arm, line=f"{arm.line} Do: {check_again(run.folder, run.info)}")
     write_rows(path, [arm, *joints])
 
 
@@ -165,9 +159,9 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
 
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
-REPAIR, REPAIRED = "repair", "repaired"
-"""Kind of a repair's row, and the state until the next check"""
-_ORDER = ("alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
+REPAIR, REPAIRED, OVER = "repair", "repaired", "tolerance reached"
+"""Kind of a repair's row, and states"""
+_ORDER = (OVER, "alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
 
 
 class ArmHistory(NamedTuple):
@@ -195,7 +189,7 @@ class ArmHistory(NamedTuple):
 
 def state_of(row: HistoryRow) -> str:
     """State of an arm by its newest row."""
-    return "tolerance reached" if row.over else REPAIRED if row.kind == REPAIR else row.state
+    return OVER if row.over else REPAIRED if row.kind == REPAIR else row.state
 
 
 DRIFTS, ALARM = 6, 7
@@ -231,8 +225,6 @@ def cells(arm: ArmHistory) -> list[str]:
 
 def what_to_do(row: HistoryRow) -> str:
     """Last advice to the user."""
-    if row.kind == REPAIR:
-        return f"{command('check', row.robot)} --repeat 5"
     return row.line.partition("Do: ")[2]
 
 
@@ -242,13 +234,13 @@ def _span(early: datetime | None, late: datetime | None) -> str:
     return f"after {early:%Y-%m-%d}" if late is None else f"{early:%Y-%m-%d} to {late:%Y-%m-%d}"
 
 
-def _urgency(arm: ArmHistory) -> tuple[bool, int, datetime, float]:
+def _urgency(arm: ArmHistory) -> tuple[int, datetime, float]:
     row = arm.newest
     state = _ORDER.index(arm.state) if arm.state in _ORDER else len(_ORDER)
-    return (not row.over, state, row.due_early or datetime.max, -(row.counts_mm or 0.0))
+    return state, row.due_early or datetime.max, -(row.counts_mm or 0.0)
 
 
 def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:
     """Write the page; FileError if it cannot be written."""
-    urgent = [arm for arm in arms if arm.newest.over or arm.state in ("alarm", "drifting", "bad")]
+    urgent = [arm for arm in arms if arm.state in (OVER, "alarm", "drifting", "bad")]
     write_page(path, "history.html", arms=arms, urgent=urgent, headers=HEADERS, cells=cells)

@@ -22,7 +22,7 @@ from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.control.servogains import GainsFound
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
+from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
@@ -73,13 +73,22 @@ class Run(Readable):
         return cls(folder=folder, info=info, arm=replace(load_arm(folder.arm(info.arm)), name=info.arm))
 
     @classmethod
-    def plan(cls, path: Run | Path | str | None, robot: str, arm: Arm, seed: int | None = 0) -> Run:
+    def plan(
+        cls,
+        path: Run | Path | str | None,
+        robot: str,
+        arm: Arm,
+        seed: int | None = 0,
+        *,
+        name: str = "",
+        fleet: str = "",
+    ) -> Run:
         """Open the run folder, or plan what `create` writes; same errors.
 
         Default path: `newest_or_new` of this robot below `RUNS`. Default seed: the folder's.
         """
         if path is None:
-            path = newest_or_new(robot, arm, RUNS / plain_name(f"{arm.name}-{robot}-seed{as_seed(seed)}"))
+            path = newest_or_new(robot, arm, RUNS / plain_name(f"{name or arm.name}-{robot}-seed{as_seed(seed)}"))
         folder = path.folder if isinstance(path, Run) else RunFolder(as_path("a run or its folder", path))
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
@@ -99,9 +108,14 @@ class Run(Readable):
             return run
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
-        created = datetime.now().isoformat(timespec="seconds")
         info = RunInfo(
-            robot=robot, arm=arm.name, seed=as_seed(seed), version=__version__, created=created, format=FORMAT
+            robot=robot,
+            arm=arm.name,
+            seed=as_seed(seed),
+            version=__version__,
+            created=datetime.now().isoformat(timespec="seconds"),
+            name=name,
+            fleet=fleet,
         )
         return cls(folder=folder, info=info, arm=arm)
 

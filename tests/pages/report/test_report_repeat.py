@@ -3,17 +3,23 @@
 import numpy as np
 import pytest
 
+import rejoint
 from readpage import Page
-from rejoint.arms import Box
+from rejoint.arms import Box, mycobot280
 from rejoint.arms.inertia import Payload
-from rejoint.logs.runfolder import KeptSettings, RunFolder, RunInfo
+from rejoint.logs.history import SUMMARY
+from rejoint.logs.runfolder import KeptSettings
 from rejoint.pages.report.page import read_contents, write_report
+from rejoint.runs.history import summary_of, what_to_do
+from rejoint.runs.run import Run
 from rejoint.system.files import write_json
 
 
 def test_the_lines_say_what_the_run_keeps_as_it_is_typed(tmp_path):
-    folder, box = RunFolder(tmp_path), Box(lower=np.array([-0.1, 0.15, 0.0]), upper=np.array([0.3, 0.2, 0.1]))
-    write_json(folder.info, RunInfo(robot="emulated:worn", arm="mycobot280", seed=7, version="0", created="now"))
+    folder, box = (
+        Run.create(tmp_path, "emulated:worn", mycobot280(), 7).folder,
+        Box(lower=np.array([-0.1, 0.15, 0.0]), upper=np.array([0.3, 0.2, 0.1])),
+    )
     load = Payload(mass=0.05, com=(0.0, 0.0, 0.03))
     write_json(folder.settings, KeptSettings(payload=load, keep_out=(box,), period=(0.02, 0.03)))
     write_json(folder.quick, {})
@@ -23,9 +29,25 @@ def test_the_lines_say_what_the_run_keeps_as_it_is_typed(tmp_path):
 
 @pytest.mark.parametrize("robot", ["emulated:worn", "tcp://10.0.0.2:9000"])
 def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, robot):
-    folder = RunFolder(tmp_path)
-    write_json(folder.info, RunInfo(robot=robot, arm="mycobot280", seed=0, version="0", created="now"))
+    folder = Run.create(tmp_path, robot, mycobot280()).folder
     write_json(folder.diagnosis, diagnosis)
     line = read_contents(tmp_path).commands()["compare"]
     assert line == f"rejoint compare {robot} {tmp_path}"
     assert f"To do it: {line}" in Page(write_report(tmp_path)).words
+
+
+@pytest.mark.parametrize(
+    ("named", "line"),
+    [
+        ({}, "rejoint check emulated:worn --repeat 5"),
+        ({"name": "a1"}, "rejoint check a1 --repeat 5"),
+        ({"name": "a1", "fleet": "F.toml"}, "rejoint fleet check F.toml --only a1"),
+    ],
+)
+def test_the_check_after_a_repair_is_of_the_same_arm(tmp_path, diagnosis, named, line):
+    folder = Run.plan(tmp_path, "emulated:worn", mycobot280(), **named).begin().folder
+    write_json(folder.diagnosis, diagnosis)
+    write_json(folder.finished, {})
+    rejoint.report(tmp_path)
+    row = summary_of(tmp_path / SUMMARY)
+    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line)

@@ -185,11 +185,8 @@ class Contents:
             steps["let your own programs drive it"] = command("serve", robot, run, *by_lines)
         if self.calibration is None:
             steps["measure where the tool really is"] = self.commands()["calibrate"]
-        return steps | {
-            "see later whether it has become worse": command(
-                "check", robot, *self.described(), *self.settings.options("keep_out", "period"), "--repeat", 5
-            )
-        }
+        steps["see later whether it has become worse"] = check_again(self.folder, self.info)
+        return steps
 
     @property
     def controllers(self) -> list[str]:
@@ -197,22 +194,18 @@ class Contents:
         tried = BASELINES if self.comparison is None else self.comparison.controllers
         return [] if {*BASELINES} <= {*tried} else ["--controllers", ",".join(tried)]
 
-    def described(self) -> tuple[object, ...]:
-        """Options that name the arm."""
-        arm = self.folder.arm(self.info.arm)
-        return () if arm == DEFAULT_ARM else ("--arm", arm)
-
     def commands(self) -> dict[str, str]:
         """Command lines of every stage."""
         run, robot = self.folder.path, self.info.robot
         quick = ["--quick"] * self.folder.quick.exists()
-        options = [*self.described(), *self.settings.options(), "--seed", self.info.seed, *quick]
+        known = described(self.folder, self.info)
+        options = [*known, *self.settings.options(), "--seed", self.info.seed, *quick]
         seen = self.calibration is not None and self.calibration.source == "camera"
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
         identify: tuple[object, ...] = (run,)
         if robot.startswith(LOGS):
-            diagnose = identify = ("--logs", robot.removeprefix(LOGS), *self.described(), "--run", run)
+            diagnose = identify = ("--logs", robot.removeprefix(LOGS), *known, "--run", run)
             robot = "ROBOT"
         return {
             "repair": command("repair", robot, *options, *self.controllers),
@@ -223,6 +216,20 @@ class Contents:
             "compare": command("compare", robot, run, *self.controllers),
             "report": command("report", run),
         }
+
+
+def described(folder: RunFolder, info: RunInfo) -> tuple[str, ...]:
+    """Options that name the arm."""
+    arm = folder.arm(info.arm)
+    return () if arm == DEFAULT_ARM else ("--arm", arm)
+
+
+def check_again(folder: RunFolder, info: RunInfo) -> str:
+    """Command that checks a repaired arm."""
+    if info.fleet:
+        return command("fleet", "check", info.fleet, "--only", info.name)
+    options = read_settings(folder).options("keep_out", "period")
+    return command("check", info.name or info.robot, *described(folder, info), *options, "--repeat", 5)
 
 
 def read_contents(path: Path) -> Contents:

@@ -16,8 +16,7 @@ from rejoint.runs.failure import failure_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, summary_of, what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
-from rejoint.runs.run import newest_or_new
-from rejoint.session.inputs import Settings
+from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.files import read_json, saving, write_json, write_text
 from rejoint.system.records import value_type
 from rejoint.system.shell import command
@@ -53,6 +52,8 @@ class Work(NamedTuple):
     """of all runs and checks, or the run"""
     options: Mapping[str, Any]
     """of `repair`, or the check's `CheckNotes`"""
+    new: Mapping[str, Any]
+    """of a new run"""
 
     @property
     def moves(self) -> bool:
@@ -96,7 +97,8 @@ def do_work(work: Work) -> WorkOutcome:
                 notes=CheckNotes(**work.options),
             )
         else:
-            repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
+            run = Run.plan(work.folder, arm.address, arm.built, **work.new)
+            repair(arm.address, run=run, only=work.step, **work.options)
     except Interrupted as error:
         outcome = WorkOutcome(problem=HELD, code=error.exit_code)
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
@@ -267,11 +269,12 @@ class Campaign:
             return
         arm, step, rules = one.arm, one.left[0], self.rules
         folder = self.fleet.folder if step == "check" else self.run_folder(arm).path
-        options = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
+        options = {"quick": rules.quick, "plan": rules.plan}
         if step == "check":
             first = "" if arm.may_repair else "  # first write may_repair = true into the file"
             options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name) + first}
-        work = Work(arm=arm, step=step, folder=folder, options=options)
+        new = {"seed": rules.seed, "name": arm.name, "fleet": str(self.fleet.path)}
+        work = Work(arm=arm, step=step, folder=folder, options=options, new=new)
         if work.moves:
             one.why = self._refused(work)
             if one.why:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import CATALOGUE
+from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -152,7 +152,7 @@ def check(
         used_h=hours_of(address) if said.used_h is None else said.used_h,
     )
     rows, unread = find_rows(home)  # of all arms: their checks tell whose a repair was
-    past = past_of(rows, head.arm, name_of(address, built.name))
+    past = past_of([*rows, head], head.arm)
     begins = MOVED if said.moved else SET_UP if past.setup not in ("", head.setup) else ""
     visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
@@ -168,7 +168,7 @@ def check(
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
-    named = arm if isinstance(arm, str | Path | None) else built.name if built.name in CATALOGUE else None
+    named = built.name if isinstance(arm, Arm) else arm
     described = () if named is None else ("--arm", named)
     with pacing(observer) as update, ExitStack() as stack:
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm
