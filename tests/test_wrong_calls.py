@@ -6,7 +6,7 @@ import zipfile
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280
+from rejoint.arms import mycobot280, write_arm_toml
 from rejoint.runs.run import Run
 
 FILES = {
@@ -193,7 +193,8 @@ def test_a_named_arm_with_a_description_is_deployed_with_its_run(tmp_path, cli, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     Run.create("run", "emulated:worn", mycobot280())
-    cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mycobot280")
+    write_arm_toml(tmp_path / "mine.toml", mycobot280())
+    cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mine.toml")
     cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run")
     for robot in ("emulated:worn", "bench-3"):
         assert "leave out --arm" in cli("deploy", robot, "run", "--arm", "mycobot280", code=2).error

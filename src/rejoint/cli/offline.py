@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote
 
 import rejoint
-from rejoint.arms import Arm
+from rejoint.arms import CATALOGUE, Arm
 from rejoint.cli.options import Call, listed, takes
 from rejoint.logs.consistency import remarks_on
 from rejoint.logs.exporting import export_log
@@ -189,6 +189,8 @@ def arms(
         if not calibration.is_file():
             raise FileError(calibration, "no such file", "give LeRobot's calibration of this arm (.json)")
         address += f"{'&' if '?' in address else '?'}calibration={quote(str(calibration.resolve()))}"
+    if arm is not None and arm not in CATALOGUE:
+        arm = str(Path(arm).resolve())
     more = {"description": arm, "tolerance_mm": tolerance}
     path = name_arm(name, address=address, **{key: value for key, value in more.items() if value is not None})
     call.result(f"{name} is {address}, in {path}")
