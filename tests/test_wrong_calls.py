@@ -197,7 +197,7 @@ def test_a_named_arm_with_a_description_is_deployed_with_its_run(tmp_path, cli, 
     cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mine.toml")
     cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run")
     for robot in ("emulated:worn", "bench-3"):
-        assert "leave out --arm" in cli("deploy", robot, "run", "--arm", "mycobot280", code=2).error
+        assert "give another --run" in cli("deploy", robot, "run", "--arm", "so101", code=2).error
 
 
 def test_runs_are_listed_the_newest_first_and_their_reports_opened(tmp_path, cli, monkeypatch):

@@ -27,6 +27,12 @@ def run(tmp_path):
     return path
 
 
+def test_an_arm_that_is_not_the_one_of_the_run(run):
+    for other in ("so101", replace(ARM, floor=0.01)):
+        with pytest.raises(rejoint.InputError, match="give another --run"):
+            rejoint.connect(NOBODY, run=run, arm=other)
+
+
 @pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
 def test_a_deployment_without_end_or_measure(run, wrong):
     with pytest.raises(rejoint.InputError, match="positive"):

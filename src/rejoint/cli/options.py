@@ -180,7 +180,7 @@ class Call(Terminal, Observer):
 
 def held_positions(text: str | None) -> dict[str, float | str]:
     """Read ``torso_lift_joint=200mm,waist=30deg`` as places with units; InputError for anything else."""
-    pairs = [part.strip().partition("=") for part in text.split(",")] if text else []
+    pairs = [part.partition("=") for part in listed(text or "")]
     if not all(name and place for name, _, place in pairs):
         raise InputError(f"--hold {text!r}: expected joints with places, as torso_lift_joint=200mm,waist=30deg")
     return {name: place for name, _, place in pairs}

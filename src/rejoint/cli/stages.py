@@ -272,9 +272,7 @@ def compare(
 
 
 def _arm(call: Call, robot: str, run: Path | None) -> rejoint.Arm | None:
-    if run is not None and any(call.pick):
-        raise InputError("the arm is that of RUN; leave out --arm, --base, --tip and --hold")
-    return None if run is not None else call.arm(robot)
+    return call.arm(robot) if run is None or any(call.pick) else None
 
 
 @takes

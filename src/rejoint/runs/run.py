@@ -94,17 +94,12 @@ class Run(Readable):
             run = cls.open(path)
             seed = run.seed if seed is None else seed
             own, given = (Path(name.removeprefix(LOGS)).absolute() for name in (run.robot, robot))  # as logs are named
-            if (own, run.arm.name, run.seed) != (given, arm.name, seed):
+            if (own, run.seed) != (given, seed):
                 raise InputError(
-                    f"{run.path} is a run of {run.robot} ({run.arm.name}, seed {run.seed}), and this would be "
-                    f"{robot} ({arm.name}, seed {seed}); give another --run"
+                    f"{run.path} is a run of {run.robot} (seed {run.seed}), and this would be {robot} (seed {seed}); "
+                    "give another --run"
                 )
-            if changed := differing(bare(run.arm), bare(arm)):
-                raise InputError(
-                    f"{run.path} was begun with another description of {arm.name} (it differs in "
-                    f"{', '.join(changed)}); give another --run, or {run.folder.arm(run.info.arm)} as the arm to go on "
-                    "with that one"
-                )
+            run.require(arm)
             return run
         if folder.path.is_dir() and not _empty(folder.path):
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
@@ -137,6 +132,18 @@ class Run(Readable):
             run = replace(self, info=replace(self.info, arm_file=_digest(self.folder)))
         write_json(run.folder.info, run.info)
         return run
+
+    def other_than(self, arm: Arm) -> tuple[str, ...]:
+        """Fields that differ from ``arm``, without loads."""
+        return differing(bare(self.arm), bare(arm))
+
+    def require(self, arm: Arm) -> None:
+        """Raise InputError for another arm."""
+        if changed := self.other_than(arm):
+            raise InputError(
+                f"{self.path} was begun with {self.arm.name}, and the arm that is given is {arm.name} (another "
+                f"{', '.join(changed[:3])}); give another --run, or {self.folder.arm(self.info.arm)} as the arm"
+            )
 
     @property
     def path(self) -> Path:
@@ -221,7 +228,7 @@ def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
     with suppress(FileError):  # who uses an unreadable one is told so
         if again and newest.info.exists():
             run = Run.open(newest.path)
-            again = run.robot == robot and not differing(bare(run.arm), bare(arm))
+            again = run.robot == robot and not run.other_than(arm)
     return newest.path if again else home / f"{last + 1:03}"
 
 

@@ -346,7 +346,10 @@ class ArmDriver:
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
-        self.arm: Arm = equipped(arm_of(robot, arm if about is None else about.arm), robot, self.settings)
+        built = arm_of(robot, arm if about is None else arm or about.arm)
+        if about is not None:
+            about.require(built)
+        self.arm: Arm = equipped(built, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
         self.address = "" if robot is None else address_of(robot)
