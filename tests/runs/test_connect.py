@@ -326,7 +326,9 @@ def test_a_stream_of_joint_positions_is_followed_until_it_stops_and_gives_way_to
         goal = start + np.radians([20.0, 5.0, -8.0, 0.0, 10.0, -15.0])
         np.testing.assert_array_equal(arm.send_joints(start + 0.5 * (goal - start)), start + 0.5 * (goal - start))
         np.testing.assert_array_equal(arm.send_joints(goal), goal)
+        assert arm.state.moving
         assert np.abs(arm.wait().joints_rad - goal).max() < np.radians(1.5)
+        assert not arm.state.moving, "it rests where the stream stopped"
         sent = arm.send_joints(np.radians([0.0, 130.0, 0.0, 0.0, 0.0, 0.0]))
         assert tcp_position(ARM, sent)[2] > -1e-3, "no farther than to the ground"
         with pytest.raises(rejoint.InputError, match="expected 6 joint positions"):

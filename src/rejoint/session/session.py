@@ -69,7 +69,7 @@ class ArmState(Readable):
     tool_m: Array
     """(3,) tool centre point: by the calibration, else by the encoders"""
     moving: bool
-    """whether a motion is under way"""
+    """whether a motion is under way, or a stream on its way to rest"""
     target_m: Array | None = None
     """(3,) last target; None before the first cycle"""
     error_m: float | None = None
@@ -128,6 +128,10 @@ class ArmSession(ArmDriver):
     @property
     def _moving(self) -> bool:
         return self._motion is not None and not self._motion.done()
+
+    @property
+    def _rests(self) -> bool:
+        return self._goals is not None and self._goals.reached is self._goals.goal
 
     # --- motions ------------------------------------------------------------------------------
 
@@ -240,8 +244,7 @@ class ArmSession(ArmDriver):
 
         Without a calibration they are the measured ones.
         """
-        position = self.state.joints_rad
-        return (self._goals or self).apparent.shown(position)
+        return (self._goals or self).apparent.shown(self.state.joints_rad)
 
     def hold(self) -> None:
         """Hold the arm until the next order; raises what ended the hold."""
@@ -342,7 +345,7 @@ class ArmSession(ArmDriver):
                 time_s=float(newest.time[0]),
                 joints_rad=joints.copy(),
                 tool_m=self.apparent.tool(joints),
-                moving=moving,
+                moving=moving and not self._rests,
                 target_m=sent.target[0].copy() if np.isfinite(error) else None,
                 error_m=error if np.isfinite(error) else None,
                 turned_rad=turned if np.isfinite(turned) else None,
@@ -386,7 +389,7 @@ class ArmSession(ArmDriver):
         with noted(), self.recording(name) as recorder:
             virtual, held = self.rehearsal is not None or is_virtual(self.address), False
             while recorder.seconds < seconds and recorder.error is None:
-                held = held or (virtual and not self.state.moving)
+                held = held or (virtual and not self._moving)
                 if held:  # its time passes only in motions
                     self.hold()
                 pause(_LOOK)
@@ -400,13 +403,13 @@ class ArmSession(ArmDriver):
 
         NotReachedError after ``timeout_s``; the motion goes on. Ctrl-C stops the arm.
         """
-        motion, goals, waited = self._motion, self._goals, 0.0
+        motion, waited = self._motion, 0.0
         if motion is None:
             return self.state
         try:
             with noted():
                 while not motion.done() and (timeout_s is None or waited < timeout_s):
-                    if goals is not None and goals.reached is goals.goal:  # it rests where its stream stopped
+                    if self._rests:
                         return self.state
                     pause(_LOOK)
                     waited += _LOOK
