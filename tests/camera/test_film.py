@@ -17,7 +17,6 @@ from rejoint.camera.film import (
     read_folder,
     write_postures,
 )
-from rejoint.camera.filming import believed_rig
 from rejoint.system.errors import FileError, InputError
 from rejoint_lab.cameras import LENS, render
 
@@ -94,11 +93,12 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
 def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
     film = film_of(12)
     scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.name not in SWAPPED))
-    rig = believed_rig(ARM, scouted)
+    rig = scouted.located(ARM, 10)[0]
     assert np.linalg.norm((inverse(rig.standing) @ taken().rig.standing)[:3, 3]) < 0.03
-    larger = replace(scouted, board=replace(ON_TOOL, square=ON_TABLE.square, marker=ON_TABLE.marker))
-    with pytest.raises(InputError, match=r"squares of the board measure about (19|20|21) mm, by its description 30"):
-        believed_rig(ARM, larger)
+    for larger in (1.03, ON_TABLE.square / ON_TOOL.square):
+        board = replace(ON_TOOL, square=larger * ON_TOOL.square, marker=larger * ON_TOOL.marker)
+        with pytest.raises(InputError, match=r"would measure (19\.[6-9]|20\.[0-4]) mm"):
+            replace(scouted, board=board).located(ARM, 10)
 
 
 def test_a_bent_board_is_refused():

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.rotations import difference, inverse, pose_of
 from rejoint.camera.board import KINDS, Board, BoardView, Detector, read_picture
-from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Placed, Rig, place, point_sigma, write_rig
+from rejoint.camera.rig import CORNER, FLAT, TERMS, Lens, Rig, place, point_sigma, write_rig
 from rejoint.diagnosis.calibration.calibration import ANYWHERE, Belief, Calibration, PriorCase, belief
 from rejoint.diagnosis.calibration.fit import ToolProblem, beliefs_of, judged, likeliest, solve
 from rejoint.diagnosis.calibration.measurements import SHEET_MOST, Measurements, joint_columns, require_degrees
@@ -53,6 +53,10 @@ class Shot:
     def name(self) -> str:
         """Name of the picture."""
         return self.seen.name
+
+
+class UnseenBoardError(InputError):
+    """The board is not visible; move camera or board."""
 
 
 @entity
@@ -90,13 +94,24 @@ class Film:
         """Names of the other shots, and why."""
         return tuple((shot.name, shot.seen.why) for shot in self.shots if shot.seen.why)
 
-    def located(self, arm: Arm) -> tuple[Rig, list[Placed]]:
-        """Lens, and places of camera and board, by flat boards and encoders; and the board in each usable shot."""
+    def located(self, arm: Arm, least: int) -> tuple[Rig, Array, Array]:
+        """Rig by flat boards and encoders; boards (V, 4, 4) in usable shots, and the tool's covariance (V, 6, 6).
+
+        InputError for fewer than ``least``.
+        """
         views = [shot.seen for shot in self.usable]
+        if len(views) < least:
+            why = "; ".join(f"{name}: {why}" for name, why in self.unusable[:3])
+            raise UnseenBoardError(
+                f"camera: the board is seen well in {len(views)} of {len(self)} pictures, expected at least {least}"
+                f"{why and f' ({why})'}; turn camera and board to each other, hold the camera still, focus it, add "
+                "light, or put it farther away"
+            )
         lens = first_lens(self.size, self.board, views)
         placed = [place(lens, self.board, view) for view in views]
         sights = np.array([one.pose for one in placed])
-        return first_rig(arm, lens, self.board, self.carried, positions(self.usable), sights), placed
+        rig = first_rig(arm, lens, self.board, self.carried, positions(self.usable), sights)
+        return rig, sights, rig.spread(sights, np.array([one.covariance for one in placed]))
 
     def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
         """Fit lens, camera, board and displacement, tested on views left out.
@@ -105,20 +120,13 @@ class Film:
         """
         shots, board = self.usable, self.board
         views = [shot.seen for shot in shots]
-        if len(shots) < FEWEST:
-            why = "; ".join(f"{name}: {why}" for name, why in self.unusable[:3])
-            raise InputError(
-                f"camera: the board is seen well in {len(shots)} of {len(self)} pictures, expected at least {FEWEST}"
-                f"{why and f' ({why})'}"
-            )
-        rig, placed = self.located(arm)
-        sights = np.array([one.pose for one in placed])
+        rig, sights, spread = self.located(arm, FEWEST)
         by_lens, told = _lens_ties(rig.lens, board, views, sights)
-        outside = with_lens(told)
+        outside = block_diag(ANYWHERE**-2.0 * np.eye(POSES), told)
         problem = replace(
             film_problem(belief(arm, USUAL, outside), arm, rig, positions(shots), sights),
             by_lens=by_lens,
-            spread=rig.spread(sights, np.array([one.covariance for one in placed])),
+            spread=spread,
             posture=np.array([shot.posture for shot in shots], dtype=np.int64),
         )
         good, vector = np.ones(len(shots), bool), problem.belief.mean
@@ -260,10 +268,8 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
 
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
-_STRETCH = 0.2
-"""Relative error of lengths by another board; chosen: wear makes 0.05"""
-_LEAST = 0.2
-"""Factor of lengths below which motion and pictures do not match; chosen"""
+_STRETCH, _ROUGH = 0.02, 0.2
+"""Relative error of another print, and for few views; chosen: worn arms make 0.015, and 0.05"""
 _TURNED = np.radians(10.0)
 """[rad] least turn about two directions; chosen"""
 
@@ -284,39 +290,40 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     between = sights if carried == "board" else inverse(sights)
     used = np.ones(len(tool), bool)
     for _ in range(_ROUNDS):
-        standing, mounted, scale = _hand_eye(between[used], tool[used])
+        standing, mounted = _hand_eye(between[used], tool[used])
         rig = Rig(lens=lens, board=board, carried=carried, standing=standing, mounted=mounted)
         shift, turn = np.split(difference(rig.tool(sights), tool), 2, axis=-1)
         off = np.linalg.norm(shift, axis=-1) + _LEVER * np.linalg.norm(turn, axis=-1)
         used = off <= _FAR * np.median(off)
-    if not _LEAST < scale < 1.0 / _LEAST:
+    own = belief(arm, USUAL, block_diag(ANYWHERE**-2.0 * np.eye(POSES), 1.0))
+    away = np.pad(sights[:, :3, 3], ((0, 0), (0, 3)))[..., None]  # by which larger squares move a board
+    problem = replace(film_problem(own, arm, rig, position, sights), by_lens=away)
+    found = solve(problem.rows(used), own.mean)
+    larger, drawn = found.vector[-1], 1e3 * board.square
+    if abs(larger) > max(_STRETCH if len(tool) >= FEWEST else _ROUGH, SURE * np.sqrt(found.covariance[-1, -1])):
         raise InputError(
-            "the pictures do not fit the joint positions: check that each is paired with its own, in the right unit, "
-            "and that the board is where it is said to be, on the tool or on the table"
-        )
-    if abs(scale - 1.0) > _STRETCH:
-        raise InputError(
-            f"by the joints' motion the squares of the board measure about {1e3 * board.square * scale:.0f} mm, by its "
-            f"description {1e3 * board.square:g}; give the description of this print"
+            "the pictures do not fit the joint positions: by these the squares of the board would measure "
+            f"{max(drawn * (1.0 + larger), 0.0):.1f} mm, by its description {drawn:.1f} mm; measure the rulers of this "
+            "print, and describe it with `rejoint board FILE --measured-x MM --measured-y MM`; or check that each "
+            "picture is paired with its own joint positions, in degrees, and that the board is where it is said to "
+            "be, on the tool or on the table"
         )
     return rig
 
 
-def _hand_eye(seen: Array, tool: Array) -> tuple[Array, Array, float]:
+def _hand_eye(seen: Array, tool: Array) -> tuple[Array, Array]:
     """Poses ``standing`` and ``mounted`` of a rig: A M = F B by linear least squares (Dornaika and Horaud 1998).
 
-    ``seen`` M (V, 4, 4): the carried one in the frame of the standing one; ``tool`` F (V, 4, 4) in the base. Also the
-    best factor of the pictures' lengths. OpenCV 5 lacks `calibrateRobotWorldHandEye`.
+    ``seen`` M (V, 4, 4): the carried one in the frame of the standing one; ``tool`` F (V, 4, 4) in the base. OpenCV 5
+    lacks `calibrateRobotWorldHandEye`.
     """
     one, turn = np.eye(3), tool[:, :3, :3]
     rows = [np.hstack([np.kron(m.T, one), -np.kron(one, f)]) for m, f in zip(seen[:, :3, :3], turn, strict=True)]
     both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1].reshape(2, 3, 3).swapaxes(1, 2)
     a, b = Rotation.from_matrix(both / np.cbrt(np.linalg.det(both))[:, None, None]).as_matrix()
-    lengths, right = (seen[:, :3, 3] @ a.T)[..., None], tool[:, :3, 3].ravel()
-    left = np.concatenate([np.broadcast_to(one, turn.shape), -turn, lengths], axis=2).reshape(-1, 7)
-    shift = np.linalg.lstsq(left[:, :6], right - lengths.ravel(), rcond=None)[0]
-    scale = np.linalg.lstsq(left, right, rcond=None)[0][6]
-    return pose_of(a, shift[:3]), pose_of(b, shift[3:]), float(scale)
+    left = np.concatenate([np.broadcast_to(one, turn.shape), -turn], axis=2).reshape(-1, 6)
+    shift = np.linalg.lstsq(left, (tool[:, :3, 3] - seen[:, :3, 3] @ a.T).ravel(), rcond=None)[0]
+    return pose_of(a, shift[:3]), pose_of(b, shift[3:])
 
 
 JOINT = np.radians(0.1)
@@ -327,13 +334,13 @@ _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which
 
 
 def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array) -> ToolProblem:
-    """Problem of boards seen at ``sights`` (V, 4, 4), camera frame, without errors of their own."""
+    """Problem of boards seen at ``sights`` (V, 4, 4), camera frame, without errors of their own or of the lens."""
     return ToolProblem(
         arm=arm,
         belief=own,
         seen=rig.carried_in(sights),
         inverted=rig.carried == "camera",
-        by_lens=np.zeros((len(sights), 6, len(TERMS))),
+        by_lens=np.zeros((len(sights), 6, 0)),
         known=np.ones((len(sights), 6), dtype=bool),
         spread=np.zeros((len(sights), 6, 6)),
         position=position,
@@ -342,11 +349,6 @@ def film_problem(own: Belief, arm: Arm, rig: Rig, position: Array, sights: Array
         mounted=rig.mounted,
         joint=JOINT,
     )
-
-
-def with_lens(precision: Array) -> Array:
-    """Precision (19, 19) of all outside the arm, for that of a lens (7, 7)."""
-    return block_diag(ANYWHERE**-2.0 * np.eye(POSES), precision)
 
 
 def rig_of(problem: ToolProblem, rig: Rig, vector: Array) -> Rig:
@@ -382,7 +384,7 @@ class Residual:
 MOST = 0.005
 """Bow over the longer edge of a refused board; chosen: half of the true one"""
 SURE = 5.0
-"""Standard deviations of a significant bow; chosen"""
+"""Standard deviations of a significant bow or stretch; chosen"""
 
 
 def bow(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[float, float]:

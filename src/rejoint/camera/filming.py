@@ -11,16 +11,17 @@ import numpy as np
 from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board, BoardView, Detector, Picture
 from rejoint.camera.film import (
+    POSES,
     POSTURES,
     USUAL,
     Film,
     Shot,
+    UnseenBoardError,
     film_problem,
     read_folder,
-    with_lens,
     write_postures,
 )
-from rejoint.camera.rig import TERMS, Rig
+from rejoint.camera.rig import Rig
 from rejoint.camera.tracker import LiveCamera
 from rejoint.control.robot import Robot
 from rejoint.control.seeing import simulated
@@ -56,13 +57,11 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
-    own = belief(arm, USUAL, with_lens(np.eye(len(TERMS))))
+    own = belief(arm, USUAL, _LOOK**-2.0 * np.eye(POSES))
     expected = DisplacementLayout(arm).displacement(own.mean).tool_pose(arm, candidates)
     problem = film_problem(own, arm, rig, candidates, rig.sight(expected))
-    slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)[..., : -len(TERMS)]
-    variance = 1.0 / np.diag(own.precision)[: -len(TERMS)]
-    variance[problem.layout.body :] = _LOOK**2
-    spread = np.diag(variance)
+    slope = problem.weighed(own.mean)[0] @ problem.slope(own.mean)
+    spread = np.linalg.inv(own.precision).astype(float)
     chosen: list[int] = []
     for _ in range(count):
         gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
@@ -119,10 +118,6 @@ class StillCamera(Protocol):
 
     def still(self, number: int) -> Picture:
         """Take picture ``number``, grey (height, width); InputError without an answer."""
-
-
-class UnseenBoardError(InputError):
-    """The board is not visible; move camera or board."""
 
 
 @entity
@@ -189,8 +184,8 @@ class CameraGauge:
             try:
                 for place, posture in enumerate(scouting_postures(arm, self.carried, SCOUTS)):
                     shoot(place + 1, posture, place)
-                scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.number <= SCOUTS))
-                for place, posture in enumerate(choose_postures(arm, believed_rig(arm, scouted), count)):
+                scouted = replace(film, shots=film.shots[:SCOUTS])
+                for place, posture in enumerate(choose_postures(arm, scouted.located(arm, FEWEST_SCOUTS)[0], count)):
                     for visit in range(visits):
                         shoot(SCOUTS + 1 + place * visits + visit, posture, SCOUTS + place)
                 drive.rest()
@@ -215,14 +210,3 @@ def camera_gauge(number: int | None, board: Board, *, carried: str = "board", se
         return nullcontext(simulated(robot).camera(board, carried, seed)) if number is None else LiveCamera(number)
 
     return CameraGauge(camera=camera, board=board, carried=carried)
-
-
-def believed_rig(arm: Arm, scouted: Film) -> Rig:
-    """Locate camera and board by pictures about rest; InputError on failure."""
-    if len(scouted.usable) < FEWEST_SCOUTS:
-        raise UnseenBoardError(
-            f"camera: the board is seen well in {len(scouted.usable)} of the {len(scouted)} pictures about the rest "
-            f"posture, expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera still, "
-            "focus it, add light, or put it farther away"
-        )
-    return scouted.located(arm)[0]
