@@ -55,7 +55,7 @@ def test_nobody_types_where_standard_input_is_closed(monkeypatch):
         ("emulated:worn", None, True, None),
         ("emulated:worn", "none", False, "none"),
         ("tcp://10.0.0.1:9000", None, False, None),
-        ("tcp://10.0.0.1:9000", TouchGauge(ask=str, complain=str), True, None),
+        ("tcp://10.0.0.1:9000", TouchGauge(ask=str), True, None),
     ],
 )
 def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, robot, gauge, calibrated, corrected):

@@ -27,7 +27,7 @@ class Hand:
         self.last, self.asked = last, []
 
     def gauge(self, **options):
-        return TouchGauge(ask=self.answer, complain=print, **options)
+        return TouchGauge(ask=self.answer, **options)
 
     def answer(self, stop):
         if len(self.asked) == self.last:

@@ -44,8 +44,7 @@ def do(studio, job, *answers):
     given = list(answers)
     while studio.status.busy:
         if studio.status.question and given:
-            studio.answer(given.pop(0))
-            until(lambda: not (studio.status.question and given))
+            studio.answer(studio.status.question, given.pop(0))
         time.sleep(0.01)
     return studio.status
 
@@ -96,7 +95,7 @@ def test_a_calibration_by_typed_numbers_asks_for_every_posture(studio):
         if question and question not in asked:
             asked.add(question)
             x, y, z = re.search(r"at (\S+) (\S+) (\S+) mm", question).groups()
-            studio.answer(f"{x} {y} {z}")
+            studio.answer(question, f"{x} {y} {z}")
         time.sleep(0.01)
     assert not studio.status.error, studio.status.error
     assert len(asked) == 4
@@ -108,9 +107,11 @@ def test_only_one_job_is_done_at_a_time_and_a_question_is_answered_once(studio):
     assert studio.do("first", lambda machine: heard.append(machine.ask("which one?")))
     assert not studio.do("second", lambda _: heard.append("second"))
     until(lambda: studio.status.question)
-    studio.answer("this")
+    studio.answer("another one?", "early")
+    studio.answer("which one?", "this")
+    studio.answer("which one?", "twice")
     rest(studio)
-    studio.answer("late")
+    studio.answer("which one?", "late")
     assert heard == ["this"]
 
 

@@ -165,7 +165,7 @@ def gauge_by_word(
                 "--measure points=FILE"
             )
         ask, frame = partial(_ask, terminal, typed()), means.frame or "base"
-        return TouchGauge(ask=ask, complain=terminal.message, sigma=means.sigma, frame=frame)
+        return TouchGauge(ask=ask, sigma=means.sigma, frame=frame)
     if word or not virtual:
         raise InputError(
             f"--measure {word!r} with {robot}: expected touch, camera=NUMBER or tracker=FILE, or none in a repair; "

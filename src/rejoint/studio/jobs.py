@@ -187,7 +187,7 @@ def calibrate(studio: Studio, by: str, count: float, board: str, camera: float) 
     run = studio.begin_run()
     gauge: GaugeLike | None = None
     if by == RULER:
-        gauge = TouchGauge(ask=lambda stop: studio.ask(stop.question), complain=studio.message)
+        gauge = TouchGauge(ask=lambda stop: studio.ask(stop.question))
     elif by == CAMERA:
         from rejoint.camera.board import ON_TOOL, read_board
         from rejoint.camera.filming import camera_gauge

@@ -121,8 +121,7 @@ class Studio(Observer):
             if self.status.busy or self.left.is_set():
                 return False
             self._stopped_by = ""
-            while not self._answers.empty():
-                self._answers.get()
+            self._answers = queue.SimpleQueue()
             self.change(job=title, share=0.0, what="", began=time.monotonic(), stage=None)
             self.change(error="", done="", lines=())
             self._thread = threading.Thread(target=self._work, args=(title, job), name="studio", daemon=True)
@@ -136,7 +135,7 @@ class Studio(Observer):
                 self.change(done="Nothing moves. The arm holds its position.")
                 return
             self._stopped_by = by
-            self.change(stopping=True)
+            self.change(stopping=True, question="")
             self._answers.put(None)
             interrupt(by)  # still within the lock: else it could reach the next job
 
@@ -208,19 +207,18 @@ class Studio(Observer):
     def ask(self, question: str, *choices: str) -> str:
         """Ask the owner, and wait for the answer, one of the ``choices`` if any; Interrupted by `stop`."""
         self.change(question=question, choices=choices)
-        try:
-            answer = self._answers.get()
-        finally:
-            self.change(question="")
+        answer = self._answers.get()
         if answer is None:
             self.heed()
             raise NotReadyError("the question was not answered")
         return answer
 
-    def answer(self, text: str) -> None:
-        """Answer the question."""
-        if self.status.question:
-            self._answers.put(text)
+    def answer(self, question: str, text: str) -> None:
+        """Answer this ``question``, once."""
+        with self._lock:
+            if question == self.status.question:
+                self.change(question="")
+                self._answers.put(text)
 
     def heed(self) -> None:
         """Raise Interrupted in the job if it is to end, unless the arm is being brought to rest."""

@@ -199,13 +199,14 @@ class StudioPage(WebPage):
             self.server.gui.add_image(status.picture.astype(np.uint8))
         if not status.question:
             return
+        answer = partial(self.studio.answer, status.question)
         self.html("question", status.question)
         for choice in status.choices:
-            self.button(choice.capitalize(), partial(self.studio.answer, choice), anyway=True)
+            self.button(choice.capitalize(), partial(answer, choice), anyway=True)
         if not status.choices:
             self.form["answer"] = ""
             self.field("Answer", "answer")
-            self.button("Enter", lambda: self.studio.answer(str(self.form["answer"])), first=True, anyway=True)
+            self.button("Enter", lambda: answer(self.form["answer"]), first=True, anyway=True)
 
     # --- drawing ------------------------------------------------------------------------------------
 

@@ -46,11 +46,11 @@ def test_a_slip_far_from_the_encoders_is_asked_for_once_more():
         (["- 80 200", "- 80 200"], [np.nan, 80, 200]),
         (["160 -70 190"], [160, -70, 190]),
     ):
-        answers, complaints = iter(told), []
-        gauge = TouchGauge(ask=lambda _, left=answers: next(left), complain=complaints.append)
+        answers, asked = iter(told), []
+        gauge = TouchGauge(ask=lambda stop, left=answers, asked=asked: asked.append(stop.question) or next(left))
         np.testing.assert_allclose(gauge.measure(robot, stop), 1e-3 * np.array(points, dtype=float))
-        assert [("160 mm from where the encoders" in line) for line in complaints] == [True] * (len(told) - 1)
-    elsewhere = TouchGauge(ask=lambda _: "900 0 0", complain=pytest.fail, frame="bench")
+        assert ["160 mm from where the encoders" in one for one in asked] == [False, *[True] * (len(told) - 1)]
+    elsewhere = TouchGauge(ask=lambda stop: "" if stop.again else "900 0 0", frame="bench")
     np.testing.assert_allclose(elsewhere.measure(robot, stop), [0.9, 0, 0])
 
 

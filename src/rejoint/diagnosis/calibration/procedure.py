@@ -221,10 +221,10 @@ class Stop:
     def question(self) -> str:
         """What is asked of the user who measures."""
         x, y, z = 1e3 * self.believed
-        again = f"{self.again}; it is measured once more. " if self.again else ""
         return (
-            f"{again}Posture {self.number} of {self.total}. The encoders see the tool at {x:.1f} {y:.1f} {z:.1f} mm. "
-            "Where is it? Type x y z in mm, - for one that you did not measure; empty leaves the posture out."
+            f"{self.again and f'{self.again}. '}Measurement {self.number} of {self.total}. The encoders see the tool "
+            f"at {x:.1f} {y:.1f} {z:.1f} mm. Where is it? Type x y z in mm, - for one that you did not measure; empty "
+            "leaves the posture out."
         )
 
 
@@ -284,7 +284,6 @@ class TouchGauge:
 
     ask: Callable[[Stop], str]
     """answers x, y, z in millimetres, ``-`` for none"""
-    complain: Callable[[str], None]
     sigma: float = NOISE
     source: str = "touch"
     frame: str = "base"
@@ -297,16 +296,17 @@ class TouchGauge:
             try:
                 point = parse_point(answer)
             except InputError as error:
-                self.complain(str(error))
+                stop = replace(stop, again=str(error))
                 continue
             off = float(np.nanmax(np.abs(point - stop.believed), initial=0.0))
             if self.frame != "base" or off <= FAR * reach(robot.arm) or np.array_equal(point, doubted, equal_nan=True):
                 return point
-            self.complain(
-                f"that is {1e3 * off:.0f} mm from where the encoders see the tool, along one axis; check sign, unit "
-                "and axes, and type it again if it is right"
-            )
             doubted = point
+            stop = replace(
+                stop,
+                again=f"{answer.strip()} is {1e3 * off:.0f} mm from where the encoders see the tool, along one axis; "
+                "check sign, unit and axes, and type it again if it is right",
+            )
 
 
 def parse_point(text: str) -> Array:
@@ -490,6 +490,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
         except PlanningError as error:
             LOGGER.warning("posture %d is left out: %s", number + 1, error)
             return None
+        again = again and f"{again}; it is measured once more"
         stop = Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again)
         point = gauge.measure(robot, stop)
         check()
