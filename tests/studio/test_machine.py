@@ -16,6 +16,7 @@ from rejoint.control.robot import WallClock
 from rejoint.runs.fleet.file import name_arm
 from rejoint.runs.repair import STAGES
 from rejoint.runs.run import Run, mark_quick
+from rejoint.session.inputs import keep
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import AddressError
@@ -58,8 +59,8 @@ def rest(studio):
     until(lambda: not studio.status.busy, 5.0)
 
 
-def take(studio, address="emulated:worn"):
-    return do(studio, lambda machine: jobs.choose(machine, address))
+def take(studio, address="emulated:worn", kind=None):
+    return do(studio, partial(jobs.choose, address=address, name=kind))
 
 
 def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio, few_targets):
@@ -70,18 +71,18 @@ def test_an_owner_is_led_from_the_arm_to_a_point_of_his_own(studio, few_targets)
     assert do(studio, jobs.nudge, "no").step == "check"
     assert studio.status.error
     assert do(studio, jobs.nudge, "yes").step == "diagnose"
-    status = do(studio, lambda machine: jobs.diagnose(machine, quick=True))
+    status = do(studio, partial(jobs.diagnose, quick=True))
     assert status.found["diagnosis"].condition in ("worn", "bad")
     marks = jobs.marks(status.arm, status.found["diagnosis"])
     assert set(marks) <= set(range(status.arm.joints))
     assert any("mm" in text for text in marks.values())
     assert rejoint.Run.open(status.run).diagnosis is not None
     points = [np.array([0.17, 0.0, 0.2]), np.array([0.18, 0.04, 0.21])]
-    before, after = do(studio, lambda machine: jobs.prove(machine, points)).found["proof"]
+    before, after = do(studio, partial(jobs.prove, points=points)).found["proof"]
     errors = [np.mean([visit.error for visit in done.visits]) for done in (before, after)]
     assert errors[1] < 0.3 * errors[0]
     target = np.array([0.18, 0.02, 0.2])
-    assert not do(studio, lambda machine: jobs.go_to(machine, target, within=5e-4)).error
+    assert not do(studio, partial(jobs.go_to, target=target, within=5e-4)).error
     place = tcp_position(status.arm, studio.session().state.joints_rad)
     assert np.linalg.norm(place - target) < 1e-3
 
@@ -113,6 +114,18 @@ def test_only_one_job_is_done_at_a_time_and_a_question_is_answered_once(studio):
     rest(studio)
     studio.answer("which one?", "late")
     assert heard == ["this"]
+
+
+def test_a_load_is_of_the_arm_that_carries_it_and_holds_instead_of_that_of_the_run(studio, tmp_path):
+    keep(Run.create(tmp_path / "runs" / "mine", "emulated:worn", mycobot280()), rejoint.Settings(payload=0.1))
+    take(studio)
+    for grams in (50.0, 0.0):
+        do(studio, partial(jobs.carry, grams=grams))
+        assert studio.session().settings.payload == 1e-3 * grams
+    assert take(studio, "tcp://127.0.0.1:9").error
+    assert studio.settings.payload == 0.0
+    take(studio, "emulated:so101")
+    assert studio.settings.payload is None
 
 
 def test_stop_ends_a_question_and_a_job_that_moves_nothing(studio):
@@ -164,7 +177,7 @@ def test_an_arm_that_is_gone_is_one_line_and_the_next_try_connects_again(studio,
     assert status.error == "the arm is off"
     monkeypatch.undo()
     assert "tcp:" in take(studio, "tcp://127.0.0.1:9").error
-    assert do(studio, lambda machine: jobs.carry(machine, 5000.0)).error
+    assert do(studio, partial(jobs.carry, grams=5000.0)).error
     assert not do(studio, GO).error
     assert studio.session() is not session
 
@@ -181,11 +194,12 @@ def test_an_arm_with_a_name_is_offered_and_is_the_described_one(studio, tmp_path
 
 def test_a_known_arm_is_used_at_once(studio, tmp_path, few_targets):
     take(studio)
-    do(studio, lambda machine: jobs.diagnose(machine, quick=True))
+    do(studio, partial(jobs.diagnose, quick=True))
     again = Studio(tmp_path / "runs")
     status = take(again)
     assert status.run == studio.status.run
     assert status.found["diagnosis"] is not None
+    assert take(again, kind="so101").run is None
     again.leave()
 
 
@@ -196,7 +210,7 @@ def test_an_arm_that_answers_at_a_port_is_offered_with_its_address(studio, monke
 
 
 def test_a_quick_try_in_a_folder_of_any_name_is_left_for_another(studio, tmp_path):
-    run = Run.create(tmp_path / "mine", "emulated:worn", mycobot280())
+    run = Run.create(tmp_path / "mine", "emulated:worn", mycobot280(), seed=3)
     mark_quick(run, quick=True)
     studio.change(run=run.path, address=run.robot, arm=run.arm)
     assert studio.begin_run(quick=True).path == run.path != studio.begin_run(quick=False).path

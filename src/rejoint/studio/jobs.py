@@ -20,16 +20,17 @@ from rejoint.control.recording import StageObserver
 from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.logs.history import find_rows
-from rejoint.logs.runfolder import LOGS, RunFolder, read_info, runs_below
+from rejoint.logs.runfolder import LOGS, RunFolder, runs_below
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.ports import arm_at, ports
 from rejoint.runs.exports import export_run
 from rejoint.runs.fleet.file import known_arms, named_arm
 from rejoint.runs.history import arms_of, cells
 from rejoint.runs.repair import stages_of
+from rejoint.runs.run import Run
 from rejoint.session.inputs import GaugeLike, arm_of
 from rejoint.studio.machine import Studio
-from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.system.errors import InputError, NotReadyError, RejointError
 from rejoint.system.files import read_shipped
 
 if TYPE_CHECKING:  # an extra
@@ -59,14 +60,14 @@ def candidates(home: Path) -> dict[str, str]:
     return found | {name: address for name, address in EMULATED.items() if usable(address)}
 
 
-def runs(home: Path) -> dict[str, Path]:
-    """Return the newest run below ``home`` of every address."""
+def runs(home: Path, arm: Arm | None = None) -> dict[str, Path]:
+    """Return the newest run below ``home`` of every address; with ``arm`` of those of this arm."""
     found = dict[str, Path]()
     for path in runs_below(home):
-        with suppress(FileError):
-            robot = read_info(path).robot
-            if ":" in robot and not robot.startswith(LOGS):
-                found.setdefault(robot, path.parent)
+        with suppress(RejointError):
+            run = Run.open(path.parent)
+            if ":" in run.robot and not run.robot.startswith(LOGS) and not (arm and run.other_than(arm)):
+                found.setdefault(run.robot, run.path)
     return dict(sorted(found.items()))
 
 
@@ -82,19 +83,18 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
     studio.release()
     named = named_arm(address)
     place = place_of(address if named is None else named.address)
-    arm = arm_of(place.text, name) if named is None or name else named.built
-    known, before = runs(studio.home).get(place.text), studio.status
-    studio.change(address=place.text, arm=arm, run=known, found={"arms": studio.status.found.get("arms")})
+    arm = arm_of(place.text, name if named is None else name or named.description)
+    before, settings, run = studio.status, studio.settings, runs(studio.home, arm).get(place.text)
+    studio.change(address=place.text, arm=arm, run=run, found={"arms": before.found.get("arms")})
+    studio.settings = rejoint.Settings()
     try:
         see(studio)
     except BaseException:
-        studio.change(address=before.address, arm=before.arm, run=before.run, found=before.found)
+        studio.status, studio.settings = before, settings
         raise
-    run = studio.run
-    if run is not None:
-        studio.keep(diagnosis=run.diagnosis)
-    finished = run is not None and run.comparison is not None
-    studio.change(step="use" if finished else "check")
+    begun = studio.run
+    studio.keep(diagnosis=begun and begun.diagnosis)
+    studio.change(step="use" if begun and begun.comparison else "check")
 
 
 def see(studio: Studio) -> None:
@@ -247,7 +247,7 @@ def go_to(studio: Studio, target: Array, within: float = 2e-3) -> None:
     """Bring the tool to ``target`` (3,) [m], and ``within`` [m]."""
     session = studio.session()
     state = session.move_to(target, within_m=within)
-    error = float("nan") if state is None or state.error_m is None else 1e3 * state.error_m
+    error = np.nan if state is None or state.error_m is None else 1e3 * state.error_m
     studio.change(done=f"There, {error:.2f} mm off by the encoders, driven by {session.controller}.")
 
 
@@ -283,10 +283,10 @@ def _followed(studio: Studio, path: Path | Array, repeat: int) -> None:
 
 def carry(studio: Studio, grams: float) -> None:
     """Tell the arm that its hand carries so many ``grams``."""
-    told = replace(studio.settings, payload=1e-3 * grams if grams > 0.0 else None)
+    told = replace(studio.settings, payload=1e-3 * grams)
     studio.call(rejoint.connect, run=studio.run, settings=told).close()
     studio.settings = told
-    studio.change(done=f"The hand carries {max(grams, 0.0):.0f} g from now on.")
+    studio.change(done=f"The hand carries {grams:.0f} g from now on.")
 
 
 def serve(studio: Studio, listen: str) -> None:

@@ -198,9 +198,9 @@ class Studio(Observer):
             home = self.home / plain_name(f"{status.arm.name}-{status.address}")
             path = newest_or_new(status.address, status.arm, home)
         if quick is False and RunFolder(path).quick.exists():
-            path = path.with_name(f"{int(path.name) + 1:03}") if path.name.isdecimal() else unused(path)
+            path = unused(path)
         self.change(run=path)
-        return Run.plan(path, status.address, status.arm)
+        return Run.plan(path, status.address, status.arm, None)
 
     # --- what the job asks and tells ---------------------------------------------------------------
 

@@ -309,6 +309,7 @@ def find(page: StudioPage, status: Status) -> None:
     def connect(studio: Studio) -> None:
         typed, listed = page.form["address"].strip(), known.get(page.form.get("arm", ""), "")
         jobs.choose(studio, typed or listed, page.form["kind"] if page.form["kind"] in CATALOGUE else None)
+        page.form.pop("load", None)
 
     page.job("Connect", connect, first=True)
     page.job("Look for arms again", jobs.look)
