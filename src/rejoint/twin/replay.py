@@ -190,11 +190,12 @@ class Replay:
         """Return references (windows * m, steps, n), means over each simulation step."""
         limits = np.stack([parameters.ramp_speed, parameters.delay])
         (speed, delay), which = np.unique(limits, axis=1, return_inverse=True)
-        grid = self._grid
-        control = np.empty((len(self.windows) * len(which), len(grid), self.arm.joints))
+        control = np.empty((len(self.windows) * len(which), len(self._grid), self.arm.joints))
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
             log = self.logs[w.log]
-            instants = (log.time[w.first] + grid)[:, None] + self.timestep * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
+            instants = (log.time[w.first] + self._grid)[:, None] + self.timestep * (
+                (np.arange(PARTS) + 0.5) / PARTS - 0.5
+            )
             sampled = [
                 followed(log, one, self.acceleration).sample(instants.ravel(), delay[speed == one])
                 for one in np.unique(speed).tolist()
