@@ -216,7 +216,7 @@ class Replay:
 
 @lru_cache
 def followed(log: RunLog, speed: float, acceleration: float) -> ServoReference:
-    """Return the reference of a log, kept for other twins of its speed."""
+    """Return a log's reference."""
     return ServoReference(log.time, log.command, speed, acceleration)
 
 

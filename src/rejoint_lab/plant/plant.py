@@ -435,7 +435,7 @@ def _aim(joints, servos, status):
 def _drive(ids, clock, key, arms, commands, bodies, sts, x):
     """Write the next torques of the arms ``ids``.
 
-    ``clock``: whether to record a step, steps (B,), encoder readings (B, HISTORY, n); ``arms``: JOINT and
+    ``clock``: whether to record, steps (B,), readings (B, HISTORY, n); ``arms``: JOINT and
     STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
     velocities, torques (B, 2n); ``sts``, ``x``: None, or SETTING and STATUS (B, n, S) of joints with S such servos, and
     rings (B, n, ...) of an STS3215.
