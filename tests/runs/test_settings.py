@@ -13,6 +13,7 @@ from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.runs.run import Run, mark_quick
 from rejoint.session.driver import RehearsedRobot
 from rejoint.session.inputs import keep, settled
+from rejoint.session.session import ArmSession
 from runs.test_connect import a_twin
 
 ARM = mycobot280()
@@ -64,9 +65,10 @@ def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run
     np.testing.assert_array_equal(found.tool, GIVEN.tool)
     np.testing.assert_array_equal(found.keep_out[0].upper, WALL.upper)
     other = rejoint.Settings(payload=0.0, tool=np.zeros(3), keep_out=[WALL], period=(0.03, 0.04), within=0.001)
-    assert settled(replace(other, keep_out=()), run, "emulated:worn")[0].keep_out[0].upper[0] == WALL.upper[0]
     both = settled(replace(other, keep_out=[Box(lower=np.zeros(3), upper=np.ones(3))]), run, "emulated:worn")[0]
     assert (len(both.keep_out), both.period) == (2, other.period), "boxes add up"
+    walled = Run.create(f"{run.path}-2", "emulated:worn", replace(ARM, keep_out=(WALL,)))
+    assert ArmSession("emulated:worn", run=walled, arm=ARM).arm.keep_out, "also where the arm is given"
     own = settled(None, run, rejoint.open_robot("emulated:worn"))[0]
     assert own.payload is own.tool is None, "an open robot has its own"
     assert own.period == GIVEN.period

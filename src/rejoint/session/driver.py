@@ -346,9 +346,12 @@ class ArmDriver:
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
-        built = arm_of(robot, arm if about is None else arm or about.arm)
+        built = arm_of(robot, arm if about is None else about.arm)
         if about is not None:
             about.require(built)
+            if arm is not None:
+                about.require(given := arm_of(None, arm))
+                built = replace(built, keep_out=(*built.keep_out, *given.keep_out))
         self.arm: Arm = equipped(built, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
