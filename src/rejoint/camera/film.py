@@ -268,8 +268,8 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
 
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
-_STRETCH, _ROUGH = 0.02, 0.2
-"""Relative error of another print, and for few views; chosen: worn arms make 0.015, and 0.05"""
+_STRETCH, _ROUGH, _MANY = 0.02, 0.2, 15
+"""Relative error of another print, for fewer views, and their number; chosen: worn arms make 0.015, 12 views 0.055"""
 _TURNED = np.radians(10.0)
 """[rad] least turn about two directions; chosen"""
 
@@ -300,13 +300,12 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     problem = replace(film_problem(own, arm, rig, position, sights), by_lens=away)
     found = solve(problem.rows(used), own.mean)
     larger, drawn = found.vector[-1], 1e3 * board.square
-    if abs(larger) > max(_STRETCH if len(tool) >= FEWEST else _ROUGH, SURE * np.sqrt(found.covariance[-1, -1])):
+    if abs(larger) > max(_STRETCH if len(tool) >= _MANY else _ROUGH, SURE * np.sqrt(found.covariance[-1, -1])):
         raise InputError(
-            "the pictures do not fit the joint positions: by these the squares of the board would measure "
-            f"{max(drawn * (1.0 + larger), 0.0):.1f} mm, by its description {drawn:.1f} mm; measure the rulers of this "
-            "print, and describe it with `rejoint board FILE --measured-x MM --measured-y MM`; or check that each "
-            "picture is paired with its own joint positions, in degrees, and that the board is where it is said to "
-            "be, on the tool or on the table"
+            "the pictures do not fit the joint positions: the squares of the board seem to measure "
+            f"{max(drawn * (1.0 + larger), 0.0):.1f} mm, expected {drawn:.1f}. Measure the rulers of this print, and "
+            "describe it with `rejoint board FILE --measured-x MM --measured-y MM`. Or check that each picture is "
+            "paired with its own joint positions, in degrees, and whether the board is on the tool or on the table"
         )
     return rig
 
