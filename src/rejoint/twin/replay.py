@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -182,9 +182,9 @@ class Replay:
 
     def references(self, parameters: TwinParameters) -> Array:
         """One twin's references (rows, n) [rad] at the readings."""
-        delay, limits = np.atleast_1d(parameters.delay), (float(parameters.ramp_speed), self.acceleration)
-        logs = [(self.logs[w.log], slice(w.first, w.last)) for w in self.windows]
-        return np.concatenate([followed(log, *limits).sample(log.time[rows], delay)[0] for log, rows in logs])
+        delay, speed = np.atleast_1d(parameters.delay), float(parameters.ramp_speed)
+        times = [(w.log, self.logs[w.log].time[w.first : w.last]) for w in self.windows]
+        return np.concatenate([self._reference(log, speed).sample(time, delay)[0] for log, time in times])
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n), means over each simulation step."""
@@ -197,7 +197,7 @@ class Replay:
                 (np.arange(PARTS) + 0.5) / PARTS - 0.5
             )
             sampled = [
-                followed(log, one, self.acceleration).sample(instants.ravel(), delay[speed == one])
+                self._reference(w.log, one).sample(instants.ravel(), delay[speed == one])
                 for one in np.unique(speed).tolist()
             ]
             parts = np.concatenate(sampled).reshape(len(delay), *instants.shape, -1)
@@ -208,16 +208,21 @@ class Replay:
             control += (share * torque).reshape(control.shape)
         return control
 
+    @cached_property
+    def _last(self) -> dict[int, tuple[float, ServoReference]]:
+        return {}
+
+    def _reference(self, number: int, speed: float) -> ServoReference:
+        """Return a log's reference; the last is kept."""
+        log, last = self.logs[number], self._last.get(number)
+        if last is None or last[0] != speed:
+            last = self._last[number] = speed, ServoReference(log.time, log.command, speed, self.acceleration)
+        return last[1]
+
     def _gravity(self, window: Window) -> Array:
         """Gravity torques (steps, n) [N m] at the commands of a window."""
         log = self.logs[window.log]
         return gravity_torque(self.arm, interpolated(log.time[window.first] + self._grid, log.time, log.command))
-
-
-@lru_cache
-def followed(log: RunLog, speed: float, acceleration: float) -> ServoReference:
-    """Return a log's reference."""
-    return ServoReference(log.time, log.command, speed, acceleration)
 
 
 GAIN, TORQUE_OFF = "gain", "torque_off"
