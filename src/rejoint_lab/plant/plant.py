@@ -207,7 +207,7 @@ class Plant:
         if where is not None:
             steps[~where] = 0
         done = 0
-        for until in sorted({*steps.tolist()} - {0}):  # arms with longer durations go on without the others
+        for until in sorted({*steps[steps > 0].tolist()}):  # arms with longer durations go on without the others
             self._run(np.flatnonzero(steps >= until), until - done)
             done = until
 
