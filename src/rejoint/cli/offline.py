@@ -189,7 +189,7 @@ def arms(
         if not calibration.is_file():
             raise FileError(calibration, "no such file", "give LeRobot's calibration of this arm (.json)")
         address += f"{'&' if '?' in address else '?'}calibration={quote(str(calibration.resolve()))}"
-    if arm is not None and arm not in CATALOGUE:
+    if arm is not None and arm.lower() not in CATALOGUE:
         arm = str(Path(arm).resolve())
     more = {"description": arm, "tolerance_mm": tolerance}
     path = name_arm(name, address=address, **{key: value for key, value in more.items() if value is not None})
