@@ -131,7 +131,7 @@ def test_a_repair_is_of_the_arm_that_it_names_else_of_the_only_one_at_its_addres
     assert (len(mine.visits), mine.left_mm) == (1, 0.5)
     assert (len(other.visits), other.left_mm) == (3, None)
     assert [past_of([*checks, unnamed], arm).left_mm for arm in ("a1", "a2", key)] == [None, None, 0.5]
-    assert past_of([unnamed, head(3)], "a1").left_mm == 0.5
+    assert past_of([unnamed, head(3), head(4, arm="a2")], "a1").left_mm == 0.5
     assert {arm.name: len(arm.rows) for arm in arms_of(rows)} == {"a1": 3, "a2": 3}
     told = arms_of([row for row in rows if row.time <= repair.time])
     shown = {arm.name: cells(arm) for arm in told}

@@ -20,13 +20,15 @@ from rejoint.system.errors import FileError
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
-    """Return the arm of each row; without a name, the only one checked at its address."""
-    sole = dict[str, str]()
-    for row in rows:
-        if row.kind == "check":
-            key = name_of(row.robot, row.model)
-            sole[key] = row.arm if sole.get(key, row.arm) == row.arm else key
-    return lambda row: sole.get(row.arm, row.arm)
+    """Return the arm of each row; of a repair without a name, the only one checked at its address until then."""
+    checked = sorted((row.time, name_of(row.robot, row.model), row.arm) for row in rows if row.kind == "check")
+
+    def owner(row: HistoryRow) -> str:
+        there = [one for one in checked if one[1] == row.arm and row.kind != "check"]
+        names = {arm for time, _, arm in there if time <= row.time} or {arm for *_, arm in there[:1]}
+        return names.pop() if len(names) == 1 else row.arm
+
+    return owner
 
 
 MOVED, SET_UP = "moved", "set up"
